@@ -1,0 +1,87 @@
+"""The `tsa` command: a table of verbs, each in a module of its own that is imported only when it is called."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import sys
+from typing import Any
+
+import click
+
+from tsa_ctrl import __version__
+from tsa_ctrl.errors import TsaError
+
+VERBS: dict[str, str] = {
+    "demo": "the whole system on this machine, and what compensation gains",
+    "run": "the daemon: bring the drive up, run the loop, log",
+    "plant": "simulated drives and joints as CANopen nodes on a bus",
+    "status": "show what a running daemon does",
+    "set": "change a parameter of a running daemon",
+    "stop": "ramp a running daemon's torque to zero and end it",
+    "tune": "guided procedure: excite, estimate, show, verify, write",
+    "calibrate": "estimate friction angle and pretension from logs",
+    "simulate": "predict the joint torque for a log and print the error",
+    "diagnose": "what the simulation gets wrong, why, and what it gains to know",
+    "doctor": "is this machine fit to run the loop",
+    "log": "look into and convert logs",
+    "drive": "dump, restore or compare a drive's objects",
+    "verify-safety": "hang and kill the loop and measure the drive's reaction",
+    "bench": "the highest rate that this machine, adapter and configuration carry",
+    "dashboard": "a local page to watch and tune",
+}
+
+
+def module_of(verb: str) -> str:
+    return "tsa_ctrl.cli." + verb.replace("-", "_") + ("_" if verb in {"set"} else "")
+
+
+class LazyGroup(click.Group):
+    """Loads `tsa_ctrl.cli.VERB` on first use; a verb is listed once its module exists."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return [verb for verb in VERBS if importlib.util.find_spec(module_of(verb)) is not None]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        command = importlib.import_module(module_of(cmd_name)).command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        verbs = [(verb, VERBS[verb]) for verb in self.list_commands(ctx)]
+        if verbs:
+            with formatter.section("Verbs"):
+                formatter.write_dl(verbs)
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="tsa")
+def cli() -> None:
+    """Feedforward torque control through tendon-sheaths, and the diagnosis of its model."""
+
+
+def main(argv: list[str] | None = None) -> Any:
+    """Run `tsa`; exit code 0: done, 1: machine or bus failed, 2: command, configuration or data wrong."""
+    try:
+        code = cli.main(args=argv, prog_name="tsa", standalone_mode=False)
+        sys.exit(code if isinstance(code, int) else 0)
+    except click.exceptions.Abort:
+        print("tsa: interrupted", file=sys.stderr)
+        sys.exit(1)
+    except click.ClickException as error:
+        where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else "tsa"
+        hint = f" (see '{where} --help')" if isinstance(error, click.UsageError) else ""
+        print(f"{where}: {' '.join(error.format_message().split())}{hint}", file=sys.stderr)
+        sys.exit(2)
+    except TsaError as error:
+        print(f"tsa: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("tsa: interrupted", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,21 @@
+"""One error tree. A message is one line: where, what was found, what is allowed, what to do."""
+
+from __future__ import annotations
+
+
+class TsaError(Exception):
+    """Base of all errors that a user can cause; `exit_code` is that of the command line."""
+
+    exit_code = 1
+
+
+class UsageError(TsaError):
+    """The command, a configuration or a data file is wrong (exit code 2)."""
+
+    exit_code = 2
+
+
+class BusError(TsaError):
+    """The machine or the bus failed (exit code 1)."""
+
+    exit_code = 1

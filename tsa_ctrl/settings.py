@@ -1,0 +1,104 @@
+"""The one strict reader of TOML files: unknown, missing, out of range or wrong in type is one clear line.
+
+A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True`; bounds stand in `msgspec.Meta`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+import msgspec
+
+from tsa_ctrl.errors import UsageError
+
+T = TypeVar("T")
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """Parse a TOML file; raise UsageError naming file and line when it cannot be read."""
+    path = Path(path)
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such file; give the path of an existing TOML file") from None
+    except IsADirectoryError:
+        raise UsageError(f"{path}: is a folder; give the path of a TOML file") from None
+    except PermissionError:
+        raise UsageError(f"{path}: cannot be read; allow reading it (chmod +r)") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: is not UTF-8 text; give a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
+
+
+def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
+    """Strictly convert parsed TOML to `kind`; raise UsageError that names the key and the nearest known one."""
+    try:
+        return msgspec.convert(data, kind, strict=True)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"{where}: {explain(str(error), kind)}") from None
+
+
+def load(path: str | Path, kind: type[T]) -> T:
+    """Read and convert one settings file."""
+    return convert(read_toml(path), kind, path)
+
+
+def explain(message: str, kind: type) -> str:
+    """Turn a msgspec message into `[section] key: found ..., allowed ...`."""
+    text, _, at = message.partition(" - at ")
+    key = re.sub(r"^\$\.?|`", "", at.strip("` ")) or "top level"
+    unknown = re.match(r"Object contains unknown field `(.+)`", text)
+    if unknown:
+        known = sorted(_field_names(kind))
+        near = difflib.get_close_matches(unknown.group(1), known, n=1, cutoff=0.5)
+        advice = f"did you mean '{near[0]}'?" if near else f"known keys are {', '.join(known)}"
+        return f"{key}: unknown key '{unknown.group(1)}'; {advice}"
+    missing = re.match(r"Object missing required field `(.+)`", text)
+    if missing:
+        return f"{key}: key '{missing.group(1)}' is missing; add it"
+    return f"{key}: {text[:1].lower()}{text[1:]}"
+
+
+def _field_names(kind: object, seen: set[object] | None = None) -> set[str]:
+    seen = set() if seen is None else seen
+    try:
+        if kind in seen:
+            return set()
+        seen.add(kind)
+    except TypeError:
+        return set()
+    names: set[str] = set()
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        for field in msgspec.structs.fields(kind):
+            names.add(field.encode_name)
+            names |= _field_names(field.type, seen)
+    for argument in get_args(kind):
+        names |= _field_names(argument, seen)
+    return names
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file so that a crash leaves either the old or the new one: written beside, synced, renamed."""
+    path = Path(path)
+    try:
+        mode = path.stat().st_mode & 0o777 if path.exists() else 0o644
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as stream:
+                stream.write(text)
+                stream.flush()
+                os.fsync(stream.fileno())
+            Path(name).chmod(mode)
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
