@@ -1,0 +1,295 @@
+"""The actuator model file: read strictly, written with its comments kept and its provenance stated.
+
+Symbols and units as in the source, section 3.2: r_M, r_J, E A, l_us, d, k_s, mu, Theta, p, T_p0. Only the product
+x = mu Theta (`friction_angle`) and T_p0 (`pretension`) are identifiable; see `TendonSheath.recalibrated`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import tomlkit
+from msgspec import Meta
+
+from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.catalogue import CATALOGUE, Value, check_effects
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Radius = Annotated[float, Meta(gt=0.0, le=1.0)]  # m; larger is a wrong unit
+Length = Annotated[float, Meta(gt=0.0, le=100.0)]  # m
+Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
+
+
+class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    kind: Literal["tendon_sheath"] = "tendon_sheath"
+    motor_pulley_radius: Radius  # r_M, m
+    joint_pulley_radius: Radius  # r_J, m
+
+
+class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    kind: Literal["rigid_drive"]
+    inertia: NonNegative | None = None  # J, kg*m^2
+    coulomb_friction: NonNegative | None = None  # tau_c, N*m
+    viscous_friction: NonNegative | None = None  # b, N*m*s/rad
+    torque_offset: float | None = None  # c, N*m
+
+
+class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    axial_stiffness: Positive  # E A, N
+    unstrained_length: Length  # l_us, m
+    diameter: Annotated[float, Meta(gt=0.0, le=0.1)]  # d, m
+    series_stiffness: Positive | None = None  # k_s, N/m, per tendon
+
+
+class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    friction_coefficient: Annotated[float, Meta(ge=0.0, le=5.0)]  # mu, 1
+    bending_angle: Angle  # Theta, rad
+    contact_offset: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # p, m
+    unstrained_bending_angle: float | None = None  # Theta_us, rad (3.51)
+
+
+class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    value: NonNegative | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
+
+
+class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    friction_angle: NonNegative = 0.25  # factor either way, minus 1
+    pretension: NonNegative = 0.25
+
+
+class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    actuator: ActuatorSection
+    tendon: TendonSection
+    sheath: SheathSection
+    pretension: PretensionSection = PretensionSection()
+    uncertainty: UncertaintySection = UncertaintySection()
+    effects: dict[str, dict[str, Any]] = {}
+    provenance: dict[str, Any] = {}
+
+
+class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    actuator: RigidDriveSection
+    effects: dict[str, dict[str, Any]] = {}
+    provenance: dict[str, Any] = {}
+
+
+Effects = Mapping[str, Mapping[str, Value]]
+
+
+@dataclass(frozen=True)
+class TendonSheath:
+    """A pair of tendon-sheaths between a motor and a joint pulley; all SI.
+
+    `pretension` is T_p0 in N at `bending_angle` without motor torque and friction, already resolved from
+    `unstrained_bending_angle` by (3.51), (3.56) where the file gives that instead.
+    """
+
+    motor_pulley_radius: float
+    joint_pulley_radius: float
+    axial_stiffness: float
+    unstrained_length: float
+    diameter: float
+    friction_coefficient: float
+    bending_angle: float
+    pretension: float
+    contact_offset: float = 0.0
+    series_stiffness: float | None = None
+    friction_angle_uncertainty: float = 0.25
+    pretension_uncertainty: float = 0.25
+    effects: Effects = field(default_factory=dict)
+    source: str = ""
+
+    @property
+    def friction_angle(self) -> float:
+        """x = mu Theta, 1."""
+        return self.friction_coefficient * self.bending_angle
+
+    @property
+    def tendon_stiffness(self) -> float:
+        """k_t = 1 / (l_us/EA + 1/k_s), N/m: pretension per path-length change (3.56)."""
+        compliance = self.unstrained_length / self.axial_stiffness
+        if self.series_stiffness is not None:
+            compliance += 1.0 / self.series_stiffness
+        return 1.0 / compliance
+
+    @property
+    def series_length(self) -> float:
+        """EA / k_s, m: what a series elastic element adds to alpha and beta; 0 without one."""
+        return 0.0 if self.series_stiffness is None else self.axial_stiffness / self.series_stiffness
+
+    def recalibrated(self, friction_angle: float | None = None, pretension: float | None = None) -> TendonSheath:
+        """The same actuator with another x (through mu; Theta stays) and T_p0."""
+        changed = self
+        if friction_angle is not None:
+            if self.bending_angle == 0.0:
+                raise UsageError(f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change")
+            changed = dataclasses.replace(changed, friction_coefficient=friction_angle / self.bending_angle)
+        if pretension is not None:
+            changed = dataclasses.replace(changed, pretension=pretension)
+        return changed
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, Any]]) -> TendonSheath:
+        """The same actuator with these effects instead of its own; validated against the catalogue."""
+        return dataclasses.replace(self, effects=check_effects(effects, self.source or "model"))
+
+
+@dataclass(frozen=True)
+class RigidDrive:
+    """A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c; None is absent from the file."""
+
+    inertia: float | None = None
+    coulomb_friction: float | None = None
+    viscous_friction: float | None = None
+    torque_offset: float | None = None
+    effects: Effects = field(default_factory=dict)
+    source: str = ""
+
+
+Model = TendonSheath | RigidDrive
+
+
+def load_model(path: str | Path) -> Model:
+    """Read an actuator model file; raises UsageError in one line for anything wrong with it."""
+    return model_from(settings.read_toml(path), str(path))
+
+
+def load_tendon_sheath(path: str | Path) -> TendonSheath:
+    """Read a model file that must describe a tendon-sheath actuator."""
+    model = load_model(path)
+    if not isinstance(model, TendonSheath):
+        raise UsageError(f'{path}: [actuator] kind = "rigid_drive" cannot be used here; give a tendon-sheath model')
+    return model
+
+
+def model_from(data: dict[str, Any], where: str) -> Model:
+    """Build a model from parsed TOML; `where` names the source in errors."""
+    section = data.get("actuator")
+    if isinstance(section, dict) and section.get("kind") == "rigid_drive":
+        drive = settings.convert(data, RigidDriveFile, where)
+        effects = check_effects(drive.effects, where)
+        for name in effects:
+            if not CATALOGUE[name].rigid_drive:
+                raise UsageError(f"{where}: [effects.{name}] has no meaning for a rigid_drive; remove it")
+        a = drive.actuator
+        return RigidDrive(a.inertia, a.coulomb_friction, a.viscous_friction, a.torque_offset, effects, where)
+    file = settings.convert(data, ActuatorFile, where)
+    model = TendonSheath(
+        motor_pulley_radius=file.actuator.motor_pulley_radius,
+        joint_pulley_radius=file.actuator.joint_pulley_radius,
+        axial_stiffness=file.tendon.axial_stiffness,
+        unstrained_length=file.tendon.unstrained_length,
+        diameter=file.tendon.diameter,
+        series_stiffness=file.tendon.series_stiffness,
+        friction_coefficient=file.sheath.friction_coefficient,
+        bending_angle=file.sheath.bending_angle,
+        contact_offset=file.sheath.contact_offset,
+        pretension=0.0,
+        friction_angle_uncertainty=file.uncertainty.friction_angle,
+        pretension_uncertainty=file.uncertainty.pretension,
+        effects=check_effects(file.effects, where),
+        source=where,
+    )
+    return dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
+
+
+def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> float:
+    value, unstrained = file.pretension.value, file.sheath.unstrained_bending_angle
+    if value is not None and unstrained is not None:
+        raise UsageError(
+            f"{where}: both [pretension] value and [sheath] unstrained_bending_angle are given; keep one of them"
+        )
+    if value is not None:
+        return value
+    if unstrained is None:
+        raise UsageError(
+            f"{where}: no pretension; give [pretension] value (N) or [sheath] unstrained_bending_angle (rad)"
+        )
+    change = (model.contact_offset + model.diameter / 2.0) * (model.bending_angle - unstrained)  # (3.51)
+    return max(0.0, model.tendon_stiffness * change)
+
+
+def dump_model(model: Model, template: str | Path | None = None, provenance: Mapping[str, Any] | None = None) -> str:
+    """TOML text that loads again to the same model.
+
+    `template`: a model file whose comments and layout are kept. `provenance`: plain values or tables written to
+    `[provenance]` (where the numbers came from: log names and hashes, date, version, intervals).
+    """
+    document = tomlkit.document() if template is None else tomlkit.parse(Path(template).read_text(encoding="utf-8"))
+    for section, values in _sections(model).items():
+        table = document.setdefault(section, tomlkit.table())
+        for key, value in values.items():
+            if value is None:
+                table.pop(key, None)
+            elif table.get(key) != value:
+                table[key] = value
+    document.pop("effects", None)
+    if model.effects:
+        effects = tomlkit.table(is_super_table=True)
+        for name, parameters in model.effects.items():
+            table = tomlkit.table()
+            for key, value in parameters.items():
+                table[key] = value
+                unit = CATALOGUE[name].parameter(key).unit
+                if not isinstance(value, str):
+                    table[key].comment(unit)
+            effects[name] = table
+        document["effects"] = effects
+    if provenance:
+        document.pop("provenance", None)
+        document["provenance"] = _toml_table(provenance)
+    text: str = tomlkit.dumps(document)
+    return text if text.endswith("\n") else text + "\n"
+
+
+def save_model(
+    model: Model,
+    path: str | Path,
+    template: str | Path | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write `dump_model` to a file, beside and renamed."""
+    settings.write_text(path, dump_model(model, template, provenance))
+
+
+def _sections(model: Model) -> dict[str, dict[str, Any]]:
+    if isinstance(model, RigidDrive):
+        names = ("inertia", "coulomb_friction", "viscous_friction", "torque_offset")
+        return {"actuator": {"kind": "rigid_drive", **{name: getattr(model, name) for name in names}}}
+    uncertainty = {
+        "friction_angle": model.friction_angle_uncertainty,
+        "pretension": model.pretension_uncertainty,
+    }
+    return {
+        "actuator": {
+            "motor_pulley_radius": model.motor_pulley_radius,
+            "joint_pulley_radius": model.joint_pulley_radius,
+        },
+        "tendon": {
+            "axial_stiffness": model.axial_stiffness,
+            "unstrained_length": model.unstrained_length,
+            "diameter": model.diameter,
+            "series_stiffness": model.series_stiffness,
+        },
+        "sheath": {
+            "friction_coefficient": model.friction_coefficient,
+            "bending_angle": model.bending_angle,
+            "contact_offset": model.contact_offset,
+            "unstrained_bending_angle": None,
+        },
+        "pretension": {"value": model.pretension},
+        "uncertainty": uncertainty,
+    }
+
+
+def _toml_table(values: Mapping[str, Any]) -> Any:
+    table = tomlkit.table()
+    for key, value in values.items():
+        table[key] = _toml_table(value) if isinstance(value, Mapping) else value
+    return table
