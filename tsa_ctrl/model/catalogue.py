@@ -239,6 +239,7 @@ _SPECS = (
         (_positive("gap", "rad"),),
         _Q,
         memory=True,
+        rigid_drive=False,  # there is no tendon part that play could take away
     ),
     EffectSpec(
         "viscous_friction",

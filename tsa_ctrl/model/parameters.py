@@ -106,6 +106,19 @@ class TendonSheath:
     effects: Effects = field(default_factory=dict)
     source: str = ""
 
+    def __post_init__(self) -> None:
+        """T_ref defaults to this pretension for good, so that recalibrating the pretension does not move it."""
+        dependence = self.effects.get("tension_dependent_friction")
+        if dependence is None or "reference_tension" in dependence:
+            return
+        if not self.pretension > 0.0:
+            raise UsageError(
+                f"{self.source or 'model'}: [effects.tension_dependent_friction] has no reference_tension and the "
+                "pretension is 0 N; give reference_tension (N)"
+            )
+        filled = {**dependence, "reference_tension": self.pretension}
+        object.__setattr__(self, "effects", {**self.effects, "tension_dependent_friction": filled})
+
     @property
     def friction_angle(self) -> float:
         """x = mu Theta, 1."""
@@ -190,13 +203,13 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         friction_coefficient=file.sheath.friction_coefficient,
         bending_angle=file.sheath.bending_angle,
         contact_offset=file.sheath.contact_offset,
-        pretension=0.0,
+        pretension=0.0,  # resolved below; it needs the stiffness
         friction_angle_uncertainty=file.uncertainty.friction_angle,
         pretension_uncertainty=file.uncertainty.pretension,
-        effects=check_effects(file.effects, where),
         source=where,
     )
-    return dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
+    pretension = _resolve_pretension(file, model, where)
+    return dataclasses.replace(model, pretension=pretension, effects=check_effects(file.effects, where))
 
 
 def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> float:

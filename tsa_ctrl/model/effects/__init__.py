@@ -1,0 +1,1 @@
+"""The catalogue's effects as small pieces, grouped by where they enter; `composition` puts them in order."""

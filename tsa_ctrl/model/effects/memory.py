@@ -1,0 +1,124 @@
+"""Effects that remember: the friction state after a reversal, play, and a late measurement. Source: the catalogue."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import Signals
+
+_GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whole numbers, and be counts
+_NOISE_TO_STEP = 3.0  # counts that stand for white noise of one standard deviation
+
+
+@dataclass(frozen=True)
+class PreslidingHysteresis:
+    """sigma becomes z everywhere: dz/ds = (1 - sign(ds) z)/q_p (Dahl), or the mean of N > 1 Maxwell-slip elements.
+
+    Maxwell-slip element i of N slips at +-1, a distance q_p i/N from rest. z starts at sigma when the log starts
+    moving, else at 0. s is the motor's angle, or the joint's where the log has no motor angle.
+    """
+
+    presliding_distance: float  # q_p, rad
+    elements: int = 1  # N, 1
+    displacement: str | None = None  # "motor" or "joint"; None: motor where there is one
+
+    def path(self, signals: Signals) -> Array:
+        """s, rad; from omega_j when the joint's angle is wanted and is not in the log."""
+        if self.displacement != "joint" and signals.q_m is not None:
+            return signals.q_m
+        if signals.q_j is not None:
+            return signals.q_j
+        return integrate(signals.omega_j, signals.t)
+
+    def state(self, displacement: Array, start: float) -> Array:
+        """z, shape (n,), along a displacement of shape (n,)."""
+        from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
+
+        if self.elements == 1:
+            return np.asarray(kernels.dahl(displacement, self.presliding_distance, start))
+        return np.asarray(kernels.maxwell_slip(displacement, self.presliding_distance, self.elements, start))
+
+
+class PreslidingState:
+    """The same friction state sample by sample, for the live loop."""
+
+    def __init__(self, effect: PreslidingHysteresis) -> None:
+        self._distance = effect.presliding_distance
+        self._elements = effect.elements
+        self.reset()
+
+    def reset(self) -> None:
+        self.z = math.nan
+        self._last = math.nan
+        self._states: list[float] = []
+
+    def update(self, displacement: float, start: float) -> float:
+        """z after moving to `displacement` (rad; nan holds the state); `start` is z at the first call."""
+        if self.z != self.z:
+            self.z, self._states = start, [start] * self._elements
+        if displacement != displacement:
+            return self.z
+        step = displacement - self._last if self._last == self._last else 0.0
+        self._last = displacement
+        if self._elements == 1:
+            if step > 0.0:
+                self.z = 1.0 + (self.z - 1.0) * math.exp(-step / self._distance)
+            elif step < 0.0:
+                self.z = -1.0 + (self.z + 1.0) * math.exp(step / self._distance)
+            return self.z
+        step *= self._elements / self._distance
+        states = [min(1.0, max(-1.0, z + step / (k + 1))) for k, z in enumerate(self._states)]
+        self._states, self.z = states, sum(states) / self._elements
+        return self.z
+
+
+@dataclass(frozen=True)
+class Backlash:
+    """The tendon part of tau_J is 0 while abs(q - q_r) < gap, q_r the joint angle at the last reversal."""
+
+    gap: float  # rad
+
+    def inside(self, q_j: Array) -> Array:
+        """Mask, shape (n,): where the play is open. A reversal counts beyond two encoder counts."""
+        from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
+
+        return np.asarray(kernels.within_gap(q_j, self.gap, 2.0 * resolution(q_j)))
+
+
+@dataclass(frozen=True)
+class TransportDelay:
+    """The measured torque is late: y(t) = y_true(t - T_d), linear between samples; the first value before the log."""
+
+    delay: float  # T_d, s
+
+    def apply(self, torque: Array, t: Array) -> Array:
+        return np.asarray(np.interp(t - self.delay, t, torque))
+
+
+def integrate(omega: Array, t: Array) -> Array:
+    """Angle, rad, from a velocity by the trapezoidal rule, 0 at the first sample."""
+    steps = 0.5 * (omega[1:] + omega[:-1]) * np.diff(t)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def resolution(q: Array) -> float:
+    """One encoder count, rad: the grid that the angles lie on, else what stands for it in a log without counts.
+
+    Without a grid the noise (from second differences) takes its place, so that noise at standstill reverses nothing.
+    """
+    steps = np.abs(np.diff(q))
+    steps = steps[steps > 0.0]
+    if steps.size == 0:
+        return 0.0
+    count = float(steps.min())
+    ratio = steps / count
+    if ratio.max() < 1.0 / np.finfo(np.float64).eps and np.all(np.abs(ratio - np.round(ratio)) < _GRID_TOLERANCE):
+        return count
+    if q.size < 3:
+        return 0.0
+    noise = float(np.median(np.abs(np.diff(q, 2)))) / 0.6745 / math.sqrt(6.0)  # MAD of white noise, [1 -2 1]
+    return _NOISE_TO_STEP * noise

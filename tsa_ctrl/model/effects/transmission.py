@@ -1,0 +1,166 @@
+"""The transmission from the four tensions, with the effects that change it, and the full model in its place.
+
+B is the torque (N*m) that arrives at the joint before friction in the joint. x = mu Theta >= 0 is the friction angle,
+sigma in [-1, 1] the direction or the friction state. Source: (3.37)-(3.55) and the catalogue of effects.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tsa_ctrl.model import curvature, transmission
+from tsa_ctrl.model.effects.friction import TensionDependentFriction
+from tsa_ctrl.model.functions import SCALARS, F, Functions
+
+
+@dataclass(frozen=True)
+class SheathAsymmetry:
+    """x_a = x (1 + k/2), x_b = x (1 - k/2): equals exp(sigma k x/2) times (3.55)."""
+
+    relative_difference: float  # k, 1
+
+    def angles(self, x: F) -> tuple[F, F]:
+        half = self.relative_difference / 2.0
+        return x * (1.0 + half), x * (1.0 - half)
+
+
+@dataclass(frozen=True)
+class TendonSlack:
+    """Tensions are >= 0: beyond abs(tau_M) = 2 T_p r_M the other tendon carries tau_M/r_M alone."""
+
+    def clip(self, functions: Functions[F], t1: F, t3: F) -> tuple[F, F]:
+        return (
+            functions.at_least(t1, 0.0) + functions.at_least(-t3, 0.0),
+            functions.at_least(t3, 0.0) + functions.at_least(-t1, 0.0),
+        )
+
+
+@dataclass(frozen=True)
+class ElongationCoupling:
+    """The full model (3.53) in place of (3.55), for one of two curvature profiles."""
+
+    curvature_profile: str  # "uniform" or "motor_end"
+
+    def line(
+        self, functions: Functions[F], x: F, pretension: F, radii: tuple[float, float], series: float
+    ) -> transmission.FullModel[F]:
+        """(3.53)-(3.54) at the signed angle x; `series` = EA/(k_s l_us), 0 without a series element."""
+        shape = curvature.uniform_elongation if self.curvature_profile == "uniform" else curvature.motor_end_elongation
+        alpha, beta = shape(functions, x)
+        strain_force = pretension * (1.0 + series)
+        return transmission.full_model(functions, x, alpha + series, beta + series, strain_force, *radii)
+
+
+@dataclass(frozen=True)
+class FourTensions:
+    """(3.55) from the four tensions, with asymmetric sheaths, slack and tension-dependent friction where present."""
+
+    radii: tuple[float, float]  # r_M, r_J, m
+    asymmetry: SheathAsymmetry | None = None
+    slack: TendonSlack | None = None
+    tension_dependence: TensionDependentFriction | None = None
+
+    def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
+        """B, N*m."""
+        r_m, r_j = self.radii
+        t1, t3 = transmission.motor_tensions(tau_m, pretension, r_m)
+        if self.slack is not None:
+            t1, t3 = self.slack.clip(functions, t1, t3)
+        x_a, x_b = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
+        if self.tension_dependence is not None:
+            x_a = x_a * self.tension_dependence.factor(functions, t1)
+            x_b = x_b * self.tension_dependence.factor(functions, t3)
+        return transmission.torque_between(t1 * functions.exp(sigma * x_a), t3 * functions.exp(-sigma * x_b), r_j)
+
+    def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
+        """tau_M, N*m, for which `torque` gives B: closed, or at most `ITERATIONS` steps with tension dependence."""
+        x_a, x_b = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
+        tau_m = self._invert(torque, sigma * x_a, sigma * x_b, pretension)
+        if self.tension_dependence is not None:
+            return self._iterate(torque, tau_m, sigma, (x_a, x_b), pretension)
+        return tau_m
+
+    def limits(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+        """Domain of tau_M, N*m, in which both tendons pull; unbounded when the model knows slack."""
+        if self.slack is not None:
+            return -math.inf, math.inf
+        bound = 2.0 * pretension * self.radii[0]
+        return -bound, bound
+
+    def _invert(self, torque: float, x_a: float, x_b: float, pretension: float) -> float:
+        r_m, r_j = self.radii
+        growth, decay = SCALARS.exp(x_a), SCALARS.exp(-x_b)
+        tau_m = 2.0 * r_m * (torque / r_j + pretension * (growth - decay)) / (growth + decay)
+        if self.slack is not None and abs(tau_m) > 2.0 * pretension * r_m:
+            return torque * r_m / r_j / (decay if tau_m > 0.0 else growth)
+        return tau_m
+
+    def _iterate(self, torque: float, tau_m: float, sigma: float, x: tuple[float, float], pretension: float) -> float:
+        """Newton's method on B(tau_M), kept inside the bracket seen so far; the best point seen is returned."""
+        accepted = TOLERANCE * (abs(torque) + pretension * self.radii[0])
+        low, high, best, least = -math.inf, math.inf, tau_m, math.inf
+        for _ in range(ITERATIONS):
+            value, slope = self._value_and_slope(tau_m, sigma, x, pretension)
+            error = value - torque
+            if abs(error) < least:
+                least, best = abs(error), tau_m
+            if not abs(error) > accepted:
+                break
+            low, high = (low, tau_m) if error > 0.0 else (tau_m, high)
+            step = tau_m - error / slope if slope > 0.0 else math.nan
+            if not low < step < high:
+                if math.isinf(low) or math.isinf(high):
+                    break
+                step = 0.5 * (low + high)
+            tau_m = step
+        return best
+
+    def _value_and_slope(
+        self, tau_m: float, sigma: float, x: tuple[float, float], pretension: float
+    ) -> tuple[float, float]:
+        """B and dB/dtau_M with tension-dependent friction."""
+        dependence = self.tension_dependence
+        assert dependence is not None
+        r_m, r_j = self.radii
+        t1, t3 = transmission.motor_tensions(tau_m, pretension, r_m)
+        d1, d3 = -0.5 / r_m, 0.5 / r_m
+        if self.slack is not None:
+            d1, d3 = (0.0, 1.0 / r_m) if t1 < 0.0 else (-1.0 / r_m, 0.0) if t3 < 0.0 else (d1, d3)
+            t1, t3 = self.slack.clip(SCALARS, t1, t3)
+        f1, f3 = dependence.factor(SCALARS, t1), dependence.factor(SCALARS, t3)
+        g1, g3 = SCALARS.exp(sigma * x[0] * f1), SCALARS.exp(-sigma * x[1] * f3)
+        slope1 = d1 * g1 * (1.0 + t1 * sigma * x[0] * dependence.slope(t1, f1))
+        slope3 = d3 * g3 * (1.0 - t3 * sigma * x[1] * dependence.slope(t3, f3))
+        return r_j * (t3 * g3 - t1 * g1), r_j * (slope3 - slope1)
+
+
+@dataclass(frozen=True)
+class Elongating:
+    """The full model (3.53), which excludes slack, asymmetry and tension dependence."""
+
+    radii: tuple[float, float]  # r_M, r_J, m
+    series: float  # EA/(k_s l_us), 1
+    coupling: ElongationCoupling
+
+    def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
+        """B, N*m."""
+        line = self.coupling.line(functions, sigma * x, pretension, self.radii, self.series)
+        return line.gain * tau_m - line.loss
+
+    def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
+        """tau_M, N*m, for which `torque` gives B."""
+        line = self.coupling.line(SCALARS, sigma * x, pretension, self.radii, self.series)
+        return (torque + line.loss) / line.gain
+
+    def limits(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+        """Domain of tau_M, N*m, in which both tendons pull at the pretension of (3.54)."""
+        line = self.coupling.line(SCALARS, sigma * x, pretension, self.radii, self.series)
+        level, coupling = 2.0 * self.radii[0] * line.level, 2.0 * self.radii[0] * line.coupling
+        return -level / (1.0 + coupling), level / (1.0 - coupling)
+
+
+Transmission = FourTensions | Elongating
+
+ITERATIONS = 30  # steps at most; 3-5 are usual, more only at a kink
+TOLERANCE = 1e-13  # of the torque scale: below it rounding decides

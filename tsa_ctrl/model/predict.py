@@ -1,0 +1,174 @@
+"""What a model expects for a log: the joint torque of a tendon-sheath, or the motor torque of a plain drive.
+
+Source: (3.55) with the effects in their order of composition. All SI. Memoryless models are plain numpy; effects with
+memory load compiled loops when first used.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
+from tsa_ctrl.model.effects.memory import integrate
+from tsa_ctrl.model.effects.motor import TorqueConstantError, TorqueRipple
+from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.functions import ARRAYS, Array
+from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.signals import Signals, hold_direction
+
+_ABSENT: Array = np.asarray(np.nan)
+
+
+def predict(model: Model, signals: Signals) -> Array:
+    """Joint torque in N*m, shape (n,); for a RigidDrive the motor torque instead.
+
+    Raises UsageError naming an effect and the column that it needs and the log does not have.
+    """
+    if isinstance(model, RigidDrive):
+        return _predict_rigid(model, signals)
+    stack = Stack.of(model.effects, model.source)
+    _require_columns(model, signals)
+    state = _joint_state(model, stack, signals)
+    tau_m = signals.tau_m
+    for effect in stack.motor_torque:
+        tau_m = effect.apply(ARRAYS, tau_m, state)
+    theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
+    x = friction_angle(ARRAYS, model, stack, state, theta)
+    tau_j = stack.transmission(model).torque(ARRAYS, tau_m, state.sigma, x, pretension)
+    if stack.load is not None:
+        tau_j = stack.load.apply(ARRAYS, tau_j, state.sigma)
+    if stack.backlash is not None:
+        tau_j = np.where(stack.backlash.inside(state.q_j), 0.0, tau_j)
+    for joint_effect in stack.joint:
+        tau_j = tau_j - joint_effect.torque(ARRAYS, state)
+    if stack.delay is not None:
+        tau_j = stack.delay.apply(tau_j, signals.t)
+    return tau_j
+
+
+def beyond_slack(model: Model, signals: Signals) -> float:
+    """Fraction of samples with abs(tau_m) >= 2 T_p r_M, where one tendon is slack; 0 for a plain drive."""
+    if isinstance(model, RigidDrive):
+        return 0.0
+    stack = Stack.of(model.effects, model.source)
+    _require_columns(model, signals)
+    _, pretension = bending_and_pretension(ARRAYS, model, stack, _joint_state(model, stack, signals))
+    return float(np.mean(np.abs(signals.tau_m) >= 2.0 * pretension * model.motor_pulley_radius))
+
+
+def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]]:
+    """For each effect that this log cannot carry: the columns of which one would be needed."""
+    rigid = isinstance(model, RigidDrive)
+    return {name: lack for name in model.effects if (lack := missing_for(name, signals, rigid=rigid))}
+
+
+def missing_for(effect: str, signals: Signals, *, rigid: bool = False) -> tuple[str, ...]:
+    """The columns of which `effect` needs one and the log has none; empty when it can be computed.
+
+    In a plain drive (`rigid`) the motor's motion takes the place of the joint's, and is there by definition.
+    """
+    for alternatives in CATALOGUE[effect].columns:
+        if rigid and not {"q_j", "omega_j"}.isdisjoint(alternatives):
+            continue
+        if all(getattr(signals, name) is None for name in alternatives):
+            return alternatives
+    return ()
+
+
+def _require_columns(model: Model, signals: Signals) -> None:
+    for effect, columns in missing_columns(model, signals).items():
+        raise UsageError(
+            f"{model.source or 'model'}: [effects.{effect}] needs column {' or '.join(columns)}, which the log does "
+            "not have; record it or remove the effect"
+        )
+    presliding = model.effects.get("presliding_hysteresis", {})
+    if presliding.get("displacement") == "motor" and signals.q_m is None:
+        raise UsageError(
+            f'{model.source or "model"}: [effects.presliding_hysteresis] displacement = "motor" needs column q_m, '
+            'which the log does not have; record it or use "joint"'
+        )
+
+
+def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[Array]:
+    omega, acceleration = signals.omega_j, _ABSENT
+    if stack.velocity_lag is not None or "inertia" in model.effects:
+        acceleration = signals.acceleration
+    if stack.velocity_lag is not None:
+        omega = stack.velocity_lag.true_velocity(omega, acceleration)
+    sigma = hold_direction(omega)
+    if stack.presliding is not None:
+        start = float(np.sign(omega[0]))
+        sigma = stack.presliding.state(stack.presliding.path(signals), start)
+    return State(
+        t=signals.t,
+        omega=omega,
+        acceleration=acceleration,
+        q_j=_column(signals.q_j),
+        q_m=_column(signals.q_m),
+        temperature=_column(signals.temperature),
+        theta=np.asarray(model.bending_angle) if signals.theta is None else signals.theta,
+        sigma=sigma,
+        start=float(signals.t[0]),
+    )
+
+
+def _predict_rigid(model: RigidDrive, signals: Signals) -> Array:
+    """tau_M = J domega/dt + tau_c sign(omega) + b omega + c; an effect tau_J -= f enters as tau_M += f.
+
+    Effects on the reported torque (gain, ripple) are undone, since it is the reported one that is predicted. The
+    motor's motion stands for the joint's.
+    """
+    stack = Stack.of(model.effects, model.source)
+    _require_columns(model, signals)
+    state = _motor_state(model, stack, signals)
+    friction = np.asarray(model.coulomb_friction or 0.0)
+    for effect in stack.friction:
+        friction = friction * effect.factor(ARRAYS, state)
+    tau_m = ARRAYS.at_least(friction, 0.0) * state.sigma + (model.torque_offset or 0.0)
+    tau_m = tau_m + (model.viscous_friction or 0.0) * state.omega
+    if model.inertia:
+        tau_m = tau_m + model.inertia * state.acceleration
+    for joint_effect in stack.joint:
+        tau_m = tau_m + joint_effect.torque(ARRAYS, state)
+    if stack.load is not None:
+        tau_m = stack.load.required(ARRAYS, tau_m, state.sigma)
+    for motor_effect in reversed(stack.motor_torque):
+        if isinstance(motor_effect, TorqueConstantError | TorqueRipple):
+            tau_m = motor_effect.invert(ARRAYS, tau_m, state)
+    if stack.delay is not None:
+        tau_m = stack.delay.apply(tau_m, signals.t)
+    return tau_m
+
+
+def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Array]:
+    omega = signals.motor_velocity
+    if omega is None:
+        raise UsageError(
+            f"{model.source or 'model'}: a rigid_drive needs column omega_m or q_m, and the log has neither; record one"
+        )
+    acceleration = _ABSENT
+    if stack.velocity_lag is not None or "inertia" in model.effects or model.inertia:
+        acceleration = _column(signals.motor_acceleration)
+    if stack.velocity_lag is not None:
+        omega = stack.velocity_lag.true_velocity(omega, acceleration)
+    angle = integrate(omega, signals.t) if signals.q_m is None else signals.q_m
+    sigma = hold_direction(omega)
+    if stack.presliding is not None:
+        sigma = stack.presliding.state(angle, float(np.sign(omega[0])))
+    return State(
+        t=signals.t,
+        omega=omega,
+        acceleration=acceleration,
+        q_j=angle,
+        q_m=_column(signals.q_m),
+        temperature=_column(signals.temperature),
+        theta=_ABSENT,
+        sigma=sigma,
+        start=float(signals.t[0]),
+    )
+
+
+def _column(column: Array | None) -> Array:
+    return _ABSENT if column is None else column

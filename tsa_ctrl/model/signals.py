@@ -1,0 +1,118 @@
+"""The signals of one log as the model takes them: columns of one length, SI units.
+
+Derivatives are zero-phase: a causal filter would shift them against the torque, and the shift would be found again
+as a delay or a velocity lag that the machine does not have.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.functions import Array
+
+DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
+_SHORTEST_FILTERED = 64  # samples; below this the filter's run-in is longer than the log
+
+
+@dataclass(frozen=True, kw_only=True)
+class Signals:
+    """Columns of a log, float64, shape (n,); None where the log has no such column.
+
+    t in s, strictly increasing; tau_m in N*m; omega in rad/s; q and theta in rad; temperature in °C;
+    acceleration_j in rad/s^2. Raises UsageError when a column has another shape than t.
+    """
+
+    t: Array
+    tau_m: Array
+    omega_j: Array
+    q_j: Array | None = None
+    q_m: Array | None = None
+    omega_m: Array | None = None
+    theta: Array | None = None
+    temperature: Array | None = None
+    acceleration_j: Array | None = None
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            column = getattr(self, field.name)
+            if column is None:
+                continue
+            column = np.ascontiguousarray(column, dtype=np.float64)
+            object.__setattr__(self, field.name, column)
+            if column.ndim != 1 or len(column) != len(self.t):
+                raise UsageError(
+                    f"signals: column '{field.name}' has shape {column.shape} where t has {self.t.shape}; "
+                    "give columns of one length"
+                )
+        if len(self.t) == 0:
+            raise UsageError("signals: no samples; give a log with at least one row")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def period(self) -> float:
+        """Mean sampling period, s; 1 for a single sample."""
+        return float(self.t[-1] - self.t[0]) / (len(self) - 1) if len(self) > 1 else 1.0
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """Joint acceleration, rad/s^2: the column, else derived from omega_j with zero phase."""
+        return zero_phase_derivative(self.omega_j, self.period) if self.acceleration_j is None else self.acceleration_j
+
+    @cached_property
+    def motor_velocity(self) -> Array | None:
+        """Motor velocity, rad/s: omega_m, else derived from q_m with zero phase, else None."""
+        if self.omega_m is not None:
+            return self.omega_m
+        return None if self.q_m is None else zero_phase_derivative(self.q_m, self.period)
+
+    @cached_property
+    def motor_acceleration(self) -> Array | None:
+        """Motor acceleration, rad/s^2, derived with zero phase; None when the log has no motor motion."""
+        velocity = self.motor_velocity
+        return None if velocity is None else zero_phase_derivative(velocity, self.period)
+
+
+def hold_direction(omega: Array) -> Array:
+    """sigma, shape (n,): sign(omega); at omega = 0 the last non-zero sign, before the first motion the first one.
+
+    A log without any motion has no direction: 0 throughout, the middle of the friction band.
+    """
+    sigma = np.sign(omega)
+    moving = sigma != 0.0
+    if moving.all():
+        return sigma
+    if not moving.any():
+        return sigma
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(sigma)), int(np.argmax(moving))))
+    held: Array = sigma[last]
+    return held
+
+
+def low_pass(y: Array, period: float, cutoff: float = DERIVATIVE_CUTOFF) -> Array:
+    """Zero-phase Butterworth low-pass of second order run both ways; `cutoff` in Hz, capped at 0.2 of the rate.
+
+    A log that is too short for the filter's run-in comes back unfiltered.
+    """
+    normalised = min(cutoff * period, 0.2)
+    if len(y) < _SHORTEST_FILTERED or normalised <= 0.0:
+        return y
+    from scipy.signal import butter, sosfiltfilt  # slow to import, and few commands need it
+
+    sections = butter(2, 2.0 * normalised, output="sos")
+    run_in = min(len(y) - 1, round(3.0 / normalised))
+    filtered: Array = np.asarray(sosfiltfilt(sections, y, padlen=run_in), dtype=np.float64)
+    return filtered
+
+
+def zero_phase_derivative(y: Array, period: float, cutoff: float = DERIVATIVE_CUTOFF) -> Array:
+    """dy/dt, shape (n,): central differences of the zero-phase low-passed signal; 0 for a single sample."""
+    if len(y) < 2:
+        return np.zeros_like(y)
+    return np.asarray(np.gradient(low_pass(y, period, cutoff), period), dtype=np.float64)
