@@ -1,0 +1,154 @@
+"""Estimate friction angle x = mu Theta and pretension T_p0 from logs (3.55)-(3.56), with what the data can support.
+
+One configuration identifies two combinations only: slope = r_J/r_M cosh x and half loop = 2 T_p r_J sinh x; the slope
+knows x only if the gain of the torque is certified, and badly even then. So the parameters are split only when the
+bending angle or the pretension varied and is known, the motor-side tensions were measured, or the gain is certified and
+the interval that follows is narrower than what the nominal file already claims.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate.combinations import combinations, from_tensions
+from tsa_ctrl.identify.calibrate.joint_fit import combinations_of, joint_fit, quantities
+from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split, least_error, narrower
+from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, prepare, varied
+from tsa_ctrl.identify.calibrate.result import Calibration
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
+
+Split = Literal["keep", "fit"]
+
+HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
+GAP = 1.0  # s left out between a held-out block and the rest
+
+
+def calibrate(
+    logs: Sequence[Dataset],
+    model: TendonSheath,
+    *,
+    certified_gain: bool = False,
+    tensioner: Mapping[str, float] | None = None,
+    hold_out: str | None = None,
+    split: Split = "keep",
+) -> Calibration:
+    """Estimate x and T_p0 of `model` from logs with the columns t, tau_m, tau_j and omega_j (or q_j).
+
+    `certified_gain`: the torque channels' gain is certified, so the slope counts. `tensioner`: known change of the
+    pretension in N by log name (patterns allowed). `hold_out`: pattern of the logs on which the errors are measured
+    (default: every third by name; with one log, blocks). `split="fit"` chooses x and T_p by least simulation error
+    within [uncertainty] where the data cannot part them, instead of keeping the file's proportion.
+
+    Raises UsageError when the logs do not show enough (naming what is lacking), or a column is missing.
+    """
+    if model.friction_angle == 0.0 or model.pretension == 0.0:
+        raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
+    prepared = prepare(logs, model, tensioner or {})
+    result = _fit(prepared, model, certified_gain, split)
+    train, test = _held_out(prepared, hold_out)
+    after = _fit(train, model, certified_gain, split).model
+    return dataclasses.replace(result, rms_before=_rms(test, model), rms_after=_rms(test, after))
+
+
+def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, split: Split) -> Calibration:
+    lag = instrument_lag(logs)
+    notes: list[str] = []
+    several = varied(logs, model)
+    joint = joint_fit(logs, model, lag, certified_gain) if several or certified_gain else None
+    if several and joint is not None:
+        slope, half_loop = combinations_of(joint, model)
+    else:
+        slope, half_loop = combinations(logs, model, lag)
+    measured = from_tensions(logs, model, lag)
+    found, condition = None, math.inf
+    if measured is not None:
+        found, condition = measured
+    elif joint is not None:
+        found, condition = quantities(joint), joint.condition
+    is_split = found is not None and narrower(found, model)
+    if found is not None and is_split:
+        x, tension = found
+    else:
+        if found is not None:
+            notes.append("the data part x and T_p less well than [uncertainty] does: the file's proportion is kept")
+        x, tension = least_error(logs, model) if split == "fit" else keep_split(model, half_loop, notes)
+    ratio = model.joint_pulley_radius / model.motor_pulley_radius
+    if slope.high < ratio and not model.effects:
+        notes.append(
+            f"the slope {slope} lies below r_J/r_M = {ratio:.4g}, which no friction angle gives: "
+            "an effect is missing or a gain is wrong; `tsa diagnose` tells which"
+        )
+    for name, quantity, (low, high) in zip(("friction angle", "pretension"), (x, tension), bounds(model), strict=True):
+        if not low * 0.999 <= quantity.value <= high * 1.001:
+            notes.append(f"the {name} {quantity} lies outside the file's [uncertainty], {low:.4g} to {high:.4g}")
+    return Calibration(
+        friction_angle=x,
+        pretension=tension,
+        slope=slope,
+        half_loop_torque=half_loop,
+        split=is_split,
+        condition_number=condition,
+        admitted_seconds=sum(log.admission.seconds for log in logs),
+        refused=tuple(sorted({name for log in logs for name in log.admission.refused})),
+        rms_before=math.nan,
+        rms_after=math.nan,
+        experiment="" if is_split else _experiment(model),
+        notes=tuple(notes),
+        model=model.recalibrated(x.value, tension.value),
+    )
+
+
+def _experiment(model: TendonSheath) -> str:
+    force, angle = 0.4 * model.pretension, 0.4 * model.bending_angle
+    return (
+        f"record the same motion once more with the tensioner set {force:.0f} N higher (a known change of the "
+        f"pretension), or with the sheath bent by {angle:.1f} rad more (column theta): "
+        "the half loop at both settings parts friction angle and pretension"
+    )
+
+
+def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[PreparedLog], list[PreparedLog]]:
+    """Logs to learn from and logs to measure the error on: whole logs, or blocks of the one log with gaps."""
+    if pattern is not None:
+        chosen = [fnmatch.fnmatch(log.name, pattern) for log in logs]
+        if not any(chosen) or all(chosen):
+            names = ", ".join(log.name for log in logs)
+            raise UsageError(f"calibrate: hold-out '{pattern}' must match some but not all of the logs: {names}")
+    elif len(logs) >= 3:
+        order = sorted(range(len(logs)), key=lambda i: logs[i].name)
+        held = {i for rank, i in enumerate(order) if rank % 3 == 2}
+        chosen = [i in held for i in range(len(logs))]
+    else:
+        return _blocks(logs)
+    train = [log for log, out in zip(logs, chosen, strict=True) if not out]
+    return train, [log for log, out in zip(logs, chosen, strict=True) if out]
+
+
+def _blocks(logs: list[PreparedLog]) -> tuple[list[PreparedLog], list[PreparedLog]]:
+    train, test = [], []
+    for log in logs:
+        n = log.tau_j.size
+        period = float(log.signals.t[1] - log.signals.t[0])
+        held = (np.arange(n) * HELD_OUT_BLOCKS // n) % 3 == 2
+        near = np.convolve(held, np.ones(2 * round(GAP / period) + 1), mode="same") > 0.5
+        train.append(log.restricted(~near))
+        test.append(log.restricted(held))
+    return train, test
+
+
+def _rms(logs: list[PreparedLog], model: TendonSheath) -> float:
+    """Simulation error over all samples of the logs, reversals included."""
+    errors = []
+    for log in logs:
+        variant = model.recalibrated(pretension=model.pretension + log.tensioner)
+        errors.append((predict(variant, log.signals) - log.tau_j)[log.chosen])
+    return float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))

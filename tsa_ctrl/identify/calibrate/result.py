@@ -1,0 +1,60 @@
+"""What a calibration found: the two identified combinations, the parameters, and what would settle what is open."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import TendonSheath
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Result of `calibrate`.
+
+    `slope` (1) is d tau_J / d tau_M and `half_loop_torque` (N*m) half the distance between the two branches, both at
+    the model's own bending angle and pretension: for the simplified model r_J/r_M cosh x and 2 T_p r_J sinh x.
+    `split`: the data part the product into x and T_p; otherwise `friction_angle` and `pretension` keep the nominal
+    file's proportion and their intervals are what [uncertainty] and the half loop leave open.
+    """
+
+    friction_angle: Quantity
+    pretension: Quantity
+    slope: Quantity
+    half_loop_torque: Quantity
+    split: bool
+    condition_number: float
+    admitted_seconds: float
+    refused: tuple[str, ...]
+    rms_before: float
+    rms_after: float
+    experiment: str
+    notes: tuple[str, ...]
+    model: TendonSheath
+
+    def to_dict(self) -> dict[str, Any]:
+        """The public JSON object of `tsa calibrate --json`."""
+        return {
+            "schema": 1,
+            "parameters": {
+                "friction_angle": self.friction_angle.to_dict(),
+                "pretension": self.pretension.to_dict(),
+            },
+            "combinations": {
+                "slope": self.slope.to_dict(),
+                "half_loop_torque": self.half_loop_torque.to_dict(),
+            },
+            "split": self.split,
+            "condition_number": self.condition_number if math.isfinite(self.condition_number) else None,
+            "admitted_seconds": self.admitted_seconds,
+            "refused": list(self.refused),
+            "rms": {"before": self.rms_before, "after": self.rms_after, "held_out": True, "unit": "N*m"},
+            "experiment": self.experiment,
+            "notes": list(self.notes),
+        }
+
+    def to_json(self) -> str:
+        return json.dumps(self.to_dict(), allow_nan=False)

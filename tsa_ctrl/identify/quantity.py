@@ -1,0 +1,33 @@
+"""A value with its 95 % interval and unit: what every result of an identification consists of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """`value` with the 95 % interval [`low`, `high`]; `unit` is a public unit string (N, N*m, rad, 1, ...)."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+    def to_dict(self) -> dict[str, float | str | None]:
+        """As in the public JSON: null for what is not known."""
+        return {
+            "value": _finite(self.value),
+            "low": _finite(self.low),
+            "high": _finite(self.high),
+            "unit": self.unit,
+        }
+
+    def __str__(self) -> str:
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
+
+
+def _finite(x: float) -> float | None:
+    return x if math.isfinite(x) else None
