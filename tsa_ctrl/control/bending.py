@@ -1,0 +1,47 @@
+"""The sheath's bending angle Theta while the loop runs: fixed, commanded, or a linear map of joint angles.
+
+Theta = offset + sum over axes of gain_i q_i        (rad; a sheath that crosses several joints has several gains)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
+
+
+class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    source: Literal["fixed", "command", "joints"] = "fixed"
+    offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
+    gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name
+
+    def __post_init__(self) -> None:
+        if (self.source == "joints") != bool(self.gains):
+            raise ValueError(
+                f'source "{self.source}" with {len(self.gains)} gains; '
+                'gains (rad/rad by axis name) belong to source "joints", which needs at least one'
+            )
+
+
+class Bending:
+    """Theta of one axis' sheaths; `commanded` is what the user says it is (rad)."""
+
+    def __init__(self, settings: BendingSettings, nominal: float) -> None:
+        """`nominal` is the model file's bending angle, rad."""
+        self.commanded = nominal if settings.offset is None else settings.offset
+        self._terms: tuple[tuple[float, Callable[[], float]], ...] = ()
+
+    def connect(self, terms: tuple[tuple[float, Callable[[], float]], ...]) -> None:
+        """Give the gains and what reads the joint angle of each (rad)."""
+        self._terms = terms
+
+    def update(self) -> float:
+        """Theta now, rad, never below 0; nan while a joint angle is missing."""
+        theta = self.commanded
+        for gain, angle in self._terms:
+            theta += gain * angle()
+        return theta if theta >= 0.0 or theta != theta else 0.0

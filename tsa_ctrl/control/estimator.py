@@ -1,0 +1,110 @@
+"""Friction angle x and pretension T_p while the loop runs.
+
+Four kinds: "fixed" (the model file's), "map" (x = mu Theta and T_p by (3.52), (3.56) from a bending angle that is
+measured or commanded), "sensor" and "motor" (recursive, see `recursive`). Every kind has the same three outputs, is
+reset by every disable, and moves no parameter faster than its rate.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Annotated, Literal, Protocol
+
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl.control.attribution import Attribution
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.path import pretension_slope
+
+Seconds = Annotated[float, Meta(gt=0.0, le=3600.0)]
+
+
+class EstimateState(Enum):
+    """Values are the log's codes."""
+
+    FIXED = 0
+    UNESTIMATED = 1  # too little excitation so far; the outputs are nominal
+    ESTIMATED = 2
+    INVALID = 3  # the data contradict the model, or want a parameter beyond its bounds; the outputs return to nominal
+
+
+class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    kind: Literal["fixed", "map", "sensor", "motor"] = "fixed"
+    use: bool = False  # whether the law uses the estimate; it is logged in any case ("map" is always used)
+    attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
+    bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1
+    rate: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.2  # 1/s of nominal: fastest change of either parameter
+    memory: Seconds = 4.0  # s of admitted motion after which old data count little
+    least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower is not admitted
+    settle: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05  # s after a reversal that are not admitted
+    residual: Annotated[float, Meta(gt=0.0, le=1000.0)] = 0.2  # N*m RMS of the fit above which it is invalid
+    known_load: Annotated[float, Meta(ge=-1000.0, le=1000.0)] = 0.0  # N*m at the joint, kind "motor"; 0: unloaded
+    most_acceleration: Annotated[float, Meta(gt=0.0, le=1e6)] = 10.0  # rad/s^2, kind "motor": above is not admitted
+
+
+class Estimator(Protocol):
+    """What the cycle asks of any kind."""
+
+    friction_angle: float  # 1
+    pretension: float  # N
+    state: EstimateState
+    use: bool  # whether the law may use the two
+
+    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None: ...
+
+    def reset(self) -> None: ...
+
+
+class Fixed:
+    """The model file's values, or those that the user sets."""
+
+    state = EstimateState.FIXED
+    use = False
+
+    def __init__(self, model: TendonSheath) -> None:
+        self.friction_angle = model.friction_angle
+        self.pretension = model.pretension
+
+    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+        """Nothing changes."""
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+
+class ConfigurationMap:
+    """x and T_p from the bending angle Theta; invalid, and frozen, while Theta is missing."""
+
+    use = True
+
+    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
+        self._mu = model.friction_coefficient
+        self._theta = model.bending_angle
+        self._pretension = model.pretension
+        self._slope = pretension_slope(model)
+        self._angle_step = settings.rate * model.friction_angle * period
+        self._pretension_step = settings.rate * model.pretension * period
+        self._nominal = model.friction_angle
+        self.reset()
+
+    def reset(self) -> None:
+        self.friction_angle = self._nominal
+        self.pretension = self._pretension
+        self.state = EstimateState.UNESTIMATED
+
+    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+        """Follow `theta` (rad) at no more than the rate."""
+        if theta != theta:
+            self.state = EstimateState.INVALID
+            return
+        self.state = EstimateState.ESTIMATED
+        pretension = self._pretension + self._slope * (theta - self._theta)
+        self.friction_angle = toward(self.friction_angle, self._mu * theta, self._angle_step)
+        self.pretension = toward(self.pretension, pretension if pretension > 0.0 else 0.0, self._pretension_step)
+
+
+def toward(value: float, target: float, step: float) -> float:
+    """`value` moved to `target`, by at most `step`."""
+    change = target - value
+    return value + (step if change > step else -step if change < -step else change)

@@ -1,0 +1,130 @@
+"""The last station before the bus: separate, dumb, and suspicious of everything.
+
+Order: enabled? fresh? finite? over-speed? then joint speed, joint travel, distance of command to measured, rate, and
+absolute. Faults give exactly 0 in the same cycle; limits bend the torque. But for the rate, no limit takes a torque
+further from 0 than was asked: a lying measurement can only weaken the motor. The absolute limit has the last word.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from math import isfinite
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+Torque = Annotated[float, Meta(gt=0.0, le=1000.0)]  # N*m
+Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
+
+
+class Reason(Enum):
+    """Why the torque sent is not the torque wanted; the strongest one that acted. Values are the log's codes."""
+
+    NONE = 0
+    DISABLED = 1
+    STALE = 2
+    NOT_FINITE = 3
+    OVER_SPEED = 4
+    SPEED = 5
+    TRAVEL = 6
+    DISTANCE = 7
+    RATE = 8
+    ABSOLUTE = 9
+    OSCILLATION = 10  # the torque is as wanted, but the oscillation monitor backed the compensation off
+
+
+class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    torque: Torque  # N*m at the motor, absolute
+    rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
+    distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit
+    joint_speed: Speed = 10.0  # rad/s: driving torque fades to 0 towards it, from 80 % of it on
+    over_speed: Speed = 20.0  # rad/s at the joint, latches: torque 0
+    motor_over_speed: Speed = 40.0  # rad/s at the motor, latches: a torn tendon is a runaway
+    travel: tuple[float, float] | None = None  # rad, joint; outward torque is 0 beyond
+    travel_margin: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # rad over which outward torque fades to 0
+
+    def __post_init__(self) -> None:
+        if self.over_speed <= self.joint_speed:
+            raise ValueError(
+                f"over_speed {self.over_speed:g} rad/s is not above joint_speed {self.joint_speed:g} rad/s; raise it"
+            )
+        if self.travel is not None and self.travel[1] - self.travel[0] <= 2.0 * self.travel_margin:
+            raise ValueError(
+                f"travel {list(self.travel)} rad is not wider than two travel margins of "
+                f"{self.travel_margin:g} rad; give [lower, upper]"
+            )
+
+
+class Limiter:
+    """One axis' limiter; `over_speed` is latched until `reset`."""
+
+    def __init__(self, settings: LimiterSettings, period: float) -> None:
+        self.torque = settings.torque
+        self.rate = settings.rate
+        self.over_speed = False
+        self._distance = settings.torque if settings.distance is None else settings.distance
+        self._speed = settings.joint_speed
+        self._speed_onset = 0.8 * settings.joint_speed
+        self._over_speed_j = settings.over_speed
+        self._over_speed_m = settings.motor_over_speed
+        self._low, self._high = settings.travel or (-float("inf"), float("inf"))
+        self._margin = settings.travel_margin
+        self._period = period
+        self._last = 0.0
+
+    def reset(self) -> None:
+        """Release the over-speed latch; only for an explicit re-start."""
+        self.over_speed = False
+        self._last = 0.0
+
+    def update(
+        self,
+        wanted: float,
+        enabled: bool,
+        fresh: bool,
+        tau_m: float,
+        omega_m: float,
+        q_j: float,
+        omega_j: float,
+    ) -> tuple[float, Reason]:
+        """Torque that may be sent (N*m) and why it differs from `wanted`; the rest is measured."""
+        if not enabled:
+            return self._zero(Reason.DISABLED)
+        if not fresh:
+            return self._zero(Reason.STALE)
+        if not (isfinite(wanted) and isfinite(tau_m) and isfinite(omega_m) and isfinite(q_j) and isfinite(omega_j)):
+            return self._zero(Reason.NOT_FINITE)
+        if self.over_speed or abs(omega_j) >= self._over_speed_j or abs(omega_m) >= self._over_speed_m:
+            self.over_speed = True
+            return self._zero(Reason.OVER_SPEED)
+        torque, reason = wanted, Reason.NONE
+        if torque * omega_j > 0.0 and abs(omega_j) > self._speed_onset:
+            share = (self._speed - abs(omega_j)) / (self._speed - self._speed_onset)
+            torque, reason = (torque * share if share > 0.0 else 0.0), Reason.SPEED
+        room = self._high - q_j if torque > 0.0 else q_j - self._low
+        if room < self._margin and torque != 0.0:
+            torque, reason = (torque * room / self._margin if room > 0.0 else 0.0), Reason.TRAVEL
+        if torque > 0.0:
+            bound = tau_m + self._distance
+            if torque > bound:
+                torque, reason = (bound if bound > 0.0 else 0.0), Reason.DISTANCE
+        elif torque < 0.0:
+            bound = tau_m - self._distance
+            if torque < bound:
+                torque, reason = (bound if bound < 0.0 else 0.0), Reason.DISTANCE
+        step = self.rate * self._period
+        if torque > self._last + step:
+            torque, reason = self._last + step, Reason.RATE
+        elif torque < self._last - step:
+            torque, reason = self._last - step, Reason.RATE
+        if torque > self.torque:
+            torque, reason = self.torque, Reason.ABSOLUTE
+        elif torque < -self.torque:
+            torque, reason = -self.torque, Reason.ABSOLUTE
+        self._last = torque
+        return torque, reason
+
+    def _zero(self, reason: Reason) -> tuple[float, Reason]:
+        self._last = 0.0
+        return 0.0, reason

@@ -1,0 +1,142 @@
+"""Recursive estimation of the half loop, and from it of friction angle and pretension, a few microseconds per cycle.
+
+    "sensor":  tau_J = -h sigma + s tau_M + c          h = 2 T_p r_J sinh x,  s = r_J/r_M cosh x,  c: sensor offset
+    "motor":   tau_M =  k sigma + s tau_L + c          k = 2 T_p r_M tanh x,  tau_L: the known joint torque
+
+A Kalman filter for a random walk of (h, s, c): data enter as means over short blocks of steady sliding, the walk is the
+forgetting, and its covariance never grows beyond the prior, so that it neither winds up nor falls asleep. Nothing moves
+while nothing is admitted. s is a nuisance here: cosh x is too flat to tell x from it.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tsa_ctrl.control.attribution import Split
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
+from tsa_ctrl.model.parameters import TendonSheath
+
+BLOCK = 0.01  # s, length of the means that enter the filter
+SLIDING = 0.999  # 1, |sigma| above which the sheath surely slides
+BOTH_WAYS = 0.3  # s of admitted motion, within memory, that each direction needs
+CERTAIN = 0.1  # 1, relative standard deviation of the half loop below which it counts as estimated
+PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
+
+
+class Recursive:
+    """The estimator kinds "sensor" and "motor"."""
+
+    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
+        self.use = settings.use
+        self._motor = settings.kind == "motor"
+        ratio = model.motor_pulley_radius / model.joint_pulley_radius
+        cosh = math.cosh(model.friction_angle)
+        self._split = Split(model, settings.attribute, self._motor, settings.bounds)
+        half, slope = self._split.nominal, ratio / cosh if self._motor else cosh / ratio
+        self._prior = (half, slope, 0.0)
+        torque = 2.0 * model.pretension * model.motor_pulley_radius
+        self._variance = ((settings.bounds * half) ** 2, (0.1 * slope) ** 2, (0.1 * half) ** 2)
+        self._noise = (0.1 * half) ** 2
+        self._walk = BLOCK / settings.memory
+        self._nominal = (model.friction_angle, model.pretension)
+        self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
+        self._period = period
+        self._block = max(1, round(BLOCK / period))
+        self._settle = settings.settle
+        self._least_speed = settings.least_speed
+        self._most_torque = PULLING * torque
+        self._most_change = settings.most_acceleration * self._block * period if self._motor else math.inf
+        self._load = settings.known_load
+        self._worst = settings.residual**2
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the model file's values; nothing is known."""
+        self.friction_angle, self.pretension = self._target = self._nominal
+        self.half_loop, self.slope, self.offset = self._prior
+        self.state = EstimateState.UNESTIMATED
+        self.residual = 0.0
+        self._seen = [0.0, 0.0]
+        self._p = [self._variance[0], 0.0, 0.0, self._variance[1], 0.0, self._variance[2]]  # upper triangle
+        self._direction = 0
+        self._since = self._tau_m = self._tau_j = 0.0
+        self._first_omega = 0.0
+        self._count = 0
+
+    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+        """One cycle's data; `admit` is false while the drive is off or a value is stale."""
+        direction = 1 if sigma > SLIDING and omega_j > self._least_speed else 0
+        if sigma < -SLIDING and omega_j < -self._least_speed:
+            direction = -1
+        if direction != self._direction or not admit:
+            self._direction, self._since, self._count = direction, 0.0, 0
+        elif direction:
+            self._since += self._period
+            if self._since > self._settle and -self._most_torque < tau_m < self._most_torque:
+                self._admit(direction, omega_j, tau_m, tau_j)
+        steps, target = self._steps, self._target
+        self.friction_angle = toward(self.friction_angle, target[0], steps[0])
+        self.pretension = toward(self.pretension, target[1], steps[1])
+
+    def _admit(self, direction: int, omega_j: float, tau_m: float, tau_j: float) -> None:
+        if self._count == 0:
+            self._tau_m = self._tau_j = 0.0
+            self._first_omega = omega_j
+        self._count += 1
+        self._tau_m += tau_m
+        self._tau_j += tau_j
+        if self._count < self._block:
+            return
+        tau_m, tau_j = self._tau_m / self._count, self._tau_j / self._count
+        self._count = 0
+        if abs(omega_j - self._first_omega) > self._most_change:
+            return
+        if self._motor:
+            self._learn(float(direction), self._load, tau_m)
+        else:
+            self._learn(-float(direction), tau_m, tau_j)
+        forget = 1.0 - self._walk
+        self._seen[0] *= forget
+        self._seen[1] *= forget
+        self._seen[direction > 0] += self._block * self._period
+        self._judge()
+
+    def _learn(self, a: float, b: float, y: float) -> None:
+        """One Kalman step for y = a h + b s + c."""
+        if not math.isfinite(y):
+            self.residual = math.inf
+            return
+        p00, p01, p02, p11, p12, p22 = self._p
+        v0, v1, v2 = self._variance
+        p00 = min(p00 + self._walk * v0, v0)
+        p11 = min(p11 + self._walk * v1, v1)
+        p22 = min(p22 + self._walk * v2, v2)
+        g0 = p00 * a + p01 * b + p02
+        g1 = p01 * a + p11 * b + p12
+        g2 = p02 * a + p12 * b + p22
+        error = y - a * self.half_loop - b * self.slope - self.offset
+        scale = 1.0 / (self._noise + a * g0 + b * g1 + g2)
+        gain = error * scale
+        self.half_loop += g0 * gain
+        self.slope += g1 * gain
+        self.offset += g2 * gain
+        self._p = [
+            p00 - g0 * g0 * scale, p01 - g0 * g1 * scale, p02 - g0 * g2 * scale,
+            p11 - g1 * g1 * scale, p12 - g1 * g2 * scale, p22 - g2 * g2 * scale,
+        ]  # fmt: skip
+        after = y - a * self.half_loop - b * self.slope - self.offset
+        if not math.isfinite(self.residual):
+            self.residual = 0.0
+        self.residual += self._walk * 4.0 * (after * after - self.residual)
+
+    def _judge(self) -> None:
+        certain = self._p[0] < (CERTAIN * self.half_loop) ** 2 and min(self._seen) > BOTH_WAYS
+        angle, pretension, inside = self._split.solve(self.half_loop)
+        if self.residual > self._worst or (certain and not inside):
+            self.state = EstimateState.INVALID
+            self._target = self._nominal
+        elif certain:
+            self.state = EstimateState.ESTIMATED
+            self._target = angle, pretension
+        elif self.state is EstimateState.INVALID:
+            self.state = EstimateState.UNESTIMATED

@@ -1,0 +1,178 @@
+"""Set-points: the joint torque wanted, N*m, as a function of the time since the enable.
+
+A source is a function of time, or the last value that came over the local socket. `SetPoint` scales it, limits its
+rate, and starts at 0; a file that is over and a socket that has gone quiet end at 0.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+
+from tsa_ctrl.errors import UsageError
+
+Torque = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # N*m
+Frequency = Annotated[float, Meta(gt=0.0, le=200.0)]  # Hz
+Seconds = Annotated[float, Meta(gt=0.0, le=86_400.0)]
+Source = Callable[[float], float]
+
+
+class Component(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    amplitude: Torque  # N*m
+    frequency: Frequency  # Hz
+    phase: Annotated[float, Meta(ge=-7.0, le=7.0)] = 0.0  # rad
+
+
+class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    kind: Literal["constant", "sine", "multi_sine", "chirp", "step", "file", "socket"] = "constant"
+    offset: Torque = 0.0  # N*m, added to every kind
+    amplitude: Torque = 0.0  # N*m: of sine, chirp and step
+    frequency: Frequency = 0.5  # Hz: of sine; where a chirp starts
+    end_frequency: Frequency = 5.0  # Hz: where a chirp ends
+    duration: Seconds = 20.0  # s: of one chirp, then again
+    at: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 1.0  # s: when a step comes
+    components: tuple[Component, ...] = ()  # of multi_sine
+    file: str = ""  # CSV with columns t (s) and tau_j_des (N*m), relative to the configuration file
+    loop: bool = False  # start the file again at its end; else the set-point goes to 0
+    timeout: Annotated[float, Meta(gt=0.0, le=60.0)] = 0.2  # s: a socket set-point older than this goes to 0
+    rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 50.0  # N*m/s: fastest change of the set-point
+
+    def __post_init__(self) -> None:
+        if (self.kind == "file") != bool(self.file):
+            raise ValueError(f'kind "{self.kind}" with file "{self.file}"; give both kind "file" and a file')
+        if (self.kind == "multi_sine") != bool(self.components):
+            raise ValueError(
+                f'kind "{self.kind}" with {len(self.components)} components; '
+                'components belong to kind "multi_sine", which needs at least one'
+            )
+
+
+class SetPoint:
+    """One axis' set-point; `gain` scales the source."""
+
+    def __init__(self, settings: SetPointSettings, period: float, folder: str | Path = ".") -> None:
+        """`folder` is where a relative file is looked for; raises UsageError for a file that cannot be played."""
+        self.value = 0.0
+        self.gain = 1.0
+        self._source = None if settings.kind == "socket" else waveform(settings, folder)
+        self._step = settings.rate * period
+        self._timeout = settings.timeout
+        self._received = 0.0
+        self._received_at = -math.inf
+
+    def receive(self, value: float, t: float) -> None:
+        """A value (N*m) that came over the local socket at time `t` (s since the enable)."""
+        self._received = value
+        self._received_at = t
+
+    def reset(self) -> None:
+        """Start from 0 again; what was received is forgotten."""
+        self.value = 0.0
+        self._received_at = -math.inf
+
+    def update(self, t: float) -> float:
+        """Joint torque wanted, N*m, at `t` s since the enable."""
+        if self._source is not None:
+            target = self.gain * self._source(t)
+        elif t - self._received_at <= self._timeout:
+            target = self.gain * self._received
+        else:
+            target = 0.0
+        change = target - self.value
+        step = self._step
+        self.value += step if change > step else -step if change < -step else change
+        return self.value
+
+
+def waveform(settings: SetPointSettings, folder: str | Path = ".") -> Source:
+    """The function of time that the settings describe; raises UsageError for a file that cannot be played."""
+    offset, amplitude = settings.offset, settings.amplitude
+    if settings.kind == "constant":
+        return lambda t: offset
+    if settings.kind == "sine":
+        omega = 2.0 * math.pi * settings.frequency
+        return lambda t: offset + amplitude * math.sin(omega * t)
+    if settings.kind == "step":
+        at = settings.at
+        return lambda t: offset + (amplitude if t >= at else 0.0)
+    if settings.kind == "multi_sine":
+        parts = [(c.amplitude, 2.0 * math.pi * c.frequency, c.phase) for c in settings.components]
+        return lambda t: offset + math.fsum(a * math.sin(w * t + phase) for a, w, phase in parts)
+    if settings.kind == "chirp":
+        return _chirp(offset, amplitude, settings.frequency, settings.end_frequency, settings.duration)
+    if settings.kind == "file":
+        times, values = read_file(Path(folder) / settings.file)
+        return _played(times, values, offset, settings.loop)
+    raise UsageError(f'setpoint: kind "{settings.kind}" has no waveform; its values come over the local socket')
+
+
+def _chirp(offset: float, amplitude: float, first: float, last: float, duration: float) -> Source:
+    """Frequency linear in time from `first` to `last` Hz within `duration` s, then again."""
+    slope = (last - first) / duration
+
+    def source(t: float) -> float:
+        t %= duration
+        return offset + amplitude * math.sin(2.0 * math.pi * (first + 0.5 * slope * t) * t)
+
+    return source
+
+
+def _played(times: Sequence[float], values: Sequence[float], offset: float, loop: bool) -> Source:
+    """Linear interpolation of a file; after its end from the start again, or 0."""
+    end = times[-1]
+
+    def source(t: float) -> float:
+        if t > end:
+            if not loop:
+                return 0.0
+            t %= end
+        after = bisect_right(times, t)
+        if after == 0:
+            return offset + values[0]
+        if after == len(times):
+            return offset + values[-1]
+        t0, v0 = times[after - 1], values[after - 1]
+        return offset + v0 + (values[after] - v0) * (t - t0) / (times[after] - t0)
+
+    return source
+
+
+def read_file(path: Path) -> tuple[list[float], list[float]]:
+    """Times (s, from 0) and joint torques (N*m) of a CSV file; raises UsageError naming file, column and row."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise UsageError(f"{path}: set-point file cannot be read ({reason}); give a CSV file") from None
+    header = [name.strip() for name in lines[0].split(",")] if lines else []
+    for name in ("t", "tau_j_des"):
+        if name not in header:
+            raise UsageError(f"{path}: no column '{name}'; a set-point file has the columns t (s) and tau_j_des (N*m)")
+    columns = header.index("t"), header.index("tau_j_des")
+    rows: list[tuple[float, float]] = []
+    for number, line in enumerate(lines[1:], start=2):
+        cells = line.split(",")
+        try:
+            row = float(cells[columns[0]]), float(cells[columns[1]])
+        except (ValueError, IndexError):
+            raise UsageError(f"{path}: row {number}: '{line[:40]}' has no number for t and tau_j_des") from None
+        if not (math.isfinite(row[0]) and math.isfinite(row[1])):
+            raise UsageError(f"{path}: row {number}: t and tau_j_des must be finite, found {row[0]}, {row[1]}")
+        if abs(row[1]) > 1000.0:
+            raise UsageError(f"{path}: row {number}: tau_j_des {row[1]:g} N*m is beyond 1000; give N*m")
+        if rows and row[0] <= rows[-1][0]:
+            raise UsageError(
+                f"{path}: row {number}: t {row[0]:g} s does not come after {rows[-1][0]:g} s; sort the file"
+            )
+        rows.append(row)
+    if len(rows) < 2:
+        raise UsageError(f"{path}: {len(rows)} rows; a set-point file needs at least two")
+    table = np.asarray(rows)
+    return (table[:, 0] - table[0, 0]).tolist(), table[:, 1].tolist()
