@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
@@ -82,7 +83,7 @@ class Backlash:
 
     gap: float  # rad
 
-    def inside(self, q_j: Array) -> Array:
+    def inside(self, q_j: Array) -> npt.NDArray[np.bool_]:
         """Mask, shape (n,): where the play is open. A reversal counts beyond two encoder counts."""
         from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
 

@@ -1,0 +1,218 @@
+"""The live inverse of the model: the motor torque that delivers a wanted joint torque, one instant at a time.
+
+Source: the feedforward law of (3.55), tau_M = r_M/cosh(x) (tau_J*/r_J + 2 T_p sigma sinh(x)), with the effects undone
+in the reverse of their order of composition. SI units, plain floats; no clock and no I/O.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
+from tsa_ctrl.model.effects.memory import PreslidingState
+from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.functions import SCALARS
+from tsa_ctrl.model.parameters import TendonSheath
+
+ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j; slower than the loop, faster than a joint
+
+_OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
+
+
+class Feedforward:
+    """tau_M for a wanted tau_J by the model and its effects.
+
+    `signals`: names of the optional signals (q_j, q_m, temperature) that this axis measures, for `notes`; default all.
+    A measurement that is nan keeps its last value; an effect whose measurement has never come is left out
+    (`left_out`). `notes` says which effects are not, or not exactly, compensated, and why.
+    """
+
+    def __init__(self, model: TendonSheath, period: float, signals: Collection[str] = _OPTIONAL) -> None:
+        self._model = model
+        self._gain = period / (ACCELERATION_TIME + period)
+        self._period = period
+        self.notes: tuple[str, ...] = tuple(_notes(model, signals))
+        self.reset()
+
+    @property
+    def model(self) -> TendonSheath:
+        """The model in use, with the values of `set`."""
+        return self._model
+
+    def reset(self) -> None:
+        """Forget everything measured: the friction state, the start of the time, the held values."""
+        nan = math.nan
+        self._state: State[float] = State(
+            t=0.0,
+            omega=0.0,
+            acceleration=0.0,
+            q_j=nan,
+            q_m=nan,
+            temperature=nan,
+            theta=self._model.bending_angle,
+            sigma=0.0,
+            start=0.0,
+        )
+        self._started = False
+        self._last_omega = nan
+        self._presliding: PreslidingState | None = None
+        self._by_motor = False
+        self._use_effects()
+        self.friction_angle = self._model.friction_angle
+        self.pretension = self._model.pretension
+
+    def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None:
+        """Take over another x (1) or T_p0 (N) while running; the memory stays. UsageError if x cannot be changed."""
+        self._model = self._model.recalibrated(friction_angle, pretension)
+        self._transmission = self._stack.transmission(self._model)
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """Effects of the model whose measurement has not come since the start."""
+        return tuple(name for name in self._model.effects if name not in self._active)
+
+    def domain_limit(self) -> float:
+        """Largest abs(tau_M) on the pulley, N*m, at which both tendons still pull; inf when the model knows slack."""
+        low, high = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
+        return min(-low, high)
+
+    def update(
+        self,
+        tau_j_des: float,
+        sigma: float,
+        omega_j: float,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+        temperature: float = math.nan,
+        theta: float = math.nan,
+        t: float = math.nan,
+        acceleration_j: float = math.nan,
+    ) -> float:
+        """tau_M, N*m, that delivers `tau_j_des` (N*m) in direction `sigma` (in [-1, 1], 0 at standstill).
+
+        Finite for every finite tau_j_des. Without `acceleration_j` (rad/s^2) it is derived from omega_j by a causal
+        filter of `ACCELERATION_TIME`. The pulley's torque is kept inside the domain of the model (`domain_limit`).
+        """
+        if not math.isfinite(tau_j_des):
+            return tau_j_des  # for the limiter to refuse
+        state, stack = self._state, self._stack
+        self._measure(state, omega_j, q_j, q_m, temperature, theta, t, acceleration_j)
+        state.sigma = self._direction(state, sigma)
+        angle, pretension = bending_and_pretension(SCALARS, self._model, stack, state)
+        x = friction_angle(SCALARS, self._model, stack, state, angle)
+        self.friction_angle, self.pretension = x, pretension
+
+        torque = tau_j_des
+        for joint_effect in stack.joint:
+            torque += joint_effect.torque(SCALARS, state)
+        if stack.load is not None:
+            torque = stack.load.invert(SCALARS, torque, state.sigma)
+        transmission = self._transmission
+        tau_m = transmission.motor_torque(torque, state.sigma, x, pretension)
+        low, high = transmission.limits(state.sigma, x, pretension)
+        tau_m = low if tau_m < low else high if tau_m > high else tau_m
+        for motor_effect in reversed(stack.motor_torque):
+            tau_m = motor_effect.invert(SCALARS, tau_m, state)
+        if math.isfinite(tau_m):
+            return tau_m
+        return _without_friction(self._model, tau_j_des)
+
+    def _measure(
+        self,
+        state: State[float],
+        omega_j: float,
+        q_j: float,
+        q_m: float,
+        temperature: float,
+        theta: float,
+        t: float,
+        acceleration_j: float,
+    ) -> None:
+        """Take what was measured into the state; what was not keeps its last value."""
+        isfinite = math.isfinite
+        first = False
+        if isfinite(q_j):
+            first |= state.q_j != state.q_j
+            state.q_j = q_j
+        if isfinite(q_m):
+            first |= state.q_m != state.q_m
+            state.q_m = q_m
+        if isfinite(temperature):
+            first |= state.temperature != state.temperature
+            state.temperature = temperature
+        if first:
+            self._use_effects()
+        if isfinite(theta):
+            state.theta = theta
+        if isfinite(t):
+            state.t = t
+            if not self._started:
+                self._started, state.start = True, t
+        if not isfinite(omega_j):
+            return
+        if isfinite(acceleration_j):
+            state.acceleration = acceleration_j
+        elif self._last_omega == self._last_omega:
+            derivative = (omega_j - self._last_omega) / self._period
+            state.acceleration += self._gain * (derivative - state.acceleration)
+        self._last_omega = omega_j
+        lag = self._stack.velocity_lag
+        state.omega = omega_j if lag is None else lag.true_velocity(omega_j, state.acceleration)
+
+    def _direction(self, state: State[float], sigma: float) -> float:
+        """sigma, or the friction state z where the model has one."""
+        sigma = -1.0 if sigma < -1.0 else 1.0 if sigma > 1.0 else sigma if sigma == sigma else state.sigma
+        if self._presliding is None:
+            return sigma
+        return self._presliding.update(state.q_m if self._by_motor else state.q_j, sigma)
+
+    def _use_effects(self) -> None:
+        """Compose the effects whose measurements have come."""
+        here = {name for name in _OPTIONAL if getattr(self._state, name) == getattr(self._state, name)} | {"omega_j"}
+        self._active = {name: p for name, p in self._model.effects.items() if not _lacking(self._model, name, here)}
+        self._stack = Stack.of(self._active, self._model.source)
+        self._transmission = self._stack.transmission(self._model)
+        presliding = self._stack.presliding
+        if presliding is not None and self._presliding is None:  # kept when another measurement comes later
+            self._presliding = PreslidingState(presliding)
+            self._by_motor = presliding.displacement != "joint" and "q_m" in here
+
+
+def _lacking(model: TendonSheath, effect: str, here: Collection[str]) -> tuple[str, ...]:
+    """The signals of which `effect` needs one and none is there; friction states need an angle."""
+    if effect == "presliding_hysteresis":
+        wanted = model.effects[effect].get("displacement")
+        needed: tuple[tuple[str, ...], ...] = {"motor": (("q_m",),), "joint": (("q_j",),)}.get(
+            str(wanted), (("q_m", "q_j"),)
+        )
+    else:
+        needed = CATALOGUE[effect].columns
+    return next((names for names in needed if not any(name in here for name in names)), ())
+
+
+def _without_friction(model: TendonSheath, tau_j_des: float) -> float:
+    """tau_J* r_M/r_J, or 0 where even that overflows."""
+    ideal = tau_j_des * (model.motor_pulley_radius / model.joint_pulley_radius)
+    return ideal if math.isfinite(ideal) else 0.0
+
+
+def _notes(model: TendonSheath, signals: Collection[str]) -> list[str]:
+    """What the feedforward cannot, or cannot exactly, compensate, in words."""
+    here = set(signals) | {"omega_j"}
+    notes = []
+    for name, parameters in model.effects.items():
+        lacking = _lacking(model, name, here)
+        if lacking:
+            notes.append(f"{name}: not compensated, this axis does not measure {' or '.join(lacking)}")
+        elif name == "transport_delay":
+            notes.append(f"{name}: not compensated, {parameters['delay']} s cannot be undone ahead of time")
+        elif name == "backlash":
+            notes.append(f"{name}: not compensated, no torque crosses the play of {parameters['gap']} rad")
+        elif name == "velocity_lag":
+            notes.append(f"{name}: compensated in the velocity, not in the direction, which the estimator gives")
+        elif name == "inertia":
+            milliseconds = ACCELERATION_TIME * 1e3
+            notes.append(f"{name}: compensated with an acceleration from omega_j that is {milliseconds:g} ms late")
+    return notes
