@@ -1,0 +1,352 @@
+"""A test bench: one rig, one or several runs of it, and the instruments that write the logs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from . import memory, sensors
+from .motion import Motion, held_levels, grid, one_way, plain_motion, rich_motion, torque_programme, wander
+from .plant import Effects, Scene, simulate
+from .rig import Rig, draw_nominal, draw_rig
+
+Array = np.ndarray
+Disturbance = Callable[["Bench", "Run", Array], Array]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to excite and what to record; None and empty leave it to chance."""
+
+    motion: str = "rich"  # "rich", "one_way" or a kind of motion.KINDS
+    torque: str = ""  # "independent", "levels", "one_sign", "loaded", "spring", "free", "weight"
+    amplitude: float | None = None  # rad
+    speed: float | None = None  # rad/s, for plain motions
+    level: tuple[float, float] = (0.4, 0.85)  # peak motor torque as a share of the slack limit
+    bending: str = "fixed"  # "fixed", "varied" (known, in column theta)
+    temperature: str = ""  # "cycle", "warm_up", "none"
+    motor_angle: bool | None = None
+    joint_angle: bool | None = None
+    velocity: str = ""  # "tachometer", "encoder", "derived" (only q_j is recorded)
+    seconds: tuple[float, float] = (25.0, 60.0)
+    runs: int = 0  # 0: one to four
+    rate: int = 0
+    x: tuple[float, float] = (0.12, 0.9)
+    sign_noise: float = 1.0  # how far errors in the sign of the velocity may exceed the torque noise
+    short: bool = False  # the quick gate: 12 to 20 s, one run
+
+
+@dataclass
+class Run:
+    """One log to be: the scene on the fine grid and which of its samples the log keeps."""
+
+    scene: Scene
+    every: int
+    first: int  # fine sample of the log's first sample
+    rate: float
+    motion: Motion
+
+    def pick(self, values: Array) -> Array:
+        return values[self.first :: self.every]
+
+
+@dataclass
+class HiddenLog:
+    """A log as a diagnosis gets it: columns by name, SI units."""
+
+    name: str
+    columns: dict[str, Array]
+
+
+@dataclass
+class Bench:
+    """The rig with its runs, and everything about the instruments that stays the same from run to run."""
+
+    rig: Rig
+    nominal: Rig
+    runs: list[Run]
+    recipe: Recipe
+    motor_angle: bool
+    joint_angle: bool
+    velocity: str
+    temperature: bool
+    counts: int
+    window: float  # s, over which the drive differences its encoder
+    extras: tuple[str, ...] = ()
+    clock_start: float = 0.0
+    scale: float = 0.0  # RMS of the joint torque without effects, N·m
+    wanted: dict[str, float] = field(default_factory=dict)
+
+    def ideal(self, effects: Effects) -> list[Array]:
+        """Joint torque of every run on its log's grid, without any noise."""
+        return [run.pick(simulate(self.rig, run.scene, effects, self.motor_angle).joint_torque) for run in self.runs]
+
+    def slack_share(self, effects: Effects) -> float:
+        """Share of all samples in which a tendon would have to push."""
+        slack = []
+        for run in self.runs:
+            tensions = simulate(self.rig, run.scene, effects, self.motor_angle)
+            slack.append(run.pick((tensions.t1 < 0.0) | (tensions.t3 < 0.0)))
+        return float(np.mean(np.concatenate(slack)))
+
+    def seen_velocity(self, run: Run, effects: Effects) -> Array:
+        """Velocity on the fine grid as the log would have it without noise."""
+        lag = effects.get("velocity_lag", {}).get("time_constant", 0.0)
+        if lag == 0.0:
+            return run.scene.omega
+        return memory.first_order_lag(run.scene.omega, run.scene.t[1] - run.scene.t[0], lag)
+
+    @property
+    def speed(self) -> float:
+        return max(run.motion.speed for run in self.runs)
+
+    @property
+    def reach(self) -> float:
+        """Half of the range of the joint angle, rad."""
+        return 0.5 * max(float(np.ptp(run.scene.q)) for run in self.runs)
+
+    @property
+    def motor_reach(self) -> float:
+        return 0.5 * max(float(np.ptp(run.scene.q_m)) for run in self.runs)
+
+
+def draw_bench(rng: np.random.Generator, recipe: Recipe) -> Bench:
+    """A rig with its runs; no effects, no noise yet."""
+    rig = draw_rig(rng, recipe.x)
+    nominal = draw_nominal(rng, rig)
+    count = 1 if recipe.short else recipe.runs or int(rng.choice([1, 1, 1, 2, 3, 4]))
+    rate = recipe.rate or int(rng.choice([200, 250, 500, 500, 1000]))
+    if recipe.short:
+        rate = min(rate, 500)
+    every = {200: 20, 250: 16, 500: 9, 1000: 4}.get(rate, max(2, round(4000 / rate)))
+    velocity = recipe.velocity or str(rng.choice(["tachometer", "encoder", "derived"], p=[0.45, 0.35, 0.2]))
+    joint_angle = velocity == "derived" or (bool(rng.random() < 0.7) if recipe.joint_angle is None else recipe.joint_angle)
+    motor_angle = bool(rng.random() < 0.45) if recipe.motor_angle is None else recipe.motor_angle
+    temperature = recipe.temperature or str(rng.choice(["none", "none", "cycle", "warm_up"]))
+    extras = tuple(name for name, share in (("omega_m", 0.2), ("tensions", 0.08), ("tau_m_cmd", 0.1)) if rng.random() < share)
+    runs = []
+    low, high = (12.0, 20.0) if recipe.short else recipe.seconds
+    for _ in range(count):
+        seconds = rng.uniform(low, high) / (1.0 if count < 3 else 1.5)
+        runs.append(_draw_run(rng, recipe, rig, nominal, seconds, rate, every, velocity, temperature))
+    bench = Bench(
+        rig=rig,
+        nominal=nominal,
+        runs=runs,
+        recipe=recipe,
+        motor_angle=motor_angle,
+        joint_angle=joint_angle,
+        velocity=velocity,
+        temperature=temperature != "none",
+        counts=2 ** int(rng.integers(15, 19)),
+        window=rng.uniform(0.006, 0.014),
+        extras=extras,
+        clock_start=float(rng.choice([0.0, 0.0, 0.0, round(rng.uniform(1.0, 4000.0), 3)])),
+    )
+    bench.scale = rms(np.concatenate(bench.ideal({})))
+    return bench
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _draw_run(
+    rng: np.random.Generator,
+    recipe: Recipe,
+    rig: Rig,
+    nominal: Rig,
+    seconds: float,
+    rate: int,
+    every: int,
+    velocity: str,
+    temperature: str,
+) -> Run:
+    fine = float(rate * every)
+    t = grid(seconds, fine, before=0.25)
+    motion = _draw_motion(rng, recipe, t, velocity)
+    theta = np.full_like(t, rig.bending)
+    if recipe.bending == "varied":
+        swing = min(0.35 * rig.bending, 0.4 * rig.pretension / rig.tension_per_bending)
+        theta = theta + swing * wander(rng, t, seconds / rng.uniform(1.2, 2.5))
+    tau_m = _draw_torque(rng, recipe, rig, nominal, motion, theta)
+    wind_up = tau_m / (2.0 * rig.motor_radius**2 * rig.tendon_stiffness)
+    ratio = rig.joint_radius / rig.motor_radius
+    wind_up *= min(1.0, 0.15 * ratio * float(np.ptp(motion.q)) / max(float(np.ptp(wind_up)), 1e-12))
+    scene = Scene(
+        t=t,
+        q=motion.q,
+        omega=motion.omega,
+        acceleration=motion.acceleration,
+        q_m=ratio * motion.q + wind_up,
+        tau_m=tau_m,
+        theta=theta,
+        temperature=_draw_temperature(rng, temperature, t),
+    )
+    return Run(scene, every, round(0.25 * fine), float(rate), motion)
+
+
+def _draw_motion(rng: np.random.Generator, recipe: Recipe, t: Array, velocity: str) -> Motion:
+    if recipe.motion == "rich":
+        # Standstill only where the counts of an encoder stand still too.
+        return rich_motion(rng, t, recipe.amplitude, dwell=velocity == "encoder" and rng.random() < 0.3)
+    if recipe.motion == "one_way":
+        fast = recipe.speed or rng.uniform(0.5, 3.0)
+        return one_way(rng, t, (0.2 * fast, fast))
+    amplitude = recipe.amplitude or rng.uniform(0.4, 1.3)
+    return plain_motion(rng, t, recipe.motion, amplitude, recipe.speed or amplitude * rng.uniform(0.8, 4.0))
+
+
+def _draw_torque(
+    rng: np.random.Generator, recipe: Recipe, rig: Rig, nominal: Rig, motion: Motion, theta: Array
+) -> Array:
+    """Motor torque, reported and acting alike; within the range in which both tendons pull, by `level`."""
+    kind = recipe.torque or str(rng.choice(["independent", "levels", "loaded"], p=[0.5, 0.25, 0.25]))
+    pretension = rig.pretension + rig.tension_per_bending * (theta - rig.bending)
+    limit = 2.0 * float(np.min(pretension)) * rig.motor_radius
+    level = rng.uniform(*recipe.level)
+    t, step = motion.t, motion.t[1] - motion.t[0]
+    if kind == "independent":
+        return level * limit * torque_programme(rng, t)
+    if kind == "one_sign":
+        return level * limit * torque_programme(rng, t, sign=int(rng.choice([-1, 1])))
+    if kind == "levels":
+        return level * limit * held_levels(rng, t, rng.uniform(2.0, 6.0))
+    # The joint carries a load and a controller with the nominal numbers compensates the friction.
+    load = _draw_load(rng, kind, motion)
+    x, sigma = nominal.mu * theta, memory.direction(motion.omega)
+    compensation = nominal.motor_radius * 2.0 * nominal.pretension / rig.pretension * pretension * sigma * np.tanh(x)
+    compensation = gaussian_filter1d(compensation, rng.uniform(0.006, 0.02) / step, mode="nearest")
+    room = max(level * limit - float(np.max(np.abs(compensation))), 0.12 * limit)
+    tau_m = compensation + room * load
+    return tau_m * min(1.0, 0.92 * limit / float(np.max(np.abs(tau_m))))
+
+
+def _draw_load(rng: np.random.Generator, kind: str, motion: Motion) -> Array:
+    """The load's torque, peak 1."""
+    q, omega = motion.q, motion.omega / motion.speed
+    spring = q / np.max(np.abs(q))
+    weight = np.sin(q + rng.uniform(0.4, 1.2))
+    match kind:
+        case "spring":
+            load = spring
+        case "weight":
+            load = weight
+        case "free":
+            load = 0.03 * spring
+        case "loaded":
+            share = rng.uniform(0.0, 0.5, 3)
+            load = share[0] * spring + share[1] * weight + share[2] * omega + torque_programme(rng, motion.t)
+        case _:
+            raise ValueError(f"unknown kind of torque: {kind}")
+    return load / max(1.0, float(np.max(np.abs(load)))) if kind == "free" else load / float(np.max(np.abs(load)))
+
+
+def _draw_temperature(rng: np.random.Generator, kind: str, t: Array) -> Array:
+    seconds = t[-1]
+    room = rng.uniform(18.0, 30.0)
+    match kind:
+        case "cycle":  # heated and cooled
+            return room + rng.uniform(5.0, 15.0) * (1.0 + wander(rng, t, seconds / rng.uniform(1.0, 2.0)))
+        case "warm_up":
+            return room + rng.uniform(3.0, 20.0) * -np.expm1(-(t - t[0]) / (seconds * rng.uniform(0.2, 0.8)))
+        case _:
+            return np.full_like(t, room)
+
+
+def record(
+    rng: np.random.Generator, bench: Bench, effects: Effects, noise: float, disturb: Disturbance | None = None
+) -> tuple[list[HiddenLog], float, float]:
+    """Write the logs with torque noise of `noise` (RMS, N·m of joint torque, motor side included).
+
+    Returns the logs, the RMS of the torque noise as it came out, and the RMS of what errors in the sign of the
+    velocity add to it.
+    """
+    motor_share = rng.uniform(0.05, 0.4)
+    gain = bench.rig.joint_radius / bench.rig.motor_radius * np.cosh(bench.rig.x)
+    peak = max(float(np.max(np.abs(run.scene.tau_m))) for run in bench.runs)
+    per_mille = 1e-3 * peak * rng.uniform(1.02, 1.6)
+    motor_noise = noise * np.sqrt(motor_share) / gain
+    per_mille = min(per_mille, 2.0 * motor_noise)  # a drive whose steps are not the noise itself
+    velocity_noise = bench.speed * np.exp(rng.uniform(np.log(3e-4), np.log(6e-3)))
+    smooth = int(rng.choice([1, 3, 5]))
+    logs: list[HiddenLog] = []
+    torque_errors, sign_errors = [], []
+    for number, run in enumerate(bench.runs):
+        tensions = simulate(bench.rig, run.scene, effects, bench.motor_angle)
+        ideal = tensions.joint_torque
+        if disturb is not None:
+            ideal = disturb(bench, run, ideal)
+        ideal = run.pick(ideal)
+        count = ideal.size
+        tau_m_true = run.pick(run.scene.tau_m)
+        tau_j = ideal + noise * np.sqrt(1.0 - motor_share) * sensors.coloured_noise(rng, count, run.rate)
+        tau_m = sensors.quantised(tau_m_true + motor_noise * sensors.coloured_noise(rng, count, run.rate), per_mille)
+        torque_errors.append(tau_j - ideal - gain * (tau_m - tau_m_true))
+        columns = {"t": bench.clock_start + np.arange(count) / run.rate, "tau_m": tau_m, "tau_j": tau_j}
+        limit = bench.recipe.sign_noise * noise
+        omega, q_j, sign_error = _velocity(rng, bench, run, effects, velocity_noise, smooth, limit)
+        sign_errors.append(sign_error)
+        if bench.velocity != "derived":
+            columns["omega_j"] = omega
+        if bench.joint_angle:
+            columns["q_j"] = q_j
+        _extras(rng, bench, run, columns, tensions.t1, tensions.t3)
+        logs.append(HiddenLog(f"run_{number:02d}", columns))
+    return logs, rms(np.concatenate(torque_errors)), rms(np.concatenate(sign_errors))
+
+
+def _velocity(
+    rng: np.random.Generator, bench: Bench, run: Run, effects: Effects, noise: float, smooth: int, limit: float
+) -> tuple[Array, Array, Array]:
+    """Velocity and angle as recorded, and the torque error of the wrong signs; noise is lowered to keep to `limit`."""
+    seen = bench.seen_velocity(run, effects)
+    step = run.scene.t[1] - run.scene.t[0]
+    true_sign = run.pick(memory.direction(seen))
+    x = bench.rig.mu * run.pick(run.scene.theta)
+    half_loop = 2.0 * bench.rig.pretension * bench.rig.joint_radius * np.sinh(x)
+    counts = bench.counts
+    for _ in range(6):
+        q_fine = sensors.encoder(rng, run.scene.q, counts, 0.0 if bench.velocity == "encoder" else 0.25)
+        q_j = run.pick(q_fine)
+        if bench.velocity == "tachometer":
+            omega = sensors.tachometer(rng, run.pick(seen), noise, smooth)
+        else:
+            omega = run.pick(sensors.differenced(q_fine, step, bench.window))
+            if "velocity_lag" in effects:
+                omega = memory.first_order_lag(omega, 1.0 / run.rate, effects["velocity_lag"]["time_constant"])
+        sign_error = half_loop * (memory.direction(omega) - true_sign)
+        if rms(sign_error) <= limit:
+            break
+        noise, counts = 0.5 * noise, 4 * counts
+    return omega, q_j, sign_error
+
+
+def _extras(rng: np.random.Generator, bench: Bench, run: Run, columns: dict[str, Array], t1: Array, t3: Array) -> None:
+    """The optional columns."""
+    scene = run.scene
+    if bench.motor_angle:
+        columns["q_m"] = run.pick(sensors.encoder(rng, scene.q_m, 4 * bench.counts))
+    if "omega_m" in bench.extras:
+        speed = np.gradient(scene.q_m, scene.t[1] - scene.t[0])
+        columns["omega_m"] = run.pick(speed) + 2e-3 * bench.speed * rng.standard_normal(columns["t"].size)
+    if "tensions" in bench.extras:
+        for name, value in (("t1", t1), ("t3", t3)):
+            exact = run.pick(value)
+            columns[name] = exact + 3e-3 * bench.rig.pretension * rng.standard_normal(exact.size)
+    if "tau_m_cmd" in bench.extras:
+        columns["tau_m_cmd"] = run.pick(scene.tau_m)
+    if bench.temperature:
+        columns["temperature"] = sensors.quantised(
+            run.pick(scene.temperature) + 0.05 * rng.standard_normal(columns["t"].size), 0.0625
+        )
+    if bench.recipe.bending == "varied":
+        columns["theta"] = run.pick(scene.theta)
+
+
+def with_runs(bench: Bench, runs: list[Run]) -> Bench:
+    """The same rig and instruments with other runs."""
+    return replace(bench, runs=runs)

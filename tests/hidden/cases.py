@@ -1,0 +1,231 @@
+"""Cases: logs with a hidden truth, drawn by family, name and seed; the same three give the same case."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from .bench import Bench, HiddenLog, Recipe, draw_bench, record
+from .rig import model_file
+from .size import Recalibration, added_size, size
+from .strength import NAMES, draw_strength, solve
+
+
+@dataclass
+class Truth:
+    """What was hidden. Sizes are RMS in N·m after recalibration; noise is the RMS of the torque noise."""
+
+    effects: dict[str, dict[str, Any]]
+    noise: float = 0.0
+    sign_noise: float = 0.0  # RMS that wrong signs of the recorded velocity add
+    size: float = 0.0
+    sizes: dict[str, float] = field(default_factory=dict)  # of each effect beside the others
+    outside: str = ""  # kind of cause outside the catalogue
+    twins: tuple[str, ...] = ()  # what no diagnosis can part in this case, the truth included
+    numbers: dict[str, float] = field(default_factory=dict)  # true friction_angle, pretension, slope, half_loop_torque
+    setting: str = ""  # the excitation in words
+
+
+@dataclass
+class Case:
+    """Logs and the nominal model for a diagnosis, and the truth for who marks it."""
+
+    family: str
+    name: str
+    seed: int
+    logs: list[HiddenLog]
+    model: str  # text of an actuator model file
+    truth: Truth
+    experiment: Case | None = None  # logs of the same rig that part the twins
+
+    @property
+    def key(self) -> str:
+        return f"{self.family}/{self.name}/{self.seed}"
+
+    @property
+    def seconds(self) -> float:
+        return float(sum(np.ptp(log.columns["t"]) for log in self.logs))
+
+
+def generator(family: str, name: str, seed: int, attempt: int = 0) -> np.random.Generator:
+    digest = hashlib.sha256(f"{family}/{name}/{seed}/{attempt}".encode()).digest()
+    return np.random.default_rng(int.from_bytes(digest[:8], "little"))
+
+
+# What an effect needs, to be told from all others: its columns, and the excitation outside the table of twins.
+NEEDS: dict[str, dict[str, Any]] = {
+    "velocity_lag": {"velocity": "tachometer", "sign_noise": 0.5},
+    "torque_constant_error": {"bending": "varied"},
+    "torque_ripple": {"motor_angle": True, "torque": "independent"},
+    "motor_side_friction": {"bending": "varied"},
+    "configuration_dependent_bending": {"joint_angle": True, "amplitude": 1.2, "level": (0.3, 0.6)},
+    "stiffness_nonlinearity": {"bending": "varied", "level": (0.2, 0.5)},
+    "pretension_relaxation": {"level": (0.2, 0.4), "temperature": "none"},
+    "thermal_friction_drift": {"temperature": "cycle"},
+    "tension_dependent_friction": {"x": (0.2, 0.9), "level": (0.7, 0.95), "torque": "independent"},
+    "presliding_hysteresis": {"joint_angle": True, "sign_noise": 0.5},
+    "transport_delay": {"sign_noise": 0.5},
+    "sheath_asymmetry": {"torque": "independent"},
+    "tendon_slack": {"torque": "independent", "level": (1.15, 1.9), "x": (0.2, 0.9)},
+    "elongation_coupling": {"bending": "varied", "x": (0.3, 0.9)},
+    "load_dependent_friction": {"torque": "independent", "x": (0.12, 0.35), "level": (0.65, 0.9)},
+    "backlash": {"joint_angle": True, "sign_noise": 0.5},
+    "gravity_load": {"joint_angle": True, "amplitude": 1.5},
+    "joint_stiffness": {"joint_angle": True, "amplitude": 1.1},
+    "stribeck_friction": {},
+}
+
+# Rows of twins: two effects of one row are no pair.
+TWIN_ROWS = (
+    {"elongation_coupling", "torque_constant_error"},
+    {"inertia", "joint_stiffness", "torque_offset"},
+    {"gravity_load", "joint_stiffness", "torque_offset"},
+    {"viscous_friction", "direction_asymmetric_friction"},
+    {"direction_asymmetric_friction", "torque_offset"},
+    {"viscous_friction", "motor_side_friction"},
+    {"load_dependent_friction", "sheath_asymmetry", "tendon_slack", "tension_dependent_friction"},
+    {"thermal_friction_drift", "pretension_relaxation"},
+    {"transport_delay", "presliding_hysteresis", "velocity_lag", "backlash"},
+    {"elongation_coupling", "tendon_slack"},
+    {"elongation_coupling", "sheath_asymmetry"},
+    {"elongation_coupling", "tension_dependent_friction"},
+)
+
+POOR = ("slow_sine", "one_way", "constant_speed", "free", "small", "one_load")
+
+
+def none_case(name: str, seed: int, short: bool = False) -> Case:
+    """No effect: wrong nominal numbers and noise. `name`: "rich", "plain" or a poor excitation."""
+    rng = generator("none", name, seed)
+    if name == "rich":
+        recipe = Recipe(bending=str(rng.choice(["fixed", "fixed", "varied"])), sign_noise=2.0)
+    elif name == "plain":
+        recipe = Recipe(motion=str(rng.choice(["sine", "multisine", "trapezoid", "chirp", "gait", "triangle"])), sign_noise=2.0)
+    else:
+        recipe = {
+            "slow_sine": Recipe(motion="sine", speed=0.15, amplitude=0.8, torque="spring", sign_noise=2.0),
+            "one_way": Recipe(motion="one_way", sign_noise=2.0),
+            "constant_speed": Recipe(motion="triangle", torque="levels", sign_noise=2.0),
+            "free": Recipe(torque="free", sign_noise=2.0),
+            "small": Recipe(motion="multisine", amplitude=0.03, speed=0.15, sign_noise=2.0),
+            "one_load": Recipe(motion="sine", torque="weight", sign_noise=2.0),
+        }[name]
+    bench = draw_bench(rng, replace(recipe, short=short))
+    noise = bench.scale * _log_uniform(rng, 0.004, 0.04)
+    return _finish(rng, "none", name, seed, bench, {}, noise, name)
+
+
+def single_case(name: str, seed: int, short: bool = False) -> Case:
+    """One effect, well excited, one to six times the noise."""
+    for attempt in range(40):
+        rng = generator("single", name, seed, attempt)
+        bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), short=short))
+        ratio = _log_uniform(rng, 1.12, 6.0)
+        wanted = bench.scale * _log_uniform(rng, 0.004, 0.03) * ratio
+        parameters, reached = _strong(rng, name, bench, wanted)
+        noise = min(reached / ratio, 0.1 * bench.scale)
+        if reached > 8.0 * noise or noise < 1.2e-3 * bench.scale or not _in_domain(bench, {name: parameters}):
+            continue
+        case = _finish(rng, "single", name, seed, bench, {name: parameters}, noise, "rich")
+        if case.truth.size >= np.hypot(case.truth.noise, case.truth.sign_noise):
+            return case
+    raise RuntimeError(f"no case of {name} for seed {seed}")
+
+
+def pair_case(name: str, seed: int, short: bool = False) -> Case:
+    """Two effects, each visible beside the other; `name` is "a+b", or "any" for a drawn pair."""
+    for attempt in range(80):
+        rng = generator("pair", name, seed, attempt)
+        first, second = name.split("+") if name != "any" else _draw_pair(rng)
+        bench = draw_bench(rng, Recipe(**_needs_of_both(first, second), short=short))
+        ratio = _log_uniform(rng, 1.25, 4.0)
+        wanted = bench.scale * _log_uniform(rng, 0.004, 0.02) * ratio
+        effects: dict[str, dict[str, Any]] = {}
+        for effect in (first, second):
+            effects[effect], _ = _strong(rng, effect, bench, wanted * rng.uniform(1.0, 2.0))
+        if not _in_domain(bench, effects):
+            continue
+        sizes = {effect: added_size(bench, effects, effect) for effect in effects}
+        noise = min(sizes.values()) / ratio
+        if noise < 1.2e-3 * bench.scale:
+            continue
+        case = _finish(rng, "pair", name, seed, bench, effects, noise, "rich")
+        case.truth.sizes = sizes
+        if min(sizes.values()) >= np.hypot(case.truth.noise, case.truth.sign_noise):
+            return case
+    raise RuntimeError(f"no case of {name} for seed {seed}")
+
+
+def _draw_pair(rng: np.random.Generator) -> tuple[str, str]:
+    while True:
+        first, second = (str(effect) for effect in rng.choice(NAMES, 2, replace=False))
+        if not any({first, second} <= row for row in TWIN_ROWS):
+            return first, second
+
+
+def _needs_of_both(first: str, second: str) -> dict[str, Any]:
+    """The stricter of two lists of needs."""
+    needs = dict(NEEDS.get(first, {}))
+    for key, value in NEEDS.get(second, {}).items():
+        mine = needs.get(key)
+        if mine is None or key == "temperature":
+            needs[key] = "cycle" if "cycle" in (mine, value) else value
+        elif key == "level":
+            needs[key] = max(mine, value) if "tendon_slack" in (first, second) else min(mine, value)
+        elif key == "x":
+            needs[key] = (max(mine[0], value[0]), min(mine[1], value[1]))
+        elif key == "amplitude":
+            needs[key] = max(mine, value)
+    return needs
+
+
+def _strong(rng: np.random.Generator, name: str, bench: Bench, wanted: float) -> tuple[dict[str, Any], float]:
+    """Parameters of `name` with about the wanted size, and the size that they have over all samples."""
+    stride = max(1, round(bench.runs[0].rate / 125.0)) if name not in _PULSES else 1
+    parameters, _ = solve(draw_strength(rng, name, bench), wanted, lambda p: size(bench, {name: p}, stride))
+    return parameters, size(bench, {name: parameters})
+
+
+_PULSES = {"velocity_lag", "transport_delay", "backlash", "presliding_hysteresis"}
+
+
+def _in_domain(bench: Bench, effects: dict[str, dict[str, Any]]) -> bool:
+    """Both tendons pull nearly always, unless slack is what is hidden."""
+    return "tendon_slack" in effects or bench.slack_share(effects) < 1e-3
+
+
+def _finish(
+    rng: np.random.Generator,
+    family: str,
+    name: str,
+    seed: int,
+    bench: Bench,
+    effects: dict[str, dict[str, Any]],
+    noise: float,
+    setting: str,
+    disturb: Any = None,
+) -> Case:
+    logs, torque_noise, sign_noise = record(rng, bench, effects, noise, disturb)
+    rig = bench.rig
+    truth = Truth(
+        effects=effects,
+        noise=torque_noise,
+        sign_noise=sign_noise,
+        size=size(bench, effects) if effects else 0.0,
+        setting=setting + ": " + "; ".join(", ".join(run.motion.kinds) for run in bench.runs),
+        numbers={
+            "friction_angle": rig.x,
+            "pretension": rig.pretension,
+            "slope": rig.joint_radius / rig.motor_radius * float(np.cosh(rig.x)),
+            "half_loop_torque": 2.0 * rig.pretension * rig.joint_radius * float(np.sinh(rig.x)),
+        },
+    )
+    model = model_file(bench.nominal, state_uncertainty=bool(rng.random() < 0.3))
+    return Case(family, name, seed, logs, model, truth)
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))

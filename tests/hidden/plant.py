@@ -1,0 +1,216 @@
+"""The transmission from its four tensions, with hidden effects, on a fine time grid.
+
+Nothing here is shared with the package under test: each tendon is followed from the motor through its sheath to the
+joint, and the joint torque is what the two ends pull. Names and parameters of effects are those of model files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import memory
+from .rig import Rig
+
+Array = np.ndarray
+Effects = Mapping[str, Mapping[str, Any]]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)  # along the sheath: exact to 1e-15 for x up to 3
+
+
+@dataclass
+class Scene:
+    """What really happens, on one grid: time, joint motion, motor angle and torque, bending, temperature (°C)."""
+
+    t: Array
+    q: Array
+    omega: Array
+    acceleration: Array
+    q_m: Array
+    tau_m: Array
+    theta: Array
+    temperature: Array
+    sigma: Array | None = None  # direction of sliding where it is not just the sign of omega
+
+    def direction(self) -> Array:
+        return memory.direction(self.omega) if self.sigma is None else self.sigma
+
+
+@dataclass
+class Tensions:
+    """Both ends of both tendons, N, and the torque they give the joint, N·m."""
+
+    t1: Array
+    t2: Array
+    t3: Array
+    t4: Array
+    joint_torque: Array
+
+
+def joint_torque(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Array:
+    """Joint torque as a sensor without noise sees it, one value per sample of the scene."""
+    return simulate(rig, scene, effects, motor_log_angle).joint_torque
+
+
+def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Tensions:
+    """The chain motor -> tendons -> joint -> sensor. `motor_log_angle`: presliding follows the motor's angle."""
+    sigma = sliding_state(scene, effects, motor_log_angle)
+    torque = _motor_torque(scene, effects, sigma)
+    theta, pretension = _bending_and_pretension(rig, scene, effects)
+    x = _friction_angle(rig, scene, effects, theta)
+    if "elongation_coupling" in effects:
+        tensions = _elongating(rig, torque, pretension, x * sigma, effects["elongation_coupling"]["curvature_profile"])
+    else:
+        tensions = _sliding(rig, torque, pretension, x, sigma, effects)
+    tau = tensions.joint_torque
+    if "load_dependent_friction" in effects:
+        k = effects["load_dependent_friction"]["coefficient"]
+        tau = tau / (1.0 + sigma * k * np.sign(tau))
+    if "backlash" in effects:
+        tau = tau * memory.engaged(scene.q, scene.direction(), effects["backlash"]["gap"])
+    tau = tau - joint_side(scene, effects)
+    if "transport_delay" in effects:
+        late = effects["transport_delay"]["delay"]
+        tau = np.interp(scene.t - late, scene.t, tau)
+    tensions.joint_torque = tau
+    return tensions
+
+
+def sliding_state(scene: Scene, effects: Effects, motor_log_angle: bool = True) -> Array:
+    """sigma, or with presliding the state z that takes its place."""
+    sigma = scene.direction()
+    if "presliding_hysteresis" not in effects:
+        return sigma
+    effect = effects["presliding_hysteresis"]
+    where = effect.get("displacement", "motor" if motor_log_angle else "joint")
+    path = scene.q_m if where == "motor" else scene.q
+    start = float(sigma[0]) if scene.omega[0] != 0.0 else 0.0
+    elements = int(effect.get("elements", 1))
+    if elements == 1:
+        return memory.bristle(path, effect["presliding_distance"], start)
+    return memory.slip_elements(path, effect["presliding_distance"], elements, start)
+
+
+def joint_side(scene: Scene, effects: Effects) -> Array:
+    """Torque that is lost between the joint pulley and the sensor."""
+    lost = np.zeros_like(scene.t)
+    for name, effect in effects.items():
+        match name:
+            case "viscous_friction":
+                lost += effect["coefficient"] * scene.omega
+            case "direction_asymmetric_friction":
+                lost += effect["viscous_difference"] * np.abs(scene.omega)
+            case "inertia":
+                lost += effect["inertia"] * scene.acceleration
+            case "gravity_load":
+                lost += effect["amplitude"] * np.sin(scene.q + effect.get("phase", 0.0))
+            case "joint_stiffness":
+                lost += effect["stiffness"] * (scene.q - effect.get("rest_angle", 0.0))
+            case "torque_offset":
+                lost -= effect["offset"]
+    return lost
+
+
+def stribeck_factor(omega: Array, effect: Mapping[str, Any]) -> Array:
+    """How much more friction than at high speed."""
+    ratio = np.abs(omega) / effect["stribeck_velocity"]
+    return 1.0 + effect["static_excess"] * np.exp(-(ratio ** effect.get("shape", 2.0)))
+
+
+def _motor_torque(scene: Scene, effects: Effects, sigma: Array) -> Array:
+    torque = scene.tau_m
+    if "torque_constant_error" in effects:
+        torque = torque * (1.0 + effects["torque_constant_error"]["relative_error"])
+    if "torque_ripple" in effects:
+        r = effects["torque_ripple"]
+        torque = torque + r["amplitude"] * np.sin(r["cycles_per_revolution"] * scene.q_m + r.get("phase", 0.0))
+    if "motor_side_friction" in effects:
+        torque = torque - effects["motor_side_friction"]["coulomb"] * sigma
+    return torque
+
+
+def _bending_and_pretension(rig: Rig, scene: Scene, effects: Effects) -> tuple[Array, Array]:
+    theta = scene.theta
+    if "configuration_dependent_bending" in effects:
+        theta = theta + effects["configuration_dependent_bending"]["bending_per_joint_angle"] * scene.q
+    pretension = np.maximum(rig.pretension + rig.tension_per_bending * (theta - rig.bending), 0.0)
+    if "stiffness_nonlinearity" in effects:
+        k = effects["stiffness_nonlinearity"]["quadratic"]
+        pretension = pretension * (1.0 + k * pretension / rig.axial_stiffness)
+    if "pretension_relaxation" in effects:
+        pretension = pretension * remaining_pretension(scene.t, effects["pretension_relaxation"])
+    return theta, np.maximum(pretension, 0.0)
+
+
+def remaining_pretension(t: Array, effect: Mapping[str, Any]) -> Array:
+    """Share of the pretension that is left at time t."""
+    age = np.maximum(t - effect.get("start_time", t[0]), 0.0) / effect["time_constant"]
+    if effect.get("law", "exponential") == "logarithmic":
+        return 1.0 - effect["relaxed_fraction"] * np.log10(1.0 + age)
+    return 1.0 - effect["relaxed_fraction"] * -np.expm1(-age)
+
+
+def _friction_angle(rig: Rig, scene: Scene, effects: Effects, theta: Array) -> Array:
+    mu = np.full_like(scene.t, rig.mu)
+    if "stribeck_friction" in effects:
+        mu = mu * stribeck_factor(scene.omega, effects["stribeck_friction"])
+    if "thermal_friction_drift" in effects:
+        e = effects["thermal_friction_drift"]
+        mu = mu * (1.0 + e["temperature_coefficient"] * (scene.temperature - e.get("reference_temperature", 25.0)))
+    return mu * theta
+
+
+def _sliding(rig: Rig, torque: Array, pretension: Array, x: Array, sigma: Array, effects: Effects) -> Tensions:
+    """Capstan friction along each sheath; the elongation does not couple back into the tensions."""
+    half = torque / (2.0 * rig.motor_radius)
+    t1, t3 = pretension - half, pretension + half
+    if "tendon_slack" in effects:
+        t1, t3 = _pull_only(t1, t3)
+    x_a = x_b = x
+    if "tension_dependent_friction" in effects:
+        e = effects["tension_dependent_friction"]
+        reference = e.get("reference_tension", rig.pretension)
+        x_a = x * (np.maximum(t1, 0.05 * reference) / reference) ** -e["exponent"]
+        x_b = x * (np.maximum(t3, 0.05 * reference) / reference) ** -e["exponent"]
+    if "sheath_asymmetry" in effects:
+        k = effects["sheath_asymmetry"]["relative_difference"]
+        x_a, x_b = x_a * (1.0 + 0.5 * k), x_b * (1.0 - 0.5 * k)
+    t2, t4 = t1 * np.exp(sigma * x_a), t3 * np.exp(-sigma * x_b)
+    return Tensions(t1, t2, t3, t4, rig.joint_radius * (t4 - t2))
+
+
+def _pull_only(t1: Array, t3: Array) -> tuple[Array, Array]:
+    """A slack tendon carries nothing, the other one the whole torque."""
+    difference = t3 - t1
+    slack_1, slack_3 = t1 < 0.0, t3 < 0.0
+    return (
+        np.where(slack_1, 0.0, np.where(slack_3, -difference, t1)),
+        np.where(slack_3, 0.0, np.where(slack_1, difference, t3)),
+    )
+
+
+def _elongating(rig: Rig, torque: Array, pretension: Array, sigma_x: Array, profile: str) -> Tensions:
+    """Tension falls along the sheath, so does the strain: the two elongations share one path-length change.
+
+    The strain is integrated numerically over the tendon (quadrature), with the series springs at the motor end.
+    """
+    s = 0.5 * (_NODES + 1.0)
+    bent = np.ones_like(s) if profile == "motor_end" else s
+    grown = np.zeros_like(sigma_x)
+    shrunk = np.zeros_like(sigma_x)
+    for share, weight in zip(bent, 0.5 * _WEIGHTS, strict=True):
+        growth = np.exp(sigma_x * share)
+        grown += weight * growth
+        shrunk += weight / growth
+    spring = 0.0 if not rig.series_stiffness else rig.axial_stiffness / rig.series_stiffness
+    stretch_a = rig.length * grown + spring  # elongation of a: T1 * stretch_a / EA
+    stretch_b = rig.length * shrunk + spring
+    total = 2.0 * pretension * (rig.length + spring)  # EA * (elongation of a + elongation of b)
+    difference = torque / rig.motor_radius  # T3 - T1
+    t1 = (total - stretch_b * difference) / (stretch_a + stretch_b)
+    t3 = t1 + difference
+    t2, t4 = t1 * np.exp(sigma_x), t3 * np.exp(-sigma_x)
+    return Tensions(t1, t2, t3, t4, rig.joint_radius * (t4 - t2))
