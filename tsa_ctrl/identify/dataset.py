@@ -1,0 +1,265 @@
+"""A log made fit for simulation and diagnosis: checked, on a uniform grid, with its velocity; SI units.
+
+Whatever a log lacks is said in one line that names file, column and row; whatever is added to it is said in `notes`.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.units import check_pairs, check_rate, check_sizes
+from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
+from tsa_ctrl.log.table import Table, read_table, sha256_of
+from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.signals import Signals, zero_phase_derivative
+
+Array = NDArray[np.float64]
+
+CUTOFF = 10.0  # Hz, of the zero-phase low-pass in front of the derivative of an angle
+MOST_JITTER = 0.20  # of the period; worse is an error
+UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
+FEWEST = 10  # rows
+LONGEST_BRIDGE = 0.020  # s of cycles that the daemon skipped, filled by straight lines
+LOADED = (*SIGNAL_NAMES, "cycle")
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One log on a uniform grid.
+
+    `columns` are float64 arrays of shape (n,), SI units, without nan; `derived` names those that the file did not have;
+    `notes` says in words what was done to the data; `left_out` are columns of the file that nothing here needs.
+    `jitter` is the largest deviation from the uniform grid in the file, as a fraction of the period.
+    """
+
+    name: str
+    sha256: str
+    rate: float
+    columns: dict[str, Array]
+    notes: tuple[str, ...] = ()
+    derived: frozenset[str] = frozenset()
+    left_out: tuple[str, ...] = ()
+    jitter: float = 0.0
+    label: str = ""
+
+    @staticmethod
+    def from_arrays(columns: Mapping[str, ArrayLike], name: str = "arrays") -> Dataset:
+        """A dataset from arrays of one length; checked as a file is. Raises UsageError."""
+        arrays = {key: np.ascontiguousarray(value, dtype=np.float64) for key, value in columns.items()}
+        for key, array in arrays.items():
+            if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
+                raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
+        return _dataset(Table(name, arrays), name, "")
+
+    def __len__(self) -> int:
+        return len(self.columns["t"])
+
+    def __contains__(self, column: str) -> bool:
+        return column in self.columns
+
+    def __getitem__(self, column: str) -> Array:
+        if column not in self.columns:
+            raise UsageError(_missing(self.label or self.name, column, (*self.columns, *self.left_out)))
+        return self.columns[column]
+
+    @property
+    def period(self) -> float:
+        """Sampling period, s."""
+        return 1.0 / self.rate
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.columns["t"][-1] - self.columns["t"][0])
+
+    def require(self, model: Model, *more: str) -> None:
+        """Raise UsageError unless the columns that every simulation with `model` needs, and `more`, are there."""
+        velocities = ("omega_m", "q_m") if isinstance(model, RigidDrive) else ("omega_j", "q_j")
+        if velocities[0] not in self.columns:
+            known = (*(name for name in self.columns if name not in self.derived), *self.left_out)
+            raise UsageError(_missing(self.label or self.name, f"{velocities[0]} or {velocities[1]}", known))
+        for column in more:
+            self[column]
+
+    @cached_property
+    def _signals(self) -> Signals:
+        present = {name: self.columns.get(name) for name in ("q_j", "q_m", "omega_m", "theta", "temperature")}
+        omega_j = self.columns.get("omega_j")
+        if omega_j is None:  # a plain drive: its one shaft is motor and joint
+            omega_j = self.columns["omega_m"]
+        return Signals(t=self.columns["t"], tau_m=self.columns["tau_m"], omega_j=omega_j, **present)
+
+    def signals(self) -> Signals:
+        """The columns as the model takes them; for a log of a plain drive omega_j is the motor's velocity."""
+        return self._signals
+
+
+def load_log(path: str | Path) -> Dataset:
+    """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
+
+    Needs t, tau_m and one velocity or angle; `Dataset.require` asks for what a model needs beyond that. Raises
+    UsageError that names file, column and row for a missing column, a nan, a time that does not increase, an empty or
+    damaged file, jitter above 20 % of the period, or a unit that cannot be right.
+    """
+    table = read_table(path, LOADED)
+    return _dataset(table, Path(path).name, sha256_of(path))
+
+
+def _dataset(table: Table, name: str, sha256: str) -> Dataset:
+    columns = dict(table.columns)
+    everything = (*columns, *table.left_out)
+    for column in ("t", "tau_m"):
+        if column not in columns:
+            raise UsageError(_missing(table.label, column, everything))
+    if len(table) < FEWEST:
+        raise UsageError(f"{table.label}: holds {len(table)} rows; at least {FEWEST} are needed: give a longer log")
+    notes: list[str] = []
+    for column in [key for key in columns if key != "t" and key in SIGNAL_NAMES and bool(np.isnan(columns[key]).all())]:
+        if column == "tau_m":
+            raise UsageError(f"{table.label}: column tau_m has no value in any row; log the drive's torque")
+        del columns[column]
+        notes.append(f"column {column} is empty and taken as absent")
+    if not any(column in columns for column in ("omega_j", "q_j", "omega_m", "q_m")):
+        raise UsageError(_missing(table.label, "omega_j or q_j", everything))
+    start = _first_complete(columns) if table.recorded else 0
+    if start:
+        columns = {key: value[start:] for key, value in columns.items()}
+        notes.append(f"the first {start} rows, before every device had reported, are left out")
+    _check_numbers(table, columns, start)
+    period = _check_time(table, columns["t"], start)
+    check_rate(table.label, period)
+    if table.recorded:
+        columns, note = _bridge(columns, period)
+        notes += note
+    columns, period, jitter, note = _uniform(table, columns, period, start)
+    notes += note
+    derivatives: dict[str, Array] = {
+        angle: zero_phase_derivative(columns[angle], period, CUTOFF) for angle in ("q_j", "q_m") if angle in columns
+    }
+    check_pairs(table.label, columns, derivatives)
+    check_sizes(table.label, columns, start)
+    derived: set[str] = set()
+    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
+        if angle in columns and velocity not in columns:
+            columns[velocity] = _stilled(columns[angle], derivatives[angle])
+            derived.add(velocity)
+            notes.append(
+                f"{velocity} is derived from {angle}: zero-phase Butterworth low-pass at {CUTOFF:g} Hz (second order, "
+                "both ways), central differences"
+            )
+    return Dataset(
+        name=name,
+        sha256=sha256,
+        rate=1.0 / period,
+        columns=columns,
+        notes=tuple(notes),
+        derived=frozenset(derived),
+        left_out=table.left_out,
+        jitter=jitter,
+        label=table.label,
+    )
+
+
+def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
+    near = difflib.get_close_matches(column.split(" or ")[0].lower(), [name.lower() for name in found], n=1, cutoff=0.6)
+    original = next((name for name in found if near and name.lower() == near[0]), "")
+    advice = f"is '{original}' meant? rename it" if original and original not in BY_NAME else "add it"
+    listed = ", ".join(found[:12]) + (", ..." if len(found) > 12 else "")
+    return f"{label}: column {column} is missing (found: {listed or 'none'}); {advice}"
+
+
+def _first_complete(columns: Mapping[str, Array]) -> int:
+    """Index of the first row in which no signal is missing; 0 where there is none, so that the nan is reported."""
+    present = [np.isfinite(values) for name, values in columns.items() if name in SIGNAL_NAMES]
+    complete = np.logical_and.reduce(present)
+    return int(np.argmax(complete)) if complete.any() else 0
+
+
+def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> None:
+    for name, values in columns.items():
+        if name not in SIGNAL_NAMES:
+            continue
+        good = np.isfinite(values)
+        if not good.all():
+            row = int(np.argmin(good))
+            found = "no number (empty or nan)" if np.isnan(values[row]) else f"{values[row]}"
+            raise UsageError(
+                f"{table.label}: column {name}, {table.place(row + start)}: found {found}; every row needs a finite "
+                "number: correct the row or cut the file there"
+            )
+
+
+def _check_time(table: Table, t: Array, start: int) -> float:
+    """The typical period, s; raises UsageError where time stands still or runs back."""
+    steps = np.diff(t)
+    if not (steps > 0.0).all():
+        row = int(np.argmin(steps > 0.0)) + 1
+        raise UsageError(
+            f"{table.label}: column t, {table.place(row + start)}: time {t[row]:.9g} s does not increase (before it "
+            f"{t[row - 1]:.9g} s); sort the rows by time and remove doubled ones"
+        )
+    return float(np.median(steps))
+
+
+def _bridge(columns: dict[str, Array], period: float) -> tuple[dict[str, Array], list[str]]:
+    """Fill short holes where the daemon skipped cycles, which it counts, by straight lines."""
+    t = columns["t"]
+    steps = np.rint(np.diff(t) / period).astype(np.int64)
+    if not ((steps > 1) & (steps * period <= LONGEST_BRIDGE + period)).any():
+        return columns, []
+    steps[steps * period > LONGEST_BRIDGE + period] = 1  # left as it is, for the check that follows to report
+    at = np.concatenate([[0], np.cumsum(np.maximum(steps, 1))])
+    grid = np.arange(at[-1] + 1)
+    filled = {name: np.interp(grid, at, values) for name, values in columns.items()}
+    added = len(grid) - len(t)
+    return filled, [
+        f"{added} cycles that the daemon skipped are filled by straight lines ({added / len(grid):.2%} of all)"
+    ]
+
+
+def _uniform(
+    table: Table, columns: dict[str, Array], typical: float, start: int
+) -> tuple[dict[str, Array], float, float, list[str]]:
+    """The columns on a uniform grid, its period, the jitter found (fraction of the period), notes.
+
+    Jitter is the largest deviation of a time from the fitted grid or of a step from the period, whichever is smaller:
+    noise of the stamps doubles in the steps, and a slowly drifting clock adds up in the times.
+    """
+    t = columns["t"]
+    index = np.arange(len(t)) - 0.5 * (len(t) - 1)
+    fitted = float(index @ t) / float(index @ index)
+    close = abs(fitted - typical) < MOST_JITTER * typical
+    period = fitted if close else typical  # the typical step of rounded times is a rounded one
+    interval = np.abs(np.diff(t) / period - 1.0)
+    grid = float(np.mean(t)) + period * index
+    offset = np.abs(t - grid) / period
+    jitter = min(float(interval.max()), float(offset.max()))
+    if jitter > MOST_JITTER:
+        row = int(np.argmax(interval)) + 1
+        raise UsageError(
+            f"{table.label}: column t, {table.place(row + start)}: a step of {t[row] - t[row - 1]:.6g} s where the "
+            f"period is {typical:.6g} s; at most {MOST_JITTER:.0%} off is allowed: cut the file at the hole"
+        )
+    if jitter <= UNIFORM:
+        return columns, period, jitter, []
+    resampled = {name: np.interp(grid, t, values) for name, values in columns.items() if name != "t"}
+    note = f"time jitters by {jitter:.1%} of the period of {period * 1e3:.4g} ms; resampled to a uniform grid"
+    return {"t": grid, **resampled}, period, jitter, [note]
+
+
+def _stilled(angle: Array, velocity: Array) -> Array:
+    """`velocity` with what is far below the encoder's resolution set to 0, so that a standstill stays one."""
+    steps = np.abs(np.diff(angle))
+    moved = steps[steps > 0.0]
+    if len(moved) == 0:
+        return np.zeros_like(velocity)
+    count = float(moved.min())  # rad, one count; of an unquantised angle next to nothing
+    return np.where(np.abs(velocity) < 0.1 * count * CUTOFF, 0.0, velocity)

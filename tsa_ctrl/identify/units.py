@@ -1,0 +1,103 @@
+"""A log whose units cannot be right: milliseconds, newton-millimetres, degrees, kelvin.
+
+Each check fires only where no drive of this kind could have produced the numbers; the limits are generous by a factor
+of ten and more. What two columns say of each other (an angle and its own velocity) is sharper than any limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+
+Array = NDArray[np.float64]
+
+SLOWEST, FASTEST = 12.0, 50e3  # Hz, sampling rates; 10 Hz is what 10 kHz looks like with time in ms
+LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a larger value hints at
+    "tau_m": (500.0, "N*m", "N*mm"),
+    "tau_j": (500.0, "N*m", "N*mm"),
+    "tau_j_des": (500.0, "N*m", "N*mm"),
+    "tau_m_cmd": (500.0, "N*m", "N*mm"),
+    "omega_j": (100.0, "rad/s", "degrees per second or rpm"),
+    "omega_m": (3000.0, "rad/s", "degrees per second or rpm"),
+    "theta": (50.0, "rad", "degrees"),
+    "t1": (2e4, "N", "mN"),
+    "t3": (2e4, "N", "mN"),
+    "temperature": (200.0, "degC", "kelvin"),
+}
+WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
+DEGREES = 180.0 / np.pi
+
+
+def check_rate(label: str, period: float) -> None:
+    """Raise UsageError when the sampling period in s cannot be right."""
+    rate = 1.0 / period
+    if SLOWEST <= rate <= FASTEST:
+        return
+    hint = "milliseconds or microseconds" if rate < SLOWEST else "minutes or hours"
+    raise UsageError(
+        f"{label}: column t has a step of {period:g} s ({rate:g} Hz), which cannot be right (allowed are "
+        f"{SLOWEST:g} to {FASTEST:g} Hz); t seems to be in {hint}: convert it to s"
+    )
+
+
+def check_sizes(label: str, columns: Mapping[str, Array], first_row: int = 0) -> None:
+    """Raise UsageError when a value is beyond what its unit allows; the largest one's row is named."""
+    for name, (limit, unit, hint) in LARGEST.items():
+        if name not in columns:
+            continue
+        row = int(np.argmax(np.abs(columns[name])))
+        value = float(columns[name][row])
+        if abs(value) > limit:
+            raise UsageError(
+                f"{label}: column {name}, row {row + 1 + first_row}: {value:g} {unit} cannot be right (allowed are up "
+                f"to {limit:g}); it seems to be in {hint}: convert it to {unit}"
+            )
+    q = columns.get("q_j")
+    if q is not None and ("omega_j" not in columns or float(np.max(np.abs(columns["omega_j"]))) > WIDEST_SWING):
+        swing = float(np.ptp(q))
+        if swing > WIDEST_SWING and float(np.sum(np.abs(np.diff(q)))) > 1.5 * swing:
+            raise UsageError(
+                f"{label}: column q_j swings over {swing:g} rad, forth and back, which cannot be right (allowed are up "
+                f"to {WIDEST_SWING:g}); it seems to be in degrees: convert it to rad"
+            )
+
+
+def check_pairs(label: str, columns: Mapping[str, Array], derivatives: Mapping[str, Array]) -> None:
+    """Raise UsageError when an angle and its own velocity disagree by 180/pi or by 1000.
+
+    `derivatives` holds dq/dt of the angle columns by name.
+    """
+    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
+        if angle not in derivatives or velocity not in columns:
+            continue
+        ratio = _slope(derivatives[angle], columns[velocity])
+        if ratio is None:
+            continue
+        if _near(ratio, DEGREES):
+            found, fix = (
+                f"{velocity} is 180/pi times d{angle}/dt",
+                f"{velocity} seems to be in degrees: convert to rad/s",
+            )
+        elif _near(ratio, 1.0 / DEGREES):
+            found, fix = f"d{angle}/dt is 180/pi times {velocity}", f"{angle} seems to be in degrees: use rad"
+        elif _near(ratio, 1000.0):
+            found, fix = f"{velocity} is 1000 times d{angle}/dt", "t seems to be in milliseconds: use s"
+        else:
+            continue
+        raise UsageError(f"{label}: column {angle} and column {velocity} disagree: {found}; {fix}")
+
+
+def _near(ratio: float, factor: float) -> bool:
+    return 0.8 < abs(ratio) / factor < 1.25
+
+
+def _slope(x: Array, y: Array) -> float | None:
+    """y over x by least squares; None where the two are not one motion."""
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    if xx == 0.0 or yy == 0.0 or xy * xy < 0.8 * xx * yy:
+        return None
+    return xy / xx

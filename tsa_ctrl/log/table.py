@@ -1,0 +1,136 @@
+"""A log file of any kind to a table of columns; what the columns mean is judged elsewhere."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.csv_table import read_csv
+
+ENDINGS = (".csv", ".csv.gz", ".parquet", ".mcap")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of one axis, float64, all of one length; nan where the file has nothing.
+
+    `label` names the file (and axis) in messages, `above` is the number of lines above the first row of a text file
+    (None otherwise), `left_out` the columns not loaded, `recorded` true for the daemon's own log.
+    """
+
+    label: str
+    columns: dict[str, NDArray[np.float64]]
+    left_out: tuple[str, ...] = ()
+    above: int | None = None
+    axis: str | None = None
+    recorded: bool = False
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def place(self, row: int) -> str:
+        """A row (0-based index) for people: counted from 1, with the line of a text file."""
+        return f"row {row + 1}" if self.above is None else f"row {row + 1} (line {row + 1 + self.above})"
+
+
+def kind_of(path: Path) -> str:
+    """The ending that decides how a log is read; raises UsageError for another one."""
+    name = path.name.lower()
+    for ending in ENDINGS:
+        if name.endswith(ending):
+            return ending
+    raise UsageError(f"{path}: unknown kind of log '{path.suffix}'; allowed are {', '.join(ENDINGS)}")
+
+
+def split_axis(path: str | Path) -> tuple[Path, str | None]:
+    """`run.mcap:NAME` names one axis of a log; a file whose name has the colon itself is taken as it stands."""
+    file = Path(path)
+    stem, colon, axis = str(path).rpartition(":")
+    if colon and not file.exists() and stem.lower().endswith(".mcap"):
+        return Path(stem), axis
+    return file, None
+
+
+def check_readable(path: Path) -> None:
+    """Raise UsageError when `path` is not a file that can be read."""
+    try:
+        with path.open("rb"):
+            return
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such file; give the path of a log ({', '.join(ENDINGS)})") from None
+    except IsADirectoryError:
+        raise UsageError(f"{path}: is a folder; give the path of a log in it") from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); allow reading it") from None
+
+
+def sha256_of(path: str | Path) -> str:
+    """Hash of a log file's bytes, hexadecimal: what a written result is traced back by."""
+    file, _ = split_axis(path)
+    check_readable(file)
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table:
+    """Read one axis of a log; `wanted` columns only, or all numeric ones.
+
+    Raises UsageError in one line: no such file, unknown kind, not readable, damaged, several axes and none named.
+    """
+    file, axis = split_axis(path)
+    check_readable(file)
+    kind = kind_of(file)
+    if kind == ".mcap":
+        from tsa_ctrl.log.reader import read_axis
+
+        return read_axis(file, axis, wanted)
+    if kind == ".parquet":
+        return _read_parquet(file, wanted)
+    columns, left_out, above = read_csv(file, wanted)
+    recorded = {"cycle", "state"} <= {*columns, *left_out}
+    return Table(str(file), columns, tuple(left_out), above, recorded=recorded)
+
+
+def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise UsageError(
+            f"{path}: reading Parquet needs pyarrow; install it (pip install 'tsa-ctrl[parquet]') or give CSV"
+        ) from None
+    try:
+        with pq.ParquetFile(path) as file:
+            schema = file.schema_arrow
+            names = list(schema.names)
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice is not None:
+                raise UsageError(f"{path}: column {twice} stands twice; rename or remove one")
+            numeric = [name for name in names if _is_numeric(pa, schema.field(name).type)]
+            kept = [name for name in numeric if wanted is None or name in wanted]
+            for name in names:
+                if wanted is not None and name in wanted and name not in numeric:
+                    raise UsageError(f"{path}: column {name} is {schema.field(name).type}, not a number; convert it")
+            columns = {name: _read_column(file, name) for name in kept}
+    except (pa.ArrowException, OSError) as error:
+        raise UsageError(f"{path}: is no readable Parquet file ({error}); write it again") from None
+    recorded = {"cycle", "state"} <= set(names)
+    return Table(str(path), columns, tuple(n for n in names if n not in columns), recorded=recorded)
+
+
+def _is_numeric(pa: Any, kind: Any) -> bool:
+    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind))
+
+
+def _read_column(file: Any, name: str) -> NDArray[np.float64]:
+    """One column as doubles, nulls as nan; read apart, so that only one is in memory twice."""
+    column = file.read(columns=[name]).column(0).cast("float64", safe=False)
+    return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
