@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Meta
 
 LOWEST, HIGHEST = 1.5, 15.0  # Hz, the band of limit cycles of a limb on a compensated sheath
-MEMORY = 0.7  # s, time constant of the powers
+MEMORY = 0.4  # s, time constant of the powers
 MOSTLY = 0.5  # share of the motion's power in the band from which it counts as oscillation
 EXPLAINED = 0.3  # the velocity's share must exceed the set-point's by this
 STEP = 0.004  # s, the filters run on means over blocks of about this length
