@@ -1,0 +1,70 @@
+"""A bus in memory: what was sent is kept, what shall be received is queued. Its clock moves only when told."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+
+from tsa_ctrl.bus.seam import BusFault, Counters, Frame
+
+
+class FakeClock:
+    """Monotonic time that a test moves."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class FakeBus:
+    """Implements `tsa_ctrl.bus.seam.Bus`.
+
+    `answer`: called with each frame sent; what it returns is received next. Waiting for nothing moves the clock.
+    """
+
+    def __init__(self, clock: FakeClock | None = None, answer: Callable[[Frame], Iterable[Frame]] | None = None) -> None:
+        self.name = "fake"
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+        self.clock = clock or FakeClock()
+        self.sent: list[Frame] = []
+        self.waiting: deque[Frame] = deque()
+        self.accepted: set[int] | None = None
+        self.full = False
+        self._answer = answer
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        if self.full:
+            self.counters.dropped += 1
+            return False
+        frame = (can_id, bytes(data))
+        self.sent.append(frame)
+        self.counters.sent += 1
+        if self._answer is not None:
+            self.waiting.extend(self._answer(frame))
+        return True
+
+    def recv(self, timeout: float) -> Frame | None:
+        if not self.waiting:
+            self.clock.now += max(0.0, timeout)
+            return None
+        return self.waiting.popleft()
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        self.accepted = None if can_ids is None else set(can_ids)
+
+    def flush(self) -> int:
+        count = len(self.waiting)
+        self.waiting.clear()
+        return count
+
+    def clear_fault(self) -> None:
+        self.fault = None
+
+    def fileno(self) -> int:
+        return -1
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,102 @@
+"""CiA 402 power state machine as tables: statusword -> state, and (state, target) -> controlword.
+
+No I/O, no time. Nothing here leaves a fault by itself: `next_controlword` never yields a fault reset.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, IntEnum
+
+
+class PowerState(Enum):
+    """States of the CiA 402 finite state automaton; UNKNOWN is a statusword that encodes none."""
+
+    NOT_READY_TO_SWITCH_ON = "not_ready_to_switch_on"
+    SWITCH_ON_DISABLED = "switch_on_disabled"
+    READY_TO_SWITCH_ON = "ready_to_switch_on"
+    SWITCHED_ON = "switched_on"
+    OPERATION_ENABLED = "operation_enabled"
+    QUICK_STOP_ACTIVE = "quick_stop_active"
+    FAULT_REACTION_ACTIVE = "fault_reaction_active"
+    FAULT = "fault"
+    UNKNOWN = "unknown"
+
+
+class Controlword(IntEnum):
+    """Commands of object 0x6040."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    FAULT_RESET = 0x80  # rising edge of bit 7
+
+
+class Mode(IntEnum):
+    """Modes of operation, objects 0x6060 and 0x6061."""
+
+    CYCLIC_SYNC_TORQUE = 10
+
+
+CST_SUPPORTED = 1 << 9  # bit of object 0x6502
+
+FAULT_BIT = 1 << 3
+WARNING_BIT = 1 << 7
+INTERNAL_LIMIT_BIT = 1 << 11
+FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
+
+STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value, state
+    (0x4F, 0x00, PowerState.NOT_READY_TO_SWITCH_ON),
+    (0x4F, 0x40, PowerState.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, PowerState.READY_TO_SWITCH_ON),
+    (0x6F, 0x23, PowerState.SWITCHED_ON),
+    (0x6F, 0x27, PowerState.OPERATION_ENABLED),
+    (0x6F, 0x07, PowerState.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, PowerState.FAULT_REACTION_ACTIVE),
+    (0x4F, 0x08, PowerState.FAULT),
+)
+_STATE_BITS = 0x6F
+
+
+def _match(statusword: int) -> PowerState:
+    for mask, value, state in STATUSWORD_PATTERNS:
+        if statusword & mask == value:
+            return state
+    return PowerState.UNKNOWN
+
+
+_STATES = tuple(_match(bits) for bits in range(_STATE_BITS + 1))
+
+_S = PowerState
+_C = Controlword
+WALK: dict[PowerState, dict[PowerState, Controlword]] = {  # target -> state -> command
+    _S.OPERATION_ENABLED: {
+        _S.SWITCH_ON_DISABLED: _C.SHUTDOWN,
+        _S.READY_TO_SWITCH_ON: _C.SWITCH_ON,
+        _S.SWITCHED_ON: _C.ENABLE_OPERATION,
+        _S.OPERATION_ENABLED: _C.ENABLE_OPERATION,
+        _S.QUICK_STOP_ACTIVE: _C.DISABLE_VOLTAGE,
+    },
+    _S.READY_TO_SWITCH_ON: {
+        _S.SWITCH_ON_DISABLED: _C.SHUTDOWN,
+        _S.READY_TO_SWITCH_ON: _C.SHUTDOWN,
+        _S.SWITCHED_ON: _C.SHUTDOWN,
+        _S.OPERATION_ENABLED: _C.SHUTDOWN,
+        _S.QUICK_STOP_ACTIVE: _C.DISABLE_VOLTAGE,
+    },
+    _S.SWITCH_ON_DISABLED: {},
+}
+
+
+def decode(statusword: int) -> PowerState:
+    """The state that a statusword (0x6041) encodes."""
+    return _STATES[statusword & _STATE_BITS]
+
+
+def next_controlword(state: PowerState, target: PowerState) -> Controlword:
+    """The command that leads from `state` one step towards `target` (a key of `WALK`).
+
+    A state from which no step leads there (fault, fault reaction, not ready, unknown) gives DISABLE_VOLTAGE.
+    """
+    return WALK[target].get(state, Controlword.DISABLE_VOLTAGE)

@@ -1,0 +1,127 @@
+"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) behind the seam, and the seam behind python-can.
+
+`PythonCan` serves adapters without SocketCAN. `SeamBus` is the other way round: it lets canopen (SDO, NMT, EMCY)
+configure the drives over the very bus that the loop uses afterwards.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+
+import can
+
+from tsa_ctrl.bus.seam import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Bus, BusFault, Counters, Frame
+from tsa_ctrl.errors import BusError
+
+Option = str | int | float | bool
+
+_FLUSH_LIMIT = 100_000  # frames
+
+
+class PythonCan:
+    """A `Bus` over `can.Bus(interface=..., channel=..., **options)`; raises BusError when it cannot be opened."""
+
+    def __init__(self, interface: str, channel: str, bitrate: int, options: Mapping[str, Option] | None = None) -> None:
+        self.name = f"{interface}:{channel}"
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+        arguments: dict[str, Option] = {"bitrate": bitrate}
+        if interface == "udp_multicast":
+            arguments = {"fd": False}
+        arguments.update(options or {})
+        try:
+            self._bus: can.BusABC = can.Bus(interface=interface, channel=channel, **arguments)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BusError(
+                f"[bus] interface '{interface}' channel '{channel}': cannot be opened ({reason}); "
+                "check interface, channel and options against python-can's documentation of this interface"
+            ) from None
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, check=False)
+        try:
+            self._bus.send(message, timeout=0.0)
+        except can.CanOperationError:
+            self.counters.dropped += 1
+            return False
+        except (can.CanError, OSError):
+            self.counters.dropped += 1
+            self.fault = self.fault or BusFault.ADAPTER
+            return False
+        self.counters.sent += 1
+        return True
+
+    def recv(self, timeout: float) -> Frame | None:
+        try:
+            message = self._bus.recv(max(0.0, timeout))
+        except (can.CanError, OSError):
+            self.fault = self.fault or BusFault.ADAPTER
+            return None
+        if message is None:
+            return None
+        self.counters.received += 1
+        can_id = message.arbitration_id
+        if message.is_error_frame:
+            can_id |= ERROR_FLAG
+        elif message.is_remote_frame:
+            can_id |= REMOTE_FLAG
+        elif message.is_extended_id:
+            can_id |= EXTENDED_FLAG
+        return can_id, bytes(message.data)
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        if can_ids is None:
+            self._bus.set_filters(None)
+        else:
+            self._bus.set_filters(
+                [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(set(can_ids))]
+            )
+
+    def flush(self) -> int:
+        count = 0
+        while count < _FLUSH_LIMIT and self.recv(0.0) is not None:
+            count += 1
+        return count
+
+    def clear_fault(self) -> None:
+        self.fault = None
+
+    def fileno(self) -> int:
+        try:
+            return int(self._bus.fileno())
+        except NotImplementedError:
+            return -1
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+class SeamBus(can.BusABC):  # type: ignore[misc]  # python-can is not followed by mypy
+    """python-can's face of a `Bus`; closing it leaves the bus open."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._seam = bus
+        self.channel_info = bus.name
+        super().__init__(channel=bus.name)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if not self._seam.send(msg.arbitration_id, bytes(msg.data)):
+            raise can.CanOperationError(f"{self._seam.name}: frame dropped")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        frame = self._seam.recv(0.1 if timeout is None else timeout)
+        if frame is None:
+            return None, False
+        can_id, data = frame
+        message = can.Message(
+            timestamp=time.time(),
+            arbitration_id=can_id & 0x1FFFFFFF,
+            is_extended_id=bool(can_id & EXTENDED_FLAG),
+            is_remote_frame=bool(can_id & REMOTE_FLAG),
+            is_error_frame=bool(can_id & ERROR_FLAG),
+            data=data,
+            check=False,
+        )
+        return message, False

@@ -1,0 +1,73 @@
+"""The one seam to the world: what the rest of the package asks of a CAN bus, whatever carries it.
+
+A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` set in its
+identifier, its class in the bits below and its details in the data (Linux `can/error.h`, see `error_frames`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+ERROR_FLAG = 0x20000000  # CAN_ERR_FLAG
+EXTENDED_FLAG = 0x80000000  # CAN_EFF_FLAG
+REMOTE_FLAG = 0x40000000  # CAN_RTR_FLAG
+
+Frame = tuple[int, bytes]
+
+
+class BusFault(Enum):
+    """Why a bus cannot carry torque any longer; latched until `Bus.clear_fault`."""
+
+    INTERFACE_DOWN = "the interface is down"
+    INTERFACE_GONE = "the interface is gone"
+    BUS_OFF = "the controller is bus-off"
+    ADAPTER = "the adapter failed"
+
+
+@dataclass(slots=True)
+class Counters:
+    """Frames since the bus was opened; `dropped` were given to `send` and never reached the wire."""
+
+    sent: int = 0
+    received: int = 0
+    dropped: int = 0
+    error_frames: int = 0
+
+
+class Bus(Protocol):
+    """A CAN bus. Never blocks in `send`, never queues what is stale, never hears its own frames."""
+
+    name: str
+    counters: Counters
+    fault: BusFault | None
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        """Send one frame; False when it was dropped (queue full, interface down), which is counted."""
+        ...
+
+    def recv(self, timeout: float) -> Frame | None:
+        """The next frame, waiting at most `timeout` s; None when there is none or the bus has failed (see `fault`)."""
+        ...
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        """Receive these identifiers (and error frames) only; None receives all."""
+        ...
+
+    def flush(self) -> int:
+        """Throw away what waits to be received; the number of frames thrown away."""
+        ...
+
+    def clear_fault(self) -> None:
+        """Forget a latched fault, when somebody asked for a new start."""
+        ...
+
+    def fileno(self) -> int:
+        """Descriptor that becomes readable with a frame, or -1."""
+        ...
+
+    def close(self) -> None:
+        """Release the bus; may be called twice."""
+        ...

@@ -1,0 +1,99 @@
+"""Settings of a bus and of the nodes of one axis; SI units, strict. The controller's file is composed of these."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+NodeId = Annotated[int, Meta(ge=1, le=127)]
+Positive = Annotated[float, Meta(gt=0.0)]
+Fraction = Annotated[float, Meta(gt=0.0, le=1.0)]
+Sign = Literal[1, -1]
+Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
+Seconds = Annotated[float, Meta(ge=0.001, le=10.0)]
+Counts = Annotated[int, Meta(ge=1, le=1 << 32)]
+Cycles = Annotated[int, Meta(ge=0, le=100)]
+
+
+class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """When a running axis is stopped; what is not listed here (EMCY, boot-up, bus-off, ...) always stops it."""
+
+    tolerated_misses: Cycles = 2  # cycles without a fresh PDO in a row; one more is a fault
+    tolerated_drops: Cycles = 2  # commands in a row that could not be sent; one more is a fault
+    enable_timeout: Seconds = 2.0  # s, from the request to operation enabled
+    disable_timeout: Seconds = 1.0  # s, from the request to the drive's confirmation
+    reset_timeout: Seconds = 2.0  # s, for the drive to leave its fault
+
+
+class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One CAN bus."""
+
+    interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or any interface of python-can
+    channel: Annotated[str, Meta(min_length=1)] = "vcan0"
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s
+    options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface
+    rpdo: Literal["sync", "arrival"] = "sync"  # a torque is applied at the next SYNC, or when it arrives
+    host_node_id: NodeId = 127  # of our heartbeat
+    host_heartbeat_period: Seconds = 0.02  # s
+    max_load: Fraction = 0.9  # of the bit rate, in the worst case of bit stuffing; more is refused at start
+    send_queue: Annotated[int, Meta(ge=4, le=1024)] = 32  # frames that may wait in the kernel
+    supervision: SupervisionSettings = SupervisionSettings()
+
+
+class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What every node has."""
+
+    node_id: NodeId
+    vendor_id: Word | None = None  # 0x1018:1; checked when given
+    product_code: Word | None = None  # 0x1018:2; checked when given
+    heartbeat_period: Seconds = 0.05  # s, 0x1017
+    heartbeat_timeout: Seconds = 0.2  # s without one is a fault
+
+
+class DriveSettings(NodeSettings, frozen=True, kw_only=True):
+    """A CiA 402 drive in cyclic synchronous torque mode. Torque, speed and angle are those of the motor pulley."""
+
+    profile: str = "generic"  # name of a file in drives/ beside the configuration, or a path
+    eds: str | None = None  # EDS file; default: the built-in dictionary
+    rated_torque: Positive = 1.0  # N*m of the motor, what 0x6076 must say
+    counts_per_revolution: Counts = 65536  # of the motor, 0x6064
+    gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
+    torque_sign: Sign = 1
+    position_sign: Sign = 1  # of position and velocity
+    velocity_source: Literal["drive", "position"] = "drive"  # 0x606C, or 0x6064 differentiated
+    velocity_cutoff: Positive = 100.0  # Hz, of the filter when differentiated
+    max_torque: Positive | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio
+    max_speed: Positive = 50.0  # rad/s, the drive's own clamp 0x6080
+    host_timeout: Seconds = 0.1  # s without our heartbeat, 0x1016: the drive stops by itself
+    rpdo_timeout: Seconds = 0.02  # s without a command, 0x1400:5, where the drive has it
+    connection_loss: Literal["fault", "disable_voltage", "quick_stop"] = "fault"  # 0x6007
+    require_watchdog: bool = True  # refuse a drive that would go on when this computer dies
+
+
+class EncoderSettings(NodeSettings, frozen=True, kw_only=True):
+    """A CiA 406 joint encoder."""
+
+    counts_per_revolution: Counts = 1 << 20
+    counts_range: Counts = 1 << 32  # where the position value wraps
+    sign: Sign = 1
+    zero: Annotated[int, Meta(ge=0, le=0xFFFFFFFF)] = 0  # counts at q_j = 0
+    velocity_cutoff: Positive = 50.0  # Hz, first-order low-pass on the differentiated position
+
+
+class TorqueSensorSettings(NodeSettings, frozen=True, kw_only=True):
+    """A CiA 404 joint torque sensor: for measurement, not for control."""
+
+    resolution: Positive = 1e-6  # N*m per digit of 0x9130:1
+    sign: Sign = 1
+    offset: float = 0.0  # N*m, subtracted
+
+
+class AxisNodes(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The nodes of one axis; only the drive must be there."""
+
+    name: Annotated[str, Meta(min_length=1)]
+    drive: DriveSettings
+    encoder: EncoderSettings | None = None
+    torque_sensor: TorqueSensorSettings | None = None

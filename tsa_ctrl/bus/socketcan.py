@@ -1,0 +1,132 @@
+"""Raw SocketCAN (Linux, AF_CAN): one precompiled struct, no threads, no queue of its own."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import select
+import socket
+import struct
+from collections.abc import Iterable
+
+from tsa_ctrl.bus.seam import BusFault, Counters, Frame
+from tsa_ctrl.errors import BusError
+
+FRAME = struct.Struct("=IB3x8s")  # struct can_frame: can_id, len, padding, data
+FILTER = struct.Struct("=II")  # struct can_filter: can_id, can_mask
+_ID_MASK = 0xC00007FF  # standard data frames of exactly this identifier
+_CAN_RAW_ERR_FILTER = 2  # of linux/can/raw.h
+_ALL_ERRORS = 0x1FFFFFFF  # CAN_ERR_MASK
+_MAX_FILTERS = 512  # CAN_RAW_FILTER_MAX
+_SIOCGIFFLAGS = 0x8913
+_IFF_UP = 0x1
+_TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
+_FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
+
+_DROPPED = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK})
+_FAULTS = {
+    errno.ENETDOWN: BusFault.INTERFACE_DOWN,
+    errno.ENODEV: BusFault.INTERFACE_GONE,
+    errno.ENXIO: BusFault.INTERFACE_GONE,
+}
+
+
+class SocketCan:
+    """A `Bus` on a SocketCAN interface.
+
+    `channel`: interface name. `send_queue`: frames that may wait in the kernel; a further one is dropped and counted,
+    so that no stale torque plays out after a bus has recovered. Raises BusError when the interface is missing or down.
+    """
+
+    def __init__(self, channel: str, send_queue: int = 32) -> None:
+        self.name = channel
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+        try:
+            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise BusError(
+                f"[bus] channel '{channel}': this kernel offers no SocketCAN ({error.strerror}); "
+                "load the module can_raw, or choose another [bus] interface"
+            ) from None
+        try:
+            self._open(channel, send_queue)
+        except BaseException:
+            self._socket.close()
+            raise
+        self._fd = self._socket.fileno()
+        self._buffer = bytearray(FRAME.size)
+        self._send = self._socket.send
+        self._recv_into = self._socket.recv_into
+        self._readable: tuple[list[int], list[int], list[int]] = ([self._fd], [], [])
+
+    def _open(self, channel: str, send_queue: int) -> None:
+        raw = self._socket
+        raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_queue * _TRUESIZE // 2)  # the kernel doubles it
+        try:
+            raw.bind((channel,))
+        except OSError:
+            names = sorted(name for _, name in socket.if_nameindex() if "can" in name)
+            found = f"CAN interfaces here: {', '.join(names)}" if names else "there is no CAN interface here"
+            raise BusError(
+                f"[bus] channel '{channel}': no such CAN interface; {found}; plug the adapter in or correct the name"
+            ) from None
+        request = struct.pack("16sH14x", channel.encode(), 0)
+        flags = struct.unpack_from("H", fcntl.ioctl(raw, _SIOCGIFFLAGS, request), 16)[0]
+        if not flags & _IFF_UP:
+            raise BusError(
+                f"[bus] channel '{channel}': the interface is down; set its bit rate and bring it up: "
+                f"ip link set {channel} up type can bitrate 1000000"
+            )
+        raw.setblocking(False)
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        try:
+            self._send(FRAME.pack(can_id, len(data), data))
+        except OSError as error:
+            self.counters.dropped += 1
+            self._note(error)
+            return False
+        self.counters.sent += 1
+        return True
+
+    def recv(self, timeout: float) -> Frame | None:
+        try:
+            if timeout > 0.0 and not select.select(*self._readable, timeout)[0]:  # microseconds; poll has milliseconds
+                return None
+            self._recv_into(self._buffer)
+        except OSError as error:
+            self._note(error)
+            return None
+        can_id, length, data = FRAME.unpack(self._buffer)
+        self.counters.received += 1
+        return can_id, data[:length]
+
+    def _note(self, error: OSError) -> None:
+        """Latch what ends the bus; a full queue (send) or an empty one (recv) is no fault."""
+        if error.errno not in _DROPPED and self.fault is None:
+            self.fault = _FAULTS.get(error.errno or 0, BusFault.ADAPTER)
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        wanted = None if can_ids is None else sorted(set(can_ids))
+        if wanted is None or len(wanted) > _MAX_FILTERS:
+            filters = FILTER.pack(0, 0)
+        else:
+            filters = b"".join(FILTER.pack(can_id, _ID_MASK) for can_id in wanted)
+        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
+
+    def flush(self) -> int:
+        count = 0
+        while count < _FLUSH_LIMIT and self.recv(0.0) is not None:
+            count += 1
+        return count
+
+    def clear_fault(self) -> None:
+        self.fault = None
+
+    def fileno(self) -> int:
+        return self._fd
+
+    def close(self) -> None:
+        self._socket.close()
