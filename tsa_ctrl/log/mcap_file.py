@@ -1,0 +1,224 @@
+"""An MCAP file that is whole after every chunk, however the writing process ends.
+
+Format: the MCAP specification, version 0 (mcap.dev/spec). One channel per axis, schema encoding "ros2msg", message
+encoding "cdr": four bytes of header, then the doubles of one record, little-endian. Chunks carry their check sum;
+indices for quick opening are written at the end.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    MessageIndex,
+    Metadata,
+    Schema,
+    Statistics,
+)
+from numpy.typing import NDArray
+
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.record import FIELDS
+
+MAGIC = b"\x89MCAP0\r\n"
+SCHEMA_NAME = "tsa_ctrl/msg/Cycle"
+CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+FILES = "file:"  # metadata records of this prefix hold the text of a configuration file
+
+MESSAGE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+        ("cdr", "V4"),
+        ("values", "<f8", (len(FIELDS),)),
+    ]
+)
+"""One message record inside a chunk, packed."""
+
+
+def schema_text() -> bytes:
+    """The record as a ROS 2 message definition, unit and meaning as comments."""
+    return "".join(f"float64 {column.name}  # {column.unit}: {column.doc}\n" for column in FIELDS).encode()
+
+
+class McapFile:
+    """Writes records chunk by chunk; where one cannot be written, the file stays whole up to the last one."""
+
+    def __init__(self, path: Path, header: LogHeader) -> None:
+        """Create `path` (never an existing file) and write the head of the log. Raises OSError."""
+        self._file = path.open("xb", buffering=0)
+        self._header = header
+        self._position = 0
+        self._sequence = [0] * len(header.axes)
+        self._indices: list[ChunkIndex] = []
+        self._compress = zstandard.ZstdCompressor(level=1).compress
+        self._first_time = self._last_time = 0
+        self._schema = Schema(id=1, name=SCHEMA_NAME, encoding="ros2msg", data=schema_text())
+        self._channels = [
+            Channel(id=i + 1, topic=f"/{name}", message_encoding="cdr", metadata={"axis": name}, schema_id=1)
+            for i, name in enumerate(header.axes)
+        ]
+        try:
+            self._append(MAGIC + self._head())
+        except OSError:
+            self._file.close()
+            path.unlink(missing_ok=True)
+            raise
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._position
+
+    @property
+    def written(self) -> int:
+        """Records written so far."""
+        return sum(self._sequence)
+
+    def write(self, records: Sequence[NDArray[np.float64]]) -> None:
+        """One chunk: per axis the records since the last one, shape (k, fields). Raises OSError, adding nothing."""
+        messages = [self._messages(axis, block) for axis, block in enumerate(records)]
+        if not any(len(block) for block in messages):
+            return
+        data = b"".join(block.tobytes() for block in messages)
+        times = np.concatenate([block["log_time"] for block in messages])
+        start, end = int(times.min()), int(times.max())
+        builder = RecordBuilder()
+        Chunk(
+            compression="zstd",
+            data=self._compress(data),
+            message_start_time=start,
+            message_end_time=end,
+            uncompressed_crc=zlib.crc32(data),
+            uncompressed_size=len(data),
+        ).write(builder)
+        chunk_length = builder.count
+        offsets: dict[int, int] = {}
+        begin = 0
+        for axis, block in enumerate(messages):
+            if len(block):
+                at = range(begin, begin + block.nbytes, MESSAGE.itemsize)
+                offsets[axis + 1] = self._position + builder.count
+                entries = list(zip(block["log_time"].tolist(), at, strict=True))
+                MessageIndex(channel_id=axis + 1, records=entries).write(builder)
+            begin += block.nbytes
+        index = ChunkIndex(
+            chunk_start_offset=self._position,
+            chunk_length=chunk_length,
+            compression="zstd",
+            compressed_size=chunk_length - 9 - 40 - len("zstd"),
+            message_start_time=start,
+            message_end_time=end,
+            message_index_length=builder.count - chunk_length,
+            message_index_offsets=offsets,
+            uncompressed_size=len(data),
+        )
+        self._append(builder.end())
+        self._first_time = start if not self._indices else min(start, self._first_time)
+        self._last_time = max(end, self._last_time)
+        self._indices.append(index)
+        for axis, block in enumerate(messages):
+            self._sequence[axis] += len(block)
+
+    def finish(self) -> None:
+        """Write the indices and close the file; without it the file can still be read. Raises OSError."""
+        try:
+            self._append(self._summary())
+        finally:
+            self._file.close()
+
+    def _messages(self, axis: int, block: NDArray[np.float64]) -> NDArray[Any]:
+        messages = np.zeros(len(block), dtype=MESSAGE)
+        messages["opcode"] = Opcode.MESSAGE
+        messages["length"] = MESSAGE.itemsize - 9
+        messages["channel"] = axis + 1
+        messages["sequence"] = (self._sequence[axis] + np.arange(len(block))) & 0xFFFFFFFF
+        seconds = np.nan_to_num(block[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
+        nanoseconds = np.rint(seconds * 1e9).astype(np.int64) + round(self._header.started * 1e9)
+        messages["log_time"] = messages["publish_time"] = np.maximum(nanoseconds, 0)
+        messages["cdr"] = np.void(CDR_LITTLE_ENDIAN)
+        messages["values"] = block
+        return messages
+
+    def _append(self, data: bytes) -> None:
+        """All of `data` or nothing of it."""
+        view = memoryview(data)
+        try:
+            while view:
+                view = view[self._file.write(view) :]
+        except OSError:
+            self._file.truncate(self._position)
+            self._file.seek(self._position)
+            raise
+        self._position += len(data)
+
+    def _head(self) -> bytes:
+        builder = RecordBuilder()
+        Header(profile="", library=f"tsa-ctrl {self._header.version}").write(builder)
+        self._schema.write(builder)
+        for channel in self._channels:
+            channel.write(builder)
+        for record in self._metadata():
+            record.write(builder)
+        return bytes(builder.end())
+
+    def _metadata(self) -> list[Metadata]:
+        header = self._header
+        started = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(header.started))
+        about = {
+            "version": header.version,
+            "axes": json.dumps(list(header.axes)),
+            "rate": repr(header.rate),
+            "started": started,
+            "fields": json.dumps([column.name for column in FIELDS]),
+            "units": json.dumps({column.name: column.unit for column in FIELDS}),
+            "codes": json.dumps(header.codes),
+        }
+        records = [Metadata(name="tsa_ctrl", metadata=about)]
+        for name, text in header.files.items():
+            sha256 = hashlib.sha256(text.encode()).hexdigest()
+            records.append(Metadata(name=FILES + name, metadata={"sha256": sha256, "text": text}))
+        return records
+
+    def _summary(self) -> bytes:
+        builder = RecordBuilder()
+        DataEnd(data_section_crc=0).write(builder)
+        start = self._position + builder.count
+        self._schema.write(builder)
+        for channel in self._channels:
+            channel.write(builder)
+        Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts={axis + 1: count for axis, count in enumerate(self._sequence)},
+            chunk_count=len(self._indices),
+            message_count=self.written,
+            message_start_time=self._first_time,
+            message_end_time=self._last_time,
+            metadata_count=1 + len(self._header.files),
+            schema_count=1,
+        ).write(builder)
+        for index in self._indices:
+            index.write(builder)
+        Footer(summary_start=start, summary_offset_start=0, summary_crc=0).write(builder)
+        return bytes(builder.end()) + MAGIC

@@ -1,0 +1,97 @@
+"""Starting and ending the log writer from the real-time process; nothing here is called inside a cycle."""
+
+from __future__ import annotations
+
+import datetime
+import subprocess
+import sys
+from pathlib import Path
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.record import LogHealth, RingWriter, WriterState
+
+PATIENCE = 5.0  # s for the writer to drain and complete the file
+
+
+def new_log_path(folder: Path, now: datetime.datetime | None = None) -> Path:
+    """A name that is not taken: FOLDER/tsa-20250131-142501.mcap, with a number behind it if need be."""
+    stamp = (now or datetime.datetime.now()).strftime("%Y%m%d-%H%M%S")
+    path = folder / f"tsa-{stamp}.mcap"
+    number = 1
+    while path.exists():
+        number += 1
+        path = folder / f"tsa-{stamp}-{number}.mcap"
+    return path
+
+
+class LogProcess:
+    """The log writer as a child process.
+
+    Start it before real-time scheduling is asked for, so that it runs without it.
+    """
+
+    def __init__(self, path: Path, ring: RingWriter, header: LogHeader) -> None:
+        """Raises UsageError when no new file can be created at `path`."""
+        self.path = path
+        self._ring = ring
+        check_place(path)
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "tsa_ctrl.log.writer", str(ring.fd), str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            pass_fds=[ring.fd],
+        )
+        assert self._child.stdin is not None
+        try:
+            self._child.stdin.write(header.to_json().encode() + b"\n")
+            self._child.stdin.flush()
+        except BrokenPipeError:  # it ended at once; `alive` and `health` say so
+            return
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    @property
+    def alive(self) -> bool:
+        """False once the process is gone; then records are no longer written."""
+        return self._child.poll() is None
+
+    def health(self) -> LogHealth:
+        """What the writer last said."""
+        return LogHealth(self._ring)
+
+    def end(self, timeout: float = PATIENCE) -> LogHealth:
+        """No more records come: let the writer drain the ring and complete the file; it is killed after `timeout` s."""
+        self._ring.finish()
+        try:
+            self._child.communicate(timeout=timeout)  # closes its stdin, too
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        return self.health()
+
+    def summary(self) -> str:
+        """One line for people about the log, after `end`."""
+        health = self.health()
+        line = f"log: {self.path} ({health.written} records, {health.bytes / 1e6:.1f} MB)"
+        if health.lost:
+            line += f", {health.lost} records lost"
+        if health.trouble:
+            line += f", last trouble: {health.trouble}"
+        if health.state is not WriterState.ENDED:
+            line += ", not completed: the writer ended early; it can be read up to its last chunk"
+        return line
+
+
+def check_place(path: Path) -> None:
+    """Raise UsageError when a new log cannot be created at `path`; leaves nothing behind."""
+    try:
+        with path.open("xb"):
+            pass
+        path.unlink()
+    except FileExistsError:
+        raise UsageError(f"{path}: exists already; a log is never overwritten: choose another name") from None
+    except OSError as error:
+        raise UsageError(f"{path}: the log cannot be created ({error.strerror}); choose another folder") from None

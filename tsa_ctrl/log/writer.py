@@ -1,0 +1,124 @@
+"""The process that takes records from the ring to the file: `python -m tsa_ctrl.log.writer FD PATH`, header on stdin.
+
+It ends when the owner says so or dies (its end of stdin closes), after draining the ring. A disk that is full or gone
+is said through the ring, counted and tried again; the real-time process never waits for it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import select
+import signal
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.record import FIELDS, RingReader, WriterState
+
+POLL = 0.05  # s between looks at the ring
+CHUNK = 0.5  # s of records in one chunk: what a kill can cost
+RETRY = 1.0  # s between attempts after a trouble
+MOST_PENDING = 120_000  # records kept while the disk is in trouble, about 25 MB; older ones are lost
+
+Blocks = list[NDArray[np.float64]]
+
+
+class LogWriter:
+    """Drains one ring into one file; `step` is one look, without sleeping."""
+
+    def __init__(self, ring: RingReader, path: Path, header: LogHeader) -> None:
+        self._ring = ring
+        self._path = path
+        self._header = header
+        self._file: McapFile | None = None
+        self._pending: list[Blocks] = [[] for _ in header.axes]
+        self._waiting = 0
+        self._dropped = 0
+        self._trouble = 0
+        self._due = 0.0
+
+    def step(self, now: float, last: bool = False) -> None:
+        """Take what the ring has; write a chunk when it is due, or at once when `last`. `now` in s, any clock."""
+        for axis, pending in enumerate(self._pending):
+            block = self._ring.read(axis)
+            if len(block):
+                pending.append(block)
+                self._waiting += len(block)
+        if now >= self._due or last:
+            self._write()
+            self._due = now + (RETRY if self._trouble else CHUNK)
+        while self._waiting > MOST_PENDING:
+            self._drop_oldest()
+        self._report(WriterState.TROUBLED if self._trouble else WriterState.WRITING)
+
+    def end(self) -> None:
+        """Write what is left and complete the file."""
+        self.step(0.0, last=True)
+        try:
+            if self._file is not None:
+                self._file.finish()
+        except OSError as error:
+            self._trouble = error.errno or errno.EIO
+        self._dropped += self._waiting
+        self._report(WriterState.ENDED)
+
+    def _write(self) -> None:
+        try:
+            if self._file is None:
+                self._file = McapFile(self._path, self._header)
+            self._file.write([_joined(blocks) for blocks in self._pending])
+        except OSError as error:
+            self._trouble = error.errno or errno.EIO
+            return
+        self._trouble = 0
+        self._waiting = 0
+        for blocks in self._pending:
+            blocks.clear()
+
+    def _drop_oldest(self) -> None:
+        blocks = max(self._pending, key=lambda pending: sum(len(block) for block in pending))
+        dropped = len(blocks.pop(0))
+        self._waiting -= dropped
+        self._dropped += dropped
+
+    def _report(self, state: WriterState) -> None:
+        file = self._file
+        self._ring.report(
+            state,
+            written=file.written if file else 0,
+            lost=self._ring.lost + self._dropped,
+            trouble=self._trouble,
+            size=file.size if file else 0,
+        )
+
+
+def _joined(blocks: Blocks) -> NDArray[np.float64]:
+    return np.concatenate(blocks) if blocks else np.empty((0, len(FIELDS)))
+
+
+def main(argv: list[str]) -> int:
+    """Run until the owner finishes the ring or dies."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # they reach the whole group; the owner decides when records end
+        signal.signal(number, signal.SIG_IGN)
+    fd, path = int(argv[0]), Path(argv[1])
+    owner = os.getppid()
+    header = LogHeader.from_json(sys.stdin.buffer.readline().decode())
+    ring = RingReader(fd)
+    writer = LogWriter(ring, path, header)
+    orphaned = False
+    while not (ring.finished or orphaned):
+        writer.step(time.monotonic())
+        readable, _, _ = select.select([sys.stdin], [], [], POLL)
+        orphaned = bool(readable and not os.read(sys.stdin.fileno(), 4096)) or os.getppid() != owner
+    writer.end()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
