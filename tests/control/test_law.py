@@ -24,13 +24,16 @@ class Friction:
         tau_j_des: float,
         sigma: float,
         omega_j: float,
-        q_j: float,
-        q_m: float,
-        temperature: float,
-        theta: float,
-        t: float,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+        temperature: float = math.nan,
+        theta: float = math.nan,
+        t: float = math.nan,
     ) -> float:
         return tau_j_des * RATIO + self.size * sigma
+
+    def domain_limit(self) -> float:
+        return 5.0
 
     def reset(self) -> None:
         self.resets += 1
@@ -40,7 +43,7 @@ class Friction:
 
 
 def step(law: Law, tau_j_des: float, sigma: float, back_off: float = 1.0) -> float:
-    return law.update(tau_j_des, sigma, 0.0, 0.0, 0.0, math.nan, 0.0, back_off)
+    return law.update(tau_j_des, sigma, 0.0, 0.0, 0.0, 0.0, back_off)
 
 
 def test_adds_the_compensated_share() -> None:
@@ -110,3 +113,10 @@ def test_reset_resets_the_inverse() -> None:
     friction = Friction()
     Law(friction, RATIO, LawSettings(), PERIOD).reset()
     assert friction.resets == 1
+
+
+def test_stays_where_both_tendons_pull() -> None:
+    """Whatever is asked, the output stays within the inverse's domain."""
+    law = Law(Friction(0.5), RATIO, LawSettings(fade_in=0.0, slew=1e4), PERIOD)
+    assert step(law, 100.0, 1.0) == 5.0
+    assert step(law, -100.0, 1.0) == -5.0

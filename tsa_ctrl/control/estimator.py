@@ -107,4 +107,6 @@ class ConfigurationMap:
 def toward(value: float, target: float, step: float) -> float:
     """`value` moved to `target`, by at most `step`."""
     change = target - value
-    return value + (step if change > step else -step if change < -step else change)
+    if change > step:
+        return value + step
+    return value - step if change < -step else target

@@ -4,7 +4,7 @@
 
 tau_ff is the model's exact inverse (3.55) with its effects; c the compensation factor (below 1: over-compensation
 oscillates), f the fade-in after every enable, b the oscillation monitor's back-off. The slew limit keeps a reversal
-from being a step.
+from being a step. The sum stays where both tendons pull, abs(tau_M) < 2 T_p r_M, unless the model knows slack.
 """
 
 from __future__ import annotations
@@ -29,12 +29,14 @@ class Inverse(Protocol):
         tau_j_des: float,
         sigma: float,
         omega_j: float,
-        q_j: float,
-        q_m: float,
-        temperature: float,
-        theta: float,
-        t: float,
+        q_j: float = ...,
+        q_m: float = ...,
+        temperature: float = ...,
+        theta: float = ...,
+        t: float = ...,
     ) -> float: ...
+
+    def domain_limit(self) -> float: ...
 
     def reset(self) -> None: ...
 
@@ -77,17 +79,15 @@ class Law:
         omega_j: float,
         q_j: float,
         q_m: float,
-        theta: float,
         t: float,
         back_off: float,
     ) -> float:
         """Motor torque wanted, N*m; `t` is the time since the enable in s, `back_off` in [0, 1]."""
-        nan = float("nan")
         ideal = tau_j_des * self._ratio
         fade = self._fade
         if fade < 1.0:
             self._fade = fade = min(1.0, fade + self._fade_step)
-        full = self._inverse.update(tau_j_des, sigma, omega_j, q_j, q_m, nan, theta, t)
+        full = self._inverse.update(tau_j_des, sigma, omega_j, q_j, q_m, t=t)
         change = self.compensation * fade * back_off * (full - ideal) - self.friction_term
         step = self.slew * self._period
         if change > step:
@@ -96,7 +96,9 @@ class Law:
             change = -step
         self.ideal = ideal
         self.friction_term += change
-        return ideal + self.friction_term
+        wanted = ideal + self.friction_term
+        limit = self._inverse.domain_limit()
+        return limit if wanted > limit else -limit if wanted < -limit else wanted
 
     def applied(self, tau_m: float) -> None:
         """Tell the law what was sent; a term that was cut slews on from what was left of it."""

@@ -1,0 +1,187 @@
+"""The controller's configuration: one strict file, and what it refers to, checked before anything moves."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl import settings
+from tsa_ctrl.bus import budget
+from tsa_ctrl.bus.budget import Load
+from tsa_ctrl.bus.profile import DriveProfile, load_profile
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.control.bending import BendingSettings
+from tsa_ctrl.control.direction import DirectionSettings
+from tsa_ctrl.control.estimator import EstimatorSettings
+from tsa_ctrl.control.law import LawSettings
+from tsa_ctrl.control.limiter import LimiterSettings
+from tsa_ctrl.control.oscillation import OscillationSettings
+from tsa_ctrl.control.realtime import RealtimeSettings
+from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
+
+
+class ControllerSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The loop as a whole."""
+
+    name: Name = "rig"
+    rate: Annotated[float, Meta(ge=10.0, le=4000.0)] = 1000.0  # Hz of SYNC
+    collect: Annotated[float, Meta(gt=0.05, le=0.9)] = 0.6  # share of the period in which answers are waited for
+    settle_cycles: Annotated[int, Meta(ge=1, le=100_000)] = 100  # complete cycles in a row before any enable
+    stop_time: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.3  # s, in which the torque goes to 0 at a stop
+    after_fault: Literal["wait", "exit"] = "wait"  # stay, latched, for `tsa set recover 1` or `tsa stop`; or end
+    linked: bool = True  # a fault of one axis ramps all others to 0
+
+
+class LogSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Where each cycle of each axis is written."""
+
+    enabled: bool = True
+    folder: str = "logs"  # relative to the configuration file
+    buffer: Annotated[int, Meta(ge=100, le=10_000_000)] = 20_000  # records per axis between loop and writer
+
+
+class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The local socket of `tsa status`, `tsa set`, `tsa stop`."""
+
+    enabled: bool = True
+    path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else tsa-UID.sock in the folder for temporary files
+    group: str | None = None  # this group may use it too; default: the user who started the daemon alone
+
+
+class AxisSettings(AxisNodes, frozen=True, kw_only=True):
+    """One axis: its nodes and everything that controls it."""
+
+    name: Name
+    model: str  # actuator model file, relative to the configuration file
+    limits: LimiterSettings
+    setpoint: SetPointSettings = SetPointSettings()
+    law: LawSettings = LawSettings()
+    direction: DirectionSettings = DirectionSettings()
+    estimator: EstimatorSettings = EstimatorSettings()
+    bending: BendingSettings = BendingSettings()
+    oscillation: OscillationSettings = OscillationSettings()
+
+
+class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    controller: ControllerSection = ControllerSection()
+    bus: BusSettings = BusSettings()
+    realtime: RealtimeSettings = RealtimeSettings()
+    log: LogSettings = LogSettings()
+    socket: SocketSettings = SocketSettings()
+    axes: tuple[AxisSettings, ...] = msgspec.field(name="axis")
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A checked configuration with what it refers to already read."""
+
+    path: Path
+    file: ControllerFile
+    text: str
+    models: tuple[TendonSheath, ...]  # one per axis
+    profiles: tuple[DriveProfile, ...]  # one per axis
+    load: Load
+
+    @property
+    def period(self) -> float:
+        """s"""
+        return 1.0 / self.file.controller.rate
+
+    @property
+    def folder(self) -> Path:
+        return self.path.parent
+
+    @property
+    def log_folder(self) -> Path:
+        return self.folder / self.file.log.folder
+
+
+def load_configuration(path: str | Path) -> Configuration:
+    """Read and check a controller file; raises UsageError in one line for anything wrong with it."""
+    path = Path(path)
+    file = settings.load(path, ControllerFile)
+    if not file.axes:
+        raise UsageError(f"{path}: no [[axis]]; give at least one")
+    _check_unique(path, file)
+    folder = path.parent
+    models = tuple(load_tendon_sheath(folder / axis.model) for axis in file.axes)
+    profiles = tuple(load_profile(axis.drive.profile, folder) for axis in file.axes)
+    for axis, model in zip(file.axes, models, strict=True):
+        _check_axis(f"{path}: axis '{axis.name}'", axis, model, file)
+        SetPoint(axis.setpoint, 1.0 / file.controller.rate, folder)
+    try:
+        load = budget.check(file.bus, file.axes, file.controller.rate)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+    return Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load)
+
+
+def _check_unique(path: Path, file: ControllerFile) -> None:
+    """Axis names and node ids belong to one axis, one node each."""
+    names = Counter(axis.name for axis in file.axes)
+    for name, number in names.items():
+        if number > 1:
+            raise UsageError(f"{path}: {number} axes are named '{name}'; give each its own name")
+    owners: dict[int, str] = {file.bus.host_node_id: "[bus] host_node_id"}
+    for axis in file.axes:
+        for role in ("drive", "encoder", "torque_sensor"):
+            node = getattr(axis, role)
+            if node is None:
+                continue
+            owner = f"axis '{axis.name}' {role}"
+            if node.node_id in owners:
+                raise UsageError(
+                    f"{path}: node_id {node.node_id} is given to {owners[node.node_id]} and to {owner}; "
+                    "give each node its own from 1 to 127"
+                )
+            owners[node.node_id] = owner
+
+
+def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> None:
+    """Contradictions between the sections of one axis, its model and the bus."""
+    drive, limits, period = axis.drive, axis.limits, 1.0 / file.controller.rate
+    most = drive.rated_torque * drive.gear_ratio if drive.max_torque is None else drive.max_torque
+    if limits.torque > most:
+        raise UsageError(
+            f"{where}: limits.torque {limits.torque:g} N*m is above the drive's own clamp of {most:g} N*m "
+            "(drive.max_torque, default rated torque times gear ratio); lower it, or raise max_torque"
+        )
+    if limits.motor_over_speed > drive.max_speed:
+        raise UsageError(
+            f"{where}: limits.motor_over_speed {limits.motor_over_speed:g} rad/s is above drive.max_speed "
+            f"{drive.max_speed:g} rad/s, which the drive enforces; lower it, or raise max_speed"
+        )
+    if drive.rpdo_timeout < 2.0 * period:
+        raise UsageError(
+            f"{where}: drive.rpdo_timeout {drive.rpdo_timeout:g} s is less than two periods of "
+            f"{file.controller.rate:g} Hz; raise it"
+        )
+    estimator, bending = axis.estimator, axis.bending
+    if estimator.kind == "sensor" and axis.torque_sensor is None:
+        raise UsageError(f'{where}: estimator.kind "sensor" without [axis.torque_sensor]; give one, or another kind')
+    if estimator.kind != "map" and bending.source == "joints":
+        raise UsageError(
+            f'{where}: bending.source "joints" is used by estimator.kind "map" only, which is "{estimator.kind}" here'
+        )
+    if estimator.kind != "fixed" and model.bending_angle == 0.0:
+        raise UsageError(
+            f'{where}: estimator.kind "{estimator.kind}" with a model whose bending_angle is 0; use "fixed"'
+        )
+    if estimator.kind == "map" and "configuration_dependent_bending" in model.effects:
+        raise UsageError(
+            f'{where}: both estimator.kind "map" and the model\'s configuration_dependent_bending change the bending '
+            "angle; keep one of them"
+        )
+    names = {other.name for other in file.axes}
+    for name in bending.gains:
+        if name not in names:
+            raise UsageError(f"{where}: bending.gains names axis '{name}'; known are {', '.join(sorted(names))}")

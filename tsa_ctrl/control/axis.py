@@ -1,0 +1,137 @@
+"""One controlled axis: the parts that a cycle works with, and how they start, stop and reset together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tsa_ctrl.bus.image import Image
+from tsa_ctrl.bus.rig import Axis as BusAxis
+from tsa_ctrl.bus.supervisor import Phase, Request, Supervisor
+from tsa_ctrl.control.bending import Bending
+from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.estimator import Estimator
+from tsa_ctrl.control.law import Law
+from tsa_ctrl.control.limiter import Limiter, Reason
+from tsa_ctrl.control.oscillation import OscillationMonitor
+from tsa_ctrl.control.setpoint import SetPoint
+from tsa_ctrl.model.parameters import TendonSheath
+
+NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
+
+
+@dataclass(slots=True)
+class Terms:
+    """What the last cycle did, for the log; N*m, rad/s, 1."""
+
+    tau_j_des: float = 0.0
+    tau_m_cmd: float = 0.0
+    sigma: float = 0.0
+    theta: float = 0.0
+    reason: Reason = Reason.DISABLED
+
+
+class ControlAxis:
+    """The parts of one axis and its clock, which starts at every enable."""
+
+    def __init__(
+        self,
+        io: BusAxis,
+        model: TendonSheath,
+        supervisor: Supervisor,
+        set_point: SetPoint,
+        direction: Direction,
+        bending: Bending,
+        estimator: Estimator,
+        law: Law,
+        limiter: Limiter,
+        monitor: OscillationMonitor,
+        period: float,
+        most_age: float,
+        stop_time: float,
+    ) -> None:
+        """`most_age`: s, of measurements that may still drive the motor; `stop_time`: s, from full torque to 0."""
+        self.name = io.name
+        self.io = io
+        self.image: Image = io.image
+        self.model = model
+        self.supervisor = supervisor
+        self.set_point = set_point
+        self.direction = direction
+        self.bending = bending
+        self.estimator = estimator
+        self.law = law
+        self.limiter = limiter
+        self.monitor = monitor
+        self.most_age = most_age
+        self.request = Request.DISABLE
+        self.ramp = 1.0
+        self.terms = Terms()
+        self._ramp_step = period / stop_time
+        self._stopping = False
+        self._enabled_at: float | None = None
+        self._has_encoder = io.nodes.encoder is not None
+        self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
+        self._used = (model.friction_angle, model.pretension)
+        self._nominal = self._used
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the drive is known to be disabled, or a fault keeps it so."""
+        return self.supervisor.phase in (Phase.STANDBY, Phase.FAULT)
+
+    def enable(self) -> None:
+        """Ask for torque; it comes when drive and supervisor agree, and fades in."""
+        self._stopping = False
+        self.ramp = 1.0
+        self.request = Request.ENABLE
+
+    def stop(self) -> None:
+        """Ramp the torque to 0, then disable the drive."""
+        self._stopping = True
+
+    def joint(self) -> tuple[float, float]:
+        """Angle (rad) and velocity (rad/s) of the joint; without an encoder those of the motor, geared."""
+        image = self.image
+        if self._has_encoder:
+            return image.q_j, image.omega_j
+        return image.q_m * self._ratio, image.omega_m * self._ratio
+
+    def since_enable(self, now: float) -> float:
+        """Seconds since torque was permitted; the first call after a release starts the clock."""
+        if self._enabled_at is None:
+            self._enabled_at = now
+        if self._stopping and self.request is Request.ENABLE:
+            self.ramp -= self._ramp_step
+            if self.ramp <= 0.0:
+                self.ramp = 0.0
+                self.request = Request.DISABLE
+        return now - self._enabled_at
+
+    def release(self) -> None:
+        """Torque is not permitted: forget everything, once. Disabled means reset."""
+        if self._stopping and self.request is Request.ENABLE:
+            self.request = Request.DISABLE
+        if self._enabled_at is None:
+            return
+        self._enabled_at = None
+        self.set_point.reset()
+        self.estimator.reset()
+        self.law.reset()
+        self.monitor.reset()
+        self.terms.tau_j_des = 0.0
+        self._take_over(self._nominal)
+
+    def adapt(self) -> None:
+        """Hand the estimate to the law where that is allowed, else the model file's values."""
+        estimator = self.estimator
+        angle, pretension = self._nominal
+        if estimator.use:
+            angle, pretension = estimator.friction_angle, estimator.pretension
+        used = self._used
+        if abs(angle - used[0]) > NOTICEABLE * used[0] or abs(pretension - used[1]) > NOTICEABLE * used[1]:
+            self._take_over((angle, pretension))
+
+    def _take_over(self, parameters: tuple[float, float]) -> None:
+        if parameters != self._used:
+            self._used = parameters
+            self.law.set_parameters(*parameters)

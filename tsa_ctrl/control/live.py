@@ -1,0 +1,85 @@
+"""Parameters that may be changed while the loop runs: a table of name, unit, bounds, and how fast each moves.
+
+`Tuner` moves one axis' parameters to what was asked, a step per cycle, so that no change is a jump of torque.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.estimator import Fixed, toward
+from tsa_ctrl.control.recursive import Recursive
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One live parameter of one axis: an attribute of one of its parts."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    rate: float  # unit/s; inf: at once
+    doc: str
+    part: Any
+    attribute: str
+
+    @property
+    def value(self) -> float:
+        return float(getattr(self.part, self.attribute))
+
+
+def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
+    """The live parameters of an axis, the same names for each; limits can be lowered, never raised.
+
+    Bounds of nan: this parameter belongs to another kind of estimator than the axis has.
+    """
+    law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
+    fixed = isinstance(estimator, Fixed)
+    angle, pretension = 2.0 * model.friction_angle, 2.0 * model.pretension  # no more than twice the model file's
+    angles = (0.0, angle) if fixed else (math.nan, math.nan)
+    tensions = (0.0, pretension) if fixed else (math.nan, math.nan)
+    use = (0.0, 1.0) if isinstance(estimator, Recursive) else (math.nan, math.nan)
+    p, inf = Parameter, math.inf
+    return (
+        p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),
+        p("slew", "N*m/s", 1.0, 10_000.0, inf, "fastest change of the friction term", law, "slew"),
+        p("friction_angle", "1", *angles, 0.25 * angle, "x = mu Theta", estimator, "friction_angle"),
+        p("pretension", "N", *tensions, 0.25 * pretension, "T_p0", estimator, "pretension"),
+        p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
+        p("bending_angle", "rad", 0.0, 100.0, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
+        p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed at which sigma is 1", axis.direction, "zone"),
+        p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
+        p("back_off", "1", 0.0, 1.0, 0.5, "of the oscillation monitor; 1 restores", axis.monitor, "back_off"),
+        p("torque_limit", "N*m", 0.0, limiter.torque, inf, "absolute, at the motor", limiter, "torque"),
+        p("rate_limit", "N*m/s", 1.0, limiter.rate, inf, "of the motor torque", limiter, "rate"),
+    )
+
+
+class Tuner:
+    """Moves the parameters of one axis."""
+
+    def __init__(self, parameters: tuple[Parameter, ...], period: float) -> None:
+        self.parameters = parameters
+        self._period = period
+        self._moving: dict[int, float] = {}
+
+    def set(self, index: int, value: float) -> None:
+        """Ask for a value; it is kept inside the bounds, and nan is refused."""
+        parameter = self.parameters[index]
+        if parameter.low <= value <= parameter.high:
+            self._moving[index] = value
+
+    def update(self) -> None:
+        """One cycle's step of everything that moves."""
+        if not self._moving:
+            return
+        for index, target in list(self._moving.items()):
+            parameter = self.parameters[index]
+            value = toward(parameter.value, target, parameter.rate * self._period)
+            setattr(parameter.part, parameter.attribute, value)
+            if value == target:
+                del self._moving[index]

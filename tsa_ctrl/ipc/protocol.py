@@ -1,0 +1,87 @@
+"""One JSON object per line, strict both ways; what a client may ask and what the server tells.
+
+Requests: {"verb": "status"}, {"verb": "set", "name": "knee.compensation", "value": 0.9}, {"verb": "setpoint",
+"axis": "knee", "value": 0.2}, {"verb": "recover"}, {"verb": "stop"}. Answers: {"ok": true, ...} or {"ok": false,
+"error": "..."}.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+LONGEST_LINE = 4096  # bytes of a request
+
+
+class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, tag_field="verb"):
+    """Base of all requests."""
+
+
+class Status(Request, frozen=True, tag="status"):
+    pass
+
+
+class Set(Request, frozen=True, tag="set"):
+    name: str  # PARAMETER or AXIS.PARAMETER
+    value: float
+
+
+class SetPointValue(Request, frozen=True, tag="setpoint"):
+    axis: str
+    value: float  # N*m
+
+
+class Recover(Request, frozen=True, tag="recover"):
+    pass
+
+
+class Stop(Request, frozen=True, tag="stop"):
+    pass
+
+
+AnyRequest = Status | Set | SetPointValue | Recover | Stop
+
+
+class Range(msgspec.Struct, frozen=True):
+    """One live parameter as the server knows it."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    doc: str
+
+
+class Description(msgspec.Struct, frozen=True):
+    """What the daemon tells its socket server at the start."""
+
+    path: str
+    mode: int
+    group: str | None
+    name: str
+    period: float  # s
+    axes: list[str]
+    parameters: list[list[Range]]  # per axis, in the order of the mailbox
+    states: list[str]
+    estimate_states: list[str]
+    reasons: list[str]
+    phases: list[str]
+    set_point_limit: list[float | None]  # N*m per axis, None where it does not come over the socket
+    figures: dict[str, Any]  # bus load and the like, constant for the run
+
+
+def default_path() -> str:
+    """$XDG_RUNTIME_DIR/tsa.sock, else a socket of this user in the folder for temporary files."""
+    folder = os.environ.get("XDG_RUNTIME_DIR")
+    return str(Path(folder) / "tsa.sock") if folder else f"/tmp/tsa-{os.getuid()}.sock"
+
+
+def is_socket(path: str) -> bool:
+    try:
+        return stat.S_ISSOCK(Path(path).lstat().st_mode)
+    except OSError:
+        return False
