@@ -17,6 +17,7 @@ from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
 ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j; slower than the loop, faster than a joint
+LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which only overflow is left
 
 _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
 
@@ -97,11 +98,12 @@ class Feedforward:
         """
         if not math.isfinite(tau_j_des):
             return tau_j_des  # for the limiter to refuse
-        state, stack = self._state, self._stack
+        state = self._state
         self._measure(state, omega_j, q_j, q_m, temperature, theta, t, acceleration_j)
+        stack = self._stack  # may just have changed
         state.sigma = self._direction(state, sigma)
         angle, pretension = bending_and_pretension(SCALARS, self._model, stack, state)
-        x = friction_angle(SCALARS, self._model, stack, state, angle)
+        x = min(friction_angle(SCALARS, self._model, stack, state, angle), LARGEST_ANGLE)
         self.friction_angle, self.pretension = x, pretension
 
         torque = tau_j_des

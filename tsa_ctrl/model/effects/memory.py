@@ -12,6 +12,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
 _GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whole numbers, and be counts
+_REVERSAL = 2.5  # counts: more than two, and safe against rounding
 _NOISE_TO_STEP = 3.0  # counts that stand for white noise of one standard deviation
 
 
@@ -39,6 +40,7 @@ class PreslidingHysteresis:
         """z, shape (n,), along a displacement of shape (n,)."""
         from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
 
+        displacement = np.ascontiguousarray(displacement)
         if self.elements == 1:
             return np.asarray(kernels.dahl(displacement, self.presliding_distance, start))
         return np.asarray(kernels.maxwell_slip(displacement, self.presliding_distance, self.elements, start))
@@ -87,7 +89,7 @@ class Backlash:
         """Mask, shape (n,): where the play is open. A reversal counts beyond two encoder counts."""
         from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
 
-        return np.asarray(kernels.within_gap(q_j, self.gap, 2.0 * resolution(q_j)))
+        return np.asarray(kernels.within_gap(np.ascontiguousarray(q_j), self.gap, _REVERSAL * resolution(q_j)))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,300 @@
+"""The live inverse: what it commands makes the model deliver what was wanted."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.model.actuator import ACTUATOR, with_effect
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import Signals
+
+NAN = math.nan
+PERIOD = 1e-3
+
+
+def numbers(low: float, high: float) -> st.SearchStrategy[float]:
+    return st.floats(low, high, allow_subnormal=False)
+
+
+INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
+    "torque_constant_error": st.fixed_dictionaries({"relative_error": numbers(-0.5, 0.5)}),
+    "torque_ripple": st.fixed_dictionaries(
+        {"amplitude": numbers(0.0, 0.1), "cycles_per_revolution": st.integers(1, 24), "phase": numbers(-3.1, 3.1)}
+    ),
+    "motor_side_friction": st.fixed_dictionaries({"coulomb": numbers(0.0, 0.2)}),
+    "configuration_dependent_bending": st.fixed_dictionaries({"bending_per_joint_angle": numbers(-1.0, 1.0)}),
+    "stiffness_nonlinearity": st.fixed_dictionaries({"quadratic": numbers(-200.0, 200.0)}),
+    "pretension_relaxation": st.fixed_dictionaries(
+        {
+            "relaxed_fraction": numbers(0.0, 0.5),
+            "time_constant": numbers(0.1, 100.0),
+            "law": st.sampled_from(["exponential", "logarithmic"]),
+        }
+    ),
+    "stribeck_friction": st.fixed_dictionaries(
+        {"static_excess": numbers(0.0, 1.0), "stribeck_velocity": numbers(0.01, 2.0), "shape": numbers(0.5, 2.0)}
+    ),
+    "thermal_friction_drift": st.fixed_dictionaries({"temperature_coefficient": numbers(-0.02, 0.02)}),
+    "tension_dependent_friction": st.fixed_dictionaries({"exponent": numbers(0.0, 0.5)}),
+    "presliding_hysteresis": st.fixed_dictionaries(
+        {"presliding_distance": numbers(0.005, 0.5), "elements": st.integers(1, 6)}
+    ),
+    "sheath_asymmetry": st.fixed_dictionaries({"relative_difference": numbers(-0.8, 0.8)}),
+    "tendon_slack": st.just({}),
+    "elongation_coupling": st.fixed_dictionaries({"curvature_profile": st.sampled_from(["uniform", "motor_end"])}),
+    "load_dependent_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.5)}),
+    "viscous_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.3)}),
+    "direction_asymmetric_friction": st.fixed_dictionaries({"viscous_difference": numbers(-0.2, 0.2)}),
+    "inertia": st.fixed_dictionaries({"inertia": numbers(0.0, 0.05)}),
+    "gravity_load": st.fixed_dictionaries({"amplitude": numbers(0.0, 1.0), "phase": numbers(-3.0, 3.0)}),
+    "joint_stiffness": st.fixed_dictionaries({"stiffness": numbers(0.0, 1.0), "rest_angle": numbers(-0.5, 0.5)}),
+    "torque_offset": st.fixed_dictionaries({"offset": numbers(-0.3, 0.3)}),
+}
+NOT_INVERTIBLE = {"transport_delay", "backlash", "velocity_lag"}
+
+
+class Motion:
+    """One second of joint motion through several reversals, and a wanted torque."""
+
+    t = np.arange(200) * 5e-3
+    q_j = 0.4 * np.sin(2.0 * np.pi * 1.3 * t + 0.2) + 0.1 * np.sin(2.0 * np.pi * 4.1 * t)
+    omega_j = 0.4 * 8.168 * np.cos(2.0 * np.pi * 1.3 * t + 0.2) + 0.1 * 25.761 * np.cos(2.0 * np.pi * 4.1 * t)
+    acceleration_j = np.gradient(omega_j, t)
+    q_m = 1.3 * q_j
+    temperature = 25.0 + 10.0 * t
+    theta = 2.6 + 0.1 * np.sin(3.0 * t)
+    tau_j_des = 0.7 * np.sin(2.0 * np.pi * 0.9 * t)
+
+
+def command(model: TendonSheath, scale: float = 1.0) -> Array:
+    """tau_M sample by sample for the motion."""
+    feedforward = Feedforward(model, 5e-3)
+    columns = (
+        scale * Motion.tau_j_des,
+        np.sign(Motion.omega_j),
+        Motion.omega_j,
+        Motion.q_j,
+        Motion.q_m,
+        Motion.temperature,
+        Motion.theta,
+        Motion.t,
+        Motion.acceleration_j,
+    )
+    return np.array([feedforward.update(*row) for row in zip(*(c.tolist() for c in columns), strict=True)])
+
+
+def delivered(model: TendonSheath, tau_m: Array) -> Array:
+    names = ("t", "omega_j", "q_j", "q_m", "temperature", "theta", "acceleration_j")
+    return predict(model, Signals(tau_m=tau_m, **{name: getattr(Motion, name) for name in names}))
+
+
+def pulley_torque(model: TendonSheath, tau_m: Array) -> Array:
+    """The torque after the motor-side effects, which the domain is about."""
+    motor = {"torque_constant_error", "torque_ripple", "motor_side_friction", "presliding_hysteresis"}
+    effects = {name: p for name, p in model.effects.items() if name in motor}
+    lossless = ACTUATOR.recalibrated(friction_angle=0.0).with_effects(effects)
+    return 0.8 * delivered(lossless, tau_m)
+
+
+def assert_round_trip(effects: dict[str, dict[str, Any]], scale: float = 1.0) -> None:
+    """Equal wherever the inverse was not cut off at the edge of the model's domain."""
+    if "elongation_coupling" in effects:
+        for name in CATALOGUE["elongation_coupling"].excludes:
+            effects.pop(name, None)
+    model = ACTUATOR.with_effects(effects)
+    tau_m = command(model, scale)
+    assert np.all(np.isfinite(tau_m))
+    error = delivered(model, tau_m) - scale * Motion.tau_j_des
+    if "tendon_slack" not in effects:
+        inside = np.abs(pulley_torque(model, tau_m)) < 0.25  # N*m; no pretension here is low enough to cut this off
+        error = error[inside]
+    np.testing.assert_allclose(error, 0.0, atol=1e-9)
+
+
+def test_effects_are_inverted_or_declared() -> None:
+    """Each effect of the catalogue is in one of the two lists."""
+    assert set(INVERTIBLE) | NOT_INVERTIBLE == set(CATALOGUE)
+
+
+def test_without_effects() -> None:
+    """(3.55) and its inverse over a whole motion, within the domain."""
+    np.testing.assert_allclose(delivered(ACTUATOR, command(ACTUATOR)), Motion.tau_j_des, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", list(INVERTIBLE))
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_each_effect_is_inverted(name: str, data: st.DataObject) -> None:
+    """The model delivers what was wanted, for any parameters."""
+    assert_round_trip({name: data.draw(INVERTIBLE[name])})
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_any_stack_is_inverted(data: st.DataObject) -> None:
+    """Any combination of invertible effects, with slack so that no torque is outside the domain where it may be."""
+    names = data.draw(st.sets(st.sampled_from(sorted(INVERTIBLE)), min_size=2))
+    assert_round_trip({name: data.draw(INVERTIBLE[name]) for name in sorted(names)}, data.draw(st.floats(0.0, 4.0)))
+
+
+SIGNALS = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.sampled_from([0.0, 1e308, -1e308, 5e-324]))
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.sets(st.sampled_from(sorted(CATALOGUE))),
+    st.lists(st.tuples(st.floats(allow_nan=False, allow_infinity=False), *[SIGNALS] * 8), min_size=1, max_size=5),
+    st.data(),
+)
+def test_command_is_finite(names: set[str], rows: list[tuple[float, ...]], data: st.DataObject) -> None:
+    """Whatever the measurements are, huge, infinite or nan, a finite wish gives a finite command."""
+    if "elongation_coupling" in names:
+        names -= set(CATALOGUE["elongation_coupling"].excludes)
+    others = {"transport_delay": {"delay": 0.01}, "backlash": {"gap": 0.1}, "velocity_lag": {"time_constant": 0.01}}
+    effects = {name: others.get(name) or data.draw(INVERTIBLE.get(name, st.just({}))) for name in sorted(names)}
+    feedforward = Feedforward(ACTUATOR.with_effects(effects), PERIOD)
+    assert all(math.isfinite(feedforward.update(*row)) for row in rows)
+
+
+class TestDomain:
+    """abs(tau_M) <= 2 T_p r_M unless the model knows slack."""
+
+    def test_command_ends_at_the_domain(self) -> None:
+        """1.8 N*m here, both ways."""
+        feedforward = Feedforward(ACTUATOR, PERIOD)
+        assert feedforward.domain_limit() == pytest.approx(1.8)
+        assert feedforward.update(50.0, 1.0, 0.5) == pytest.approx(1.8)
+        assert feedforward.update(-50.0, 1.0, 0.5) == pytest.approx(-1.8)
+
+    def test_slack_has_none(self) -> None:
+        """Beyond it one tendon carries all."""
+        feedforward = Feedforward(with_effect("tendon_slack"), PERIOD)
+        assert feedforward.domain_limit() == math.inf
+        assert feedforward.update(5.0, 1.0, 0.5) == pytest.approx(5.0 * 0.8 * math.exp(0.26))
+
+    def test_full_model_keeps_both_tendons_tight(self) -> None:
+        """At the bound one motor-side tension of (3.54) is 0."""
+        feedforward = Feedforward(with_effect("elongation_coupling", curvature_profile="motor_end"), PERIOD)
+        x = 0.26
+        tau_m = feedforward.update(50.0, 1.0, 0.5)
+        pretension = (45.0 + math.sinh(x) * tau_m / 0.04) / math.cosh(x)
+        assert pretension - tau_m / 0.04 == pytest.approx(0.0, abs=1e-9)
+
+    def test_motor_side_effects_come_on_top(self) -> None:
+        """The bound is on the pulley; the drive's friction is paid besides."""
+        feedforward = Feedforward(with_effect("motor_side_friction", coulomb=0.1), PERIOD)
+        assert feedforward.update(50.0, 1.0, 0.5) == pytest.approx(1.9)
+
+
+class TestMeasurements:
+    """What is not measured is nan."""
+
+    def test_missing_value_keeps_the_last(self) -> None:
+        """One lost encoder frame does not step the torque."""
+        feedforward = Feedforward(with_effect("joint_stiffness", stiffness=0.5), PERIOD)
+        before = feedforward.update(0.1, 1.0, 0.5, 0.3)
+        assert feedforward.update(0.1, 1.0, 0.5, NAN) == before
+
+    def test_effect_without_its_measurement_is_left_out(self) -> None:
+        """Until the first value comes."""
+        feedforward = Feedforward(with_effect("gravity_load", amplitude=0.5), PERIOD)
+        plain = Feedforward(ACTUATOR, PERIOD)
+        assert feedforward.update(0.1, 1.0, 0.5) == plain.update(0.1, 1.0, 0.5)
+        assert feedforward.left_out == ("gravity_load",)
+        assert feedforward.update(0.1, 1.0, 0.5, 0.3) != plain.update(0.1, 1.0, 0.5, 0.3)
+        assert feedforward.left_out == ()
+
+    def test_friction_state_survives_a_late_measurement(self) -> None:
+        """A temperature that comes later does not reset what presliding remembers."""
+        model = ACTUATOR.with_effects(
+            {
+                "presliding_hysteresis": {"presliding_distance": 0.1},
+                "thermal_friction_drift": {"temperature_coefficient": 0.0},
+            }
+        )
+        feedforward = Feedforward(model, PERIOD)
+        feedforward.update(0.0, 0.0, 0.0, q_m=0.0)
+        moved = feedforward.update(0.0, 1.0, 0.5, q_m=0.05)
+        assert moved > 0.0
+        assert feedforward.update(0.0, 1.0, 0.5, q_m=0.05, temperature=25.0) == pytest.approx(moved, rel=1e-12)
+
+    def test_nan_wish_is_passed_on(self) -> None:
+        """It is the limiter that refuses it."""
+        assert math.isnan(Feedforward(ACTUATOR, PERIOD).update(NAN, 1.0, 0.5))
+
+    def test_acceleration_is_derived_when_absent(self) -> None:
+        """A steady 2 rad/s^2 is known after some filter times."""
+        feedforward = Feedforward(with_effect("inertia", inertia=0.1), PERIOD)
+        plain = Feedforward(ACTUATOR, PERIOD)
+        for i in range(200):
+            found = feedforward.update(0.0, 1.0, 2.0 * i * PERIOD)
+        assert found == pytest.approx(plain.update(0.2, 1.0, 0.4), rel=1e-6)
+
+
+class TestSettings:
+    """Changes while running, and forgetting."""
+
+    def test_new_values_count_from_the_next_update(self) -> None:
+        """Friction angle and pretension."""
+        feedforward = Feedforward(ACTUATOR, PERIOD)
+        feedforward.set(friction_angle=0.3, pretension=50.0)
+        assert feedforward.update(0.0, 1.0, 0.5) == pytest.approx(0.020 * 2.0 * 50.0 * math.tanh(0.3))
+        assert (feedforward.friction_angle, feedforward.pretension) == pytest.approx((0.3, 50.0))
+
+    def test_direction_is_continuous(self) -> None:
+        """Half a direction is sinh of half the angle; at standstill there is no friction term."""
+        feedforward = Feedforward(ACTUATOR, PERIOD)
+        assert feedforward.update(0.0, 0.5, 0.1) == pytest.approx(0.020 * 2.0 * 45.0 * math.tanh(0.13))
+        assert feedforward.update(0.0, 0.0, 0.0) == 0.0
+
+    def test_reset_forgets(self) -> None:
+        """The friction state and the start of the relaxation begin anew."""
+        model = ACTUATOR.with_effects(
+            {
+                "presliding_hysteresis": {"presliding_distance": 0.1},
+                "pretension_relaxation": {"relaxed_fraction": 0.4, "time_constant": 1.0},
+            }
+        )
+        feedforward = Feedforward(model, PERIOD)
+        first = [feedforward.update(0.2, 1.0, 0.5, q_m=0.02 * i, t=3.0 + i) for i in range(5)]
+        feedforward.reset()
+        again = [feedforward.update(0.2, 1.0, 0.5, q_m=0.02 * i, t=9.0 + i) for i in range(5)]
+        assert again == pytest.approx(first, rel=1e-12)
+
+
+class TestNotes:
+    """What is said at start."""
+
+    @pytest.mark.parametrize(
+        ("name", "parameters", "word"),
+        [
+            ("transport_delay", {"delay": 0.005}, "0.005 s"),
+            ("backlash", {"gap": 0.02}, "0.02 rad"),
+            ("velocity_lag", {"time_constant": 0.01}, "direction"),
+            ("inertia", {"inertia": 0.01}, "late"),
+        ],
+    )
+    def test_what_cannot_be_compensated(self, name: str, parameters: dict[str, float], word: str) -> None:
+        """The effect and the reason."""
+        (note,) = Feedforward(with_effect(name, **parameters), PERIOD).notes
+        assert note.startswith(f"{name}: ")
+        assert word in note
+
+    def test_missing_measurement(self) -> None:
+        """An axis without a joint angle cannot know its gravity."""
+        (note,) = Feedforward(with_effect("gravity_load", amplitude=0.5), PERIOD, signals=("q_m",)).notes
+        assert note == "gravity_load: not compensated, this axis does not measure q_j"
+
+    def test_compensated_effects_need_no_words(self) -> None:
+        """Silence is good news."""
+        assert Feedforward(with_effect("viscous_friction", coefficient=0.1), PERIOD).notes == ()

@@ -1,0 +1,237 @@
+"""Prediction over a log: columns, standstill, bending, domain, and the plain drive."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tests.model.actuator import ACTUATOR, LOSS, SLOPE, signals, with_effect
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.composition import EFFECTS, Stack
+from tsa_ctrl.model.parameters import RigidDrive
+from tsa_ctrl.model.predict import beyond_slack, missing_columns, predict
+from tsa_ctrl.model.signals import Signals
+
+T = np.arange(2000) / 1000.0
+
+
+class TestStandstill:
+    """sigma at omega = 0."""
+
+    def test_keeps_the_last_direction(self) -> None:
+        """And takes the first one before the first motion."""
+        omega = np.array([0.0, 0.0, -1.0, 0.0, 2.0, 0.0, 0.0])
+        expected = -LOSS * np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+        np.testing.assert_allclose(predict(ACTUATOR, signals(np.arange(7.0), omega)), expected, rtol=1e-12)
+
+    def test_log_without_motion_is_in_the_middle_of_the_band(self) -> None:
+        """No direction ever: no friction either way."""
+        found = predict(ACTUATOR, signals(np.arange(3.0), np.zeros(3), tau_m=np.ones(3)))
+        np.testing.assert_allclose(found, 1.25, rtol=1e-12)
+
+
+class TestBending:
+    """The theta column, and bending that follows the joint."""
+
+    def test_theta_changes_friction_angle_and_pretension(self) -> None:
+        """x = mu Theta, T_p0 = value + 35 N/rad (Theta - bending_angle)."""
+        theta = np.array([2.6, 2.8, 3.0])
+        found = predict(ACTUATOR, signals(np.arange(3.0), np.ones(3), theta=theta))
+        expected = -2.0 * (45.0 + 35.0 * (theta - 2.6)) * 0.025 * np.sinh(0.1 * theta)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+    def test_series_element_holds_the_pretension(self) -> None:
+        """k_t halves with a series spring as stiff as the tendon."""
+        soft = dataclasses.replace(ACTUATOR, series_stiffness=50e3)
+        found = predict(soft, signals(np.arange(1.0), np.ones(1), theta=np.array([3.0])))
+        np.testing.assert_allclose(found, -2.0 * (45.0 + 17.5 * 0.4) * 0.025 * np.sinh(0.3), rtol=1e-12)
+
+    def test_straightened_sheath_is_slack(self) -> None:
+        """T_p0 below 0 is 0: without motor torque nothing is left."""
+        found = predict(ACTUATOR, signals(np.arange(1.0), np.ones(1), theta=np.array([1.0])))
+        assert found == pytest.approx([0.0])
+
+    def test_joint_angle_adds_to_the_column(self) -> None:
+        """Theta = theta + k q."""
+        effect = with_effect("configuration_dependent_bending", bending_per_joint_angle=0.5)
+        by_effect = predict(effect, signals(T, np.ones_like(T), q_j=0.4 * T, theta=np.full_like(T, 2.5)))
+        by_column = predict(ACTUATOR, signals(T, np.ones_like(T), theta=2.5 + 0.2 * T))
+        np.testing.assert_allclose(by_effect, by_column, rtol=1e-12)
+
+    def test_friction_never_drives(self) -> None:
+        """A bending angle that an effect pushes below 0 is a straight sheath."""
+        effect = with_effect("configuration_dependent_bending", bending_per_joint_angle=-9.0)
+        found = predict(effect, signals(np.arange(1.0), np.ones(1), q_j=np.array([1.0]), tau_m=np.ones(1)))
+        assert found == pytest.approx([1.25])
+
+
+class TestTwins:
+    """Exact relations between effects."""
+
+    LOG = signals(T, np.where(T < 1.0, 0.5, -0.5), tau_m=1.2 * np.sin(20.0 * T))
+
+    def test_asymmetric_sheaths_scale_by_direction(self) -> None:
+        """Equals exp(sigma k x/2) times (3.55)."""
+        found = predict(with_effect("sheath_asymmetry", relative_difference=0.3), self.LOG)
+        sigma = np.sign(self.LOG.omega_j)
+        np.testing.assert_allclose(found, np.exp(sigma * 0.15 * 0.26) * predict(ACTUATOR, self.LOG), atol=1e-12)
+
+    def test_load_dependent_friction_satisfies_its_equation(self) -> None:
+        """tau_J = B - sigma k abs(tau_J)."""
+        found = predict(with_effect("load_dependent_friction", coefficient=0.2), self.LOG)
+        residual = found - predict(ACTUATOR, self.LOG) + np.sign(self.LOG.omega_j) * 0.2 * np.abs(found)
+        np.testing.assert_allclose(residual, 0.0, atol=1e-12)
+
+    def test_slack_is_continuous_and_has_one_tendon_beyond(self) -> None:
+        """Slope r_J/r_M exp(-x) above 2 T_p r_M in positive direction."""
+        tau_m = np.array([1.8 - 1e-9, 1.8 + 1e-9, 2.0, 2.1])
+        log = signals(np.arange(4.0), np.ones(4), tau_m=tau_m)
+        found = predict(with_effect("tendon_slack"), log)
+        assert found[1] == pytest.approx(found[0], abs=1e-8)
+        assert (found[3] - found[2]) / 0.1 == pytest.approx(1.25 * math.exp(-0.26), rel=1e-9)
+
+    def test_soft_series_element_makes_the_full_model_simple(self) -> None:
+        """With k_s -> 0 the elongation no longer couples."""
+        soft = dataclasses.replace(ACTUATOR, series_stiffness=1e-6)
+        coupled = soft.with_effects({"elongation_coupling": {"curvature_profile": "motor_end"}})
+        np.testing.assert_allclose(predict(coupled, self.LOG), predict(ACTUATOR, self.LOG), rtol=1e-6)
+
+
+class TestDomain:
+    """Where one tendon is slack."""
+
+    def test_fraction_beyond(self) -> None:
+        """abs(tau_m) >= 2 T_p r_M = 1.8 N*m, the bound included."""
+        log = signals(np.arange(5.0), np.ones(5), tau_m=np.array([0.0, 1.79, 1.8, -1.9, -1.0]))
+        assert beyond_slack(ACTUATOR, log) == pytest.approx(0.4)
+
+    def test_follows_the_pretension(self) -> None:
+        """A bending angle that raises T_p moves the bound."""
+        log = signals(np.arange(2.0), np.ones(2), tau_m=np.full(2, 1.9), theta=np.array([2.6, 2.8]))
+        assert beyond_slack(ACTUATOR, log) == pytest.approx(0.5)
+
+    def test_plain_drive_has_none(self) -> None:
+        """There is no tendon to go slack."""
+        assert beyond_slack(RigidDrive(), signals(T, T)) == 0.0
+
+
+class TestColumns:
+    """Effects name what they need."""
+
+    def test_missing_column_is_one_line(self) -> None:
+        """Effect, column and what to do."""
+        with pytest.raises(UsageError, match=r"\[effects.gravity_load\] needs column q_j, which the log does not have"):
+            predict(with_effect("gravity_load", amplitude=1.0), signals(T, T))
+
+    def test_motor_displacement_needs_the_motor_angle(self) -> None:
+        """Asked for explicitly, it is not replaced by the joint's."""
+        model = with_effect("presliding_hysteresis", presliding_distance=0.1, displacement="motor")
+        with pytest.raises(UsageError, match="needs column q_m"):
+            predict(model, signals(T, T, q_j=T))
+
+    def test_all_that_lack_are_listed(self) -> None:
+        """For a report on what a log cannot test."""
+        model = ACTUATOR.with_effects(
+            {"thermal_friction_drift": {"temperature_coefficient": 0.01}, "inertia": {"inertia": 0.1}}
+        )
+        assert missing_columns(model, signals(T, T)) == {"thermal_friction_drift": ("temperature",)}
+
+
+class TestComposition:
+    """The effects and the catalogue are one list."""
+
+    def test_every_effect_of_the_catalogue_is_there(self) -> None:
+        """And no other."""
+        assert set(EFFECTS) == set(CATALOGUE)
+
+    @pytest.mark.parametrize("name", list(CATALOGUE))
+    def test_parameters_are_those_of_the_catalogue(self, name: str) -> None:
+        """Field names of the effect are the keys in model files."""
+        assert [f.name for f in dataclasses.fields(EFFECTS[name])] == [p.name for p in CATALOGUE[name].parameters]
+
+    def test_full_model_stands_alone(self) -> None:
+        """Not together with slack, asymmetry or tension dependence."""
+        with pytest.raises(UsageError, match="cannot be combined"):
+            Stack.of({"elongation_coupling": {"curvature_profile": "uniform"}, "tendon_slack": {}})
+
+    def test_order_in_the_file_does_not_matter(self) -> None:
+        """Composition follows the catalogue."""
+        a, b = {"torque_constant_error": {"relative_error": 0.1}}, {"motor_side_friction": {"coulomb": 0.05}}
+        log = signals(T, np.ones_like(T), tau_m=T)
+        forward, backward = (predict(ACTUATOR.with_effects(e), log) for e in ({**a, **b}, {**b, **a}))
+        np.testing.assert_array_equal(forward, backward)
+        np.testing.assert_allclose(forward, SLOPE * (1.1 * T - 0.05) - LOSS, rtol=1e-12)
+
+    def test_models_without_memory_do_not_load_the_compiler(self) -> None:
+        """Start-up of the commands that predict stays quick."""
+        script = (
+            "import sys, numpy as np\n"
+            "from tests.model.actuator import ACTUATOR, signals\n"
+            "from tsa_ctrl.model.predict import predict\n"
+            "from tsa_ctrl.model.feedforward import Feedforward\n"
+            "predict(ACTUATOR, signals(np.arange(2.0), np.ones(2)))\n"
+            "sys.exit('numba' in sys.modules or 'scipy' in sys.modules)\n"
+        )
+        assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+class TestRigidDrive:
+    """tau_M = J domega/dt + tau_c sign(omega) + b omega + c; an effect tau_J -= f enters as tau_M += f."""
+
+    W = 2.0 * np.pi
+    OMEGA = np.sin(W * T)
+    LOG = Signals(t=T, tau_m=np.zeros_like(T), omega_j=np.zeros_like(T), omega_m=OMEGA)
+
+    def test_base_equation(self) -> None:
+        """Inertia, Coulomb, viscous, offset; the acceleration is derived without phase."""
+        found = predict(RigidDrive(0.01, 0.2, 0.03, 0.05), self.LOG)
+        expected = 0.01 * self.W * np.cos(self.W * T) + 0.2 * np.sign(self.OMEGA) + 0.03 * self.OMEGA + 0.05
+        np.testing.assert_allclose(found[100:-100], expected[100:-100], atol=1e-4 * 0.01 * self.W + 1e-12)
+
+    def test_absent_parameters_are_nothing(self) -> None:
+        """An empty file predicts no torque."""
+        np.testing.assert_array_equal(predict(RigidDrive(), self.LOG), 0.0)
+
+    def test_joint_effects_are_added(self) -> None:
+        """tau_J -= b omega becomes tau_M += b omega; tau_J += c becomes tau_M -= c."""
+        effects = {"viscous_friction": {"coefficient": 0.4}, "torque_offset": {"offset": 0.1}}
+        np.testing.assert_allclose(predict(RigidDrive(effects=effects), self.LOG), 0.4 * self.OMEGA - 0.1, atol=1e-15)
+
+    def test_reported_torque_is_predicted(self) -> None:
+        """A drive whose constant is 10 % off reports that much less."""
+        effects = {"torque_constant_error": {"relative_error": 0.1}}
+        found = predict(RigidDrive(viscous_friction=0.2, effects=effects), self.LOG)
+        np.testing.assert_allclose(found * 1.1, 0.2 * self.OMEGA, atol=1e-15)
+
+    def test_load_dependent_friction_satisfies_its_equation(self) -> None:
+        """tau_M = L + sigma k abs(tau_M), L the torque without it."""
+        effects = {"load_dependent_friction": {"coefficient": 0.2}, "gravity_load": {"amplitude": 1.0, "phase": 0.3}}
+        log = dataclasses.replace(self.LOG, q_m=0.5 * np.sin(3.0 * T))
+        found = predict(RigidDrive(effects=effects), log)
+        load = np.sin(0.5 * np.sin(3.0 * T) + 0.3)
+        residual = found - load - 0.2 * np.sign(self.OMEGA) * np.abs(found)
+        np.testing.assert_allclose(residual[1:-1], 0.0, atol=1e-12)
+
+    def test_velocity_may_come_from_the_angle(self) -> None:
+        """q_m in place of omega_m."""
+        log = signals(T, np.zeros_like(T), q_m=-np.cos(self.W * T) / self.W)
+        found = predict(RigidDrive(viscous_friction=0.5), log)
+        np.testing.assert_allclose(found[100:-100], 0.5 * self.OMEGA[100:-100], atol=1e-4)
+
+    def test_presliding_follows_the_motor(self) -> None:
+        """The Coulomb torque builds up over the motor's displacement."""
+        effects = {"presliding_hysteresis": {"presliding_distance": 0.1, "elements": 1}}
+        log = signals(T, np.zeros_like(T), omega_m=np.where(T > 0.0, 0.5, 0.0), q_m=0.5 * T)
+        found = predict(RigidDrive(coulomb_friction=0.2, effects=effects), log)
+        np.testing.assert_allclose(found, 0.2 * -np.expm1(-0.5 * T / 0.1), atol=1e-12)
+
+    def test_needs_motor_motion(self) -> None:
+        """One line that names the columns."""
+        with pytest.raises(UsageError, match="omega_m or q_m"):
+            predict(RigidDrive(), signals(T, T))
