@@ -21,7 +21,7 @@ SPEED_FRACTION = 0.05  # of the fast motion's speed: slower is called standstill
 STROKE_FRACTION = 0.15  # of the stroke after a reversal: friction may still be building up
 GUARD_TIME = 0.03  # s beside each reversal: sensor delays
 MIN_SECONDS = 1.0  # admitted motion in each direction
-MIN_LOAD_TO_NOISE = 5.0  # spread of the motor torque within a direction against its noise
+MIN_LOAD_TO_NOISE = 2.0  # spread of the motor torque within a direction against its noise
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ def noise_deviation(x: FloatArray) -> float:
     if x.size < 8:
         return 0.0
     d = np.diff(x, 3)
-    scale = float(np.median(np.abs(d - np.median(d)))) / 0.6745 / np.sqrt(20.0)
+    scale = float(np.median(np.abs(d - np.median(d))) / 0.6745 / np.sqrt(20.0))
     if scale > 0.0:
         return scale
-    return float(np.std(d)) / float(np.sqrt(20.0))  # a coarse quantiser: most differences are 0
+    return float(np.std(d) / np.sqrt(20.0))  # a coarse quantiser: most differences are 0
 
 
 def admit(t: FloatArray, omega: FloatArray) -> Admission:

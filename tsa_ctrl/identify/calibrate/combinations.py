@@ -33,8 +33,8 @@ def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list
     x, z, y = [], [], []
     for log, w in zip(logs, weight, strict=True):
         rest = (-w * log.admission.direction, np.ones(log.tau_j.size))
-        x.append(np.columnstack([log.signals.tau_m, *rest]))
-        z.append(np.columnstack([lagged(log.signals.tau_m, lag), *rest]))
+        x.append(np.column_stack([log.signals.tau_m, *rest]))
+        z.append(np.column_stack([lagged(log.signals.tau_m, lag), *rest]))
         y.append(_base_target(log, model))
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     if np.unique(labels).size < MIN_BLOCKS:
@@ -62,8 +62,8 @@ def from_tensions(
     weight = [2.0 * model.joint_pulley_radius * log.tensions for log in logs if log.tensions is not None]
     estimate = _linear(logs, model, lag, weight)
     low, high = estimate.interval(1)
-    x = Quantity(*(math.asinh(v) for v in (float(estimate.value[1]), low, high)), "1")
-    ones = [np.columnstack([np.ones(log.tau_j.size), log.admission.direction * log.signals.tau_m]) for log in logs]
+    x = Quantity(math.asinh(float(estimate.value[1])), math.asinh(low), math.asinh(high), "1")
+    ones = [np.column_stack([np.ones(log.tau_j.size), log.admission.direction * log.signals.tau_m]) for log in logs]
     pretension = [log.tensions - log.tensioner for log in logs if log.tensions is not None]
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     rows = np.concatenate([o[log.mask] for o, log in zip(ones, logs, strict=True)])

@@ -56,7 +56,7 @@ def joint_fit(logs: list[PreparedLog], model: TendonSheath, lag: int, certified_
             break
     assert estimate is not None
     scale = rows / np.linalg.norm(rows, axis=0)
-    final = dataclasses.replace(estimate, value=p[free], replicas=estimate.replicas - estimate.value + p[free])
+    final = dataclasses.replace(estimate, value=p[free])
     return JointFit(final, float(np.linalg.cond(scale)), gain_free)
 
 
@@ -65,7 +65,8 @@ def _response(log: PreparedLog, model: TendonSheath, p: FloatArray, tau_m: Float
     held = np.where(
         log.mask, log.admission.direction * np.maximum(np.abs(log.signals.omega_j), 1e-9), log.signals.omega_j
     )
-    return predict(variant, dataclasses.replace(log.signals, tau_m=tau_m * math.exp(p[2]), omega_j=held)) + p[3]
+    tau_j: FloatArray = predict(variant, dataclasses.replace(log.signals, tau_m=tau_m * math.exp(p[2]), omega_j=held))
+    return tau_j + float(p[3])
 
 
 def _jacobian(log: PreparedLog, model: TendonSheath, p: FloatArray, tau_m: FloatArray) -> FloatArray:
@@ -75,14 +76,14 @@ def _jacobian(log: PreparedLog, model: TendonSheath, p: FloatArray, tau_m: Float
         up[i] += STEP
         down[i] -= STEP
         columns.append((_response(log, model, up, tau_m) - _response(log, model, down, tau_m)) / (2.0 * STEP))
-    return np.columnstack([*columns, np.ones(tau_m.size)])
+    return np.column_stack([*columns, np.ones(tau_m.size)])
 
 
 def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
     made = []
     for index, unit in ((0, "1"), (1, "N")):
         low, high = joint.estimate.interval(index)
-        made.append(Quantity(*(math.exp(v) for v in (float(joint.estimate.value[index]), low, high)), unit))
+        made.append(Quantity(math.exp(float(joint.estimate.value[index])), math.exp(low), math.exp(high), unit))
     return made[0], made[1]
 
 

@@ -26,12 +26,15 @@ NOISE_CORRELATION = 0.05  # the lag at which the noise's autocorrelation has die
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients (k), their covariance (k, k), degrees of freedom, and block-wise leave-one-out values (B, k)."""
+    """Coefficients (k), their leave-one-block-out covariance (k, k) and each block's share in it (B, k, k).
+
+    `shares` are the covariances that white noise within each block would cause: a coefficient that rests on few blocks
+    has few degrees of freedom (Satterthwaite; Bell and McCaffrey 2002).
+    """
 
     value: FloatArray
     covariance: FloatArray
-    dof: int
-    replicas: FloatArray
+    shares: FloatArray
 
     def interval(self, index: int, level: float = 0.95) -> tuple[float, float]:
         """Two-sided interval of one coefficient."""
@@ -40,7 +43,10 @@ class Estimate:
     def interval_of(self, gradient: FloatArray, level: float = 0.95) -> tuple[float, float]:
         """Interval of `gradient @ value` (delta method for a function with that gradient)."""
         centre = float(gradient @ self.value)
-        half = float(stats.t.ppf(0.5 + level / 2.0, self.dof)) * float(np.sqrt(gradient @ self.covariance @ gradient))
+        deviation = float(np.sqrt(gradient @ self.covariance @ gradient))
+        share = np.einsum("i,bij,j->b", gradient, self.shares, gradient)
+        dof = max(1.0, float(share.sum() ** 2 / np.square(share).sum()) - 1.0)
+        half = float(stats.t.ppf(0.5 + level / 2.0, dof)) * deviation
         return centre - half, centre + half
 
 
@@ -115,7 +121,9 @@ def solve(regressors: FloatArray, instruments: FloatArray, target: FloatArray, l
     total_zx, total_zy = zx.sum(axis=0), zy.sum(axis=0)
     value = np.linalg.solve(total_zx, total_zy)
     replicas = np.linalg.solve(total_zx - zx, (total_zy - zy)[:, :, None])[:, :, 0]
-    count, k = replicas.shape
+    count = replicas.shape[0]
     deviation = replicas - value
     covariance = (count - 1) / count * deviation.T @ deviation
-    return Estimate(value, covariance, max(1, count - k), replicas)
+    inverse = np.linalg.inv(total_zx - zx)
+    shares = inverse @ np.add.reduceat(z[:, :, None] * z[:, None, :], starts, axis=0) @ inverse.transpose(0, 2, 1)
+    return Estimate(value, covariance, shares)

@@ -1,0 +1,167 @@
+"""Calibration on logs from the elongation equilibrium (tendon_logs), which shares no code with the package."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from tests.identify import tendon_logs
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate import Calibration, calibrate
+from tsa_ctrl.identify.calibrate.admission import admit
+from tsa_ctrl.identify.calibrate.regression import block_labels, lagged, solve
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath, model_from
+
+
+def rig_and_model(seed: int, profile: str = "joint_end") -> tuple[np.random.Generator, tendon_logs.Rig, TendonSheath]:
+    rng = np.random.default_rng([11, seed])
+    rig = tendon_logs.draw_rig(rng, profile)
+    model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal.toml")
+    assert isinstance(model, TendonSheath)
+    return rng, rig, model
+
+
+def log(rig: tendon_logs.Rig, rng: np.random.Generator, name: str = "a.csv", **options: object) -> Dataset:
+    return Dataset.from_arrays(tendon_logs.record(rig, rng, **options), name)  # type: ignore[arg-type]
+
+
+def hits(result: Calibration, rig: tendon_logs.Rig, *names: str) -> int:
+    truth = rig.truth()
+    return sum(getattr(result, name).low <= truth[name] <= getattr(result, name).high for name in names)
+
+
+@pytest.mark.parametrize("profile", tendon_logs.PROFILES)
+def test_intervals_of_the_two_combinations_cover_the_truth(profile: str) -> None:
+    """40 logs with two intervals each: at 95 % coverage fewer than 70 of 80 hits has a chance below 1 in 1000."""
+    found = 0
+    for seed in range(40):
+        rng, rig, model = rig_and_model(seed, profile)
+        found += hits(calibrate([log(rig, rng, seconds=25.0, rate=250.0)], model), rig, "slope", "half_loop_torque")
+    assert found >= 70
+
+
+def test_one_configuration_is_not_split() -> None:
+    rng, rig, model = rig_and_model(1)
+    result = calibrate([log(rig, rng)], model)
+    assert not result.split
+    assert "tensioner" in result.experiment
+    proportion = result.friction_angle.value / result.pretension.value
+    assert proportion == pytest.approx(model.friction_angle / model.pretension)
+
+
+def test_the_interval_of_an_unsplit_parameter_is_what_is_left_open() -> None:
+    for seed in range(10):
+        rng, rig, model = rig_and_model(seed)
+        assert hits(calibrate([log(rig, rng)], model), rig, "friction_angle", "pretension") == 2
+
+
+@pytest.mark.parametrize("kind", ["tensioner", "theta", "tensions", "certified"])
+def test_split_recovers_both_parameters(kind: str) -> None:
+    for seed in range(3):
+        rng, rig, model = rig_and_model(seed)
+        change = 0.4 * rig.pretension
+        if kind == "tensioner":
+            logs = [log(rig, rng), log(rig, rng, "b.csv", tensioner=change)]
+            result = calibrate(logs, model, tensioner={"b.csv": change})
+        elif kind == "theta":
+            result = calibrate([log(rig, rng, theta_swing=0.3 * rig.theta)], model)
+        elif kind == "tensions":
+            result = calibrate([log(rig, rng, tensions=True)], model)
+        else:
+            result = calibrate([log(rig, rng)], model, certified_gain=True)
+        assert result.split
+        truth = rig.truth()
+        assert result.friction_angle.value == pytest.approx(truth["friction_angle"], rel=0.03)
+        assert result.pretension.value == pytest.approx(truth["pretension"], rel=0.03)
+
+
+def test_half_loop_is_kept_by_the_calibrated_model() -> None:
+    rng, rig, model = rig_and_model(2)
+    result = calibrate([log(rig, rng)], model)
+    m = result.model
+    loop = 2.0 * m.pretension * m.joint_pulley_radius * np.sinh(m.friction_angle)
+    assert loop == pytest.approx(result.half_loop_torque.value, rel=1e-6)
+
+
+def test_error_on_held_out_data_falls() -> None:
+    rng, rig, model = rig_and_model(0)
+    result = calibrate([log(rig, rng, f"{i}.csv") for i in range(3)], model)
+    assert result.rms_after < 0.6 * result.rms_before
+
+
+def test_noise_on_the_motor_torque_does_not_bias_the_slope() -> None:
+    """White noise of a third of the signal would shrink an ordinary least-squares slope by a tenth."""
+    rng, rig, model = rig_and_model(4)
+    columns = tendon_logs.record(rig, rng, seconds=60.0)
+    columns["tau_m"] = columns["tau_m"] + 0.33 * np.std(columns["tau_m"]) * rng.normal(size=columns["t"].size)
+    result = calibrate([Dataset.from_arrays(columns, "noisy.csv")], model)
+    assert result.slope.value == pytest.approx(rig.truth()["slope"], rel=0.02)
+
+
+def test_json_has_the_public_keys() -> None:
+    rng, rig, model = rig_and_model(3)
+    data = json.loads(calibrate([log(rig, rng)], model).to_json())
+    assert data["schema"] == 1
+    assert set(data["parameters"]) == {"friction_angle", "pretension"}
+    assert set(data["combinations"]) == {"slope", "half_loop_torque"}
+    assert set(data["combinations"]["slope"]) == {"value", "low", "high", "unit"}
+    assert data["split"] is False
+    assert data["condition_number"] is None
+    assert data["refused"] == ["reversals", "standstill"]
+    assert set(data["rms"]) >= {"before", "after", "held_out"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c.update(omega_j=np.abs(c["omega_j"]) + 0.1), "backward"),
+        (lambda c: c.update(omega_j=0.0 * c["omega_j"]), "hardly moves"),
+        (lambda c: c.update(tau_m=0.0 * c["tau_m"] + 0.1), "slope cannot be seen"),
+        (lambda c: c.pop("tau_j"), "tau_j"),
+    ],
+)
+def test_too_little_of_something_is_a_refusal_that_names_it(change, words: str) -> None:  # type: ignore[no-untyped-def]
+    rng, rig, model = rig_and_model(5)
+    columns = tendon_logs.record(rig, rng)
+    change(columns)
+    with pytest.raises(UsageError, match=words):
+        calibrate([Dataset.from_arrays(columns, "bad.csv")], model)
+
+
+def test_unknown_tensioner_log_is_an_error() -> None:
+    rng, rig, model = rig_and_model(5)
+    with pytest.raises(UsageError, match="matches no log"):
+        calibrate([log(rig, rng)], model, tensioner={"x.csv": 10.0})
+
+
+def test_admission_refuses_the_neighbourhood_of_reversals() -> None:
+    t = np.arange(0.0, 20.0, 0.002)
+    omega = np.cos(2.0 * np.pi * 0.5 * t)
+    admission = admit(t, omega)
+    reversals = np.arange(0.5, 20.0, 1.0)
+    for instant in reversals:
+        assert not admission.mask[np.searchsorted(t, instant)]
+    assert admission.reversals == reversals.size
+    assert 10.0 < admission.seconds < 17.0
+
+
+def test_solve_is_exact_without_noise() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(400, 3))
+    labels = block_labels([400])[0]
+    estimate = solve(x, x, x @ np.array([1.0, -2.0, 0.5]), labels)
+    np.testing.assert_allclose(estimate.value, [1.0, -2.0, 0.5], atol=1e-12)
+
+
+def test_blocks_never_join_two_logs() -> None:
+    a, b = block_labels([100, 300])
+    assert set(a).isdisjoint(b)
+
+
+def test_lagged_leaves_a_straight_line_alone() -> None:
+    line = np.arange(50.0)
+    np.testing.assert_allclose(lagged(line, 5)[5:-5], line[5:-5])
