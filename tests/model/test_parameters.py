@@ -1,0 +1,184 @@
+"""The actuator model file: what is accepted, what is refused in one line, and that a written file is the same model."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import (
+    RigidDrive,
+    TendonSheath,
+    dump_model,
+    load_model,
+    load_tendon_sheath,
+    save_model,
+)
+
+EXAMPLE = Path(__file__).parents[2] / "config" / "actuator.toml"
+DRIVE = '[actuator]\nkind = "rigid_drive"\ninertia = 0.002\ncoulomb_friction = 0.05\n'
+
+
+def changed(old: str, new: str) -> str:
+    """The example file with one line exchanged."""
+    text = EXAMPLE.read_text(encoding="utf-8")
+    assert old in text
+    return text.replace(old, new)
+
+
+def loaded(folder: Path, text: str) -> TendonSheath | RigidDrive:
+    path = folder / "model.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_model(path)
+
+
+def bare(model: TendonSheath | RigidDrive) -> TendonSheath | RigidDrive:
+    """Without the name of the file."""
+    return dataclasses.replace(model, source="")
+
+
+def test_example_is_the_reference_actuator() -> None:
+    """The commented example loads to the numbers that stand in it."""
+    assert bare(load_model(EXAMPLE)) == ACTUATOR
+
+
+def test_derived_quantities() -> None:
+    """x = mu Theta, k_t = EA/l_us, and no series length without a series element."""
+    assert ACTUATOR.friction_angle == pytest.approx(0.26)
+    assert ACTUATOR.tendon_stiffness == pytest.approx(50e3)
+    assert ACTUATOR.series_length == 0.0
+
+
+def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
+    """(3.51), (3.56): 35 N/rad over 1.4 rad."""
+    text = changed("# unstrained_bending_angle", "unstrained_bending_angle").replace("value = 45.0", "# value")
+    model = loaded(tmp_path, text)
+    assert isinstance(model, TendonSheath)
+    assert model.pretension == pytest.approx(49.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("diameter", "diametre", r"tendon: unknown key 'diametre'; did you mean 'diameter'\?"),
+        ("value = 45.0", "value = -1.0", "pretension.value: .*>= 0"),
+        ("bending_angle = 2.6 ", "bending_angle = 149.0 ", "sheath.bending_angle: .*<= 100"),
+        ("motor_pulley_radius = 0.020", "motor_pulley_radius = 20.0", "motor_pulley_radius: .*<= 1"),
+        ("axial_stiffness = 60e3", 'axial_stiffness = "60e3"', "tendon.axial_stiffness: expected .float."),
+        ("axial_stiffness = 60e3", "# gone", "key 'axial_stiffness' is missing"),
+        ("value = 45.0", "# value", "no pretension; give"),
+        ("# unstrained_bending_angle", "unstrained_bending_angle", "both .* are given; keep one"),
+    ],
+)
+def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
+    """Where, what was found, what is allowed."""
+    with pytest.raises(UsageError) as caught:
+        loaded(tmp_path, changed(old, new))
+    assert re.search(message, str(caught.value))
+    assert "\n" not in str(caught.value)
+    assert "model.toml" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("[effects.stribek_friction]", "unknown effect; did you mean 'stribeck_friction'"),
+        ("[effects.viscous_friction]", "key 'coefficient' is missing; give a number at least 0"),
+        ("[effects.viscous_friction]\ncoefficient = -0.1", "coefficient = -0.1; allowed is a number at least 0"),
+        ("[effects.viscous_friction]\ncoeficient = 0.1", "unknown key 'coeficient'; did you mean 'coefficient'"),
+        ("[effects.viscous_friction]\ncoefficient = true", "allowed is a number"),
+        ("[effects.viscous_friction]\ncoefficient = nan", "allowed is a number"),
+        ("[effects.load_dependent_friction]\ncoefficient = 1.0", "below 1"),
+        ("[effects.torque_ripple]\namplitude = 0.1\ncycles_per_revolution = 2.5", "a whole number at least 1"),
+        ('[effects.elongation_coupling]\ncurvature_profile = "flat"', 'allowed is "uniform" or "motor_end"'),
+        (
+            '[effects.elongation_coupling]\ncurvature_profile = "uniform"\n[effects.tendon_slack]',
+            "cannot be combined with .*tendon_slack",
+        ),
+    ],
+)
+def test_wrong_effect_is_one_line(tmp_path: Path, table: str, message: str) -> None:
+    """Names and bounds are those of the catalogue."""
+    with pytest.raises(UsageError, match=message) as caught:
+        loaded(tmp_path, EXAMPLE.read_text(encoding="utf-8") + table + "\n")
+    assert "\n" not in str(caught.value)
+
+
+def test_written_model_is_the_same(tmp_path: Path) -> None:
+    """Effects with defaults, choices and series element included."""
+    model = dataclasses.replace(ACTUATOR, series_stiffness=2e4).with_effects(
+        {
+            "presliding_hysteresis": {"presliding_distance": 0.0313, "displacement": "joint"},
+            "tension_dependent_friction": {"exponent": 0.1 + 0.2},
+            "tendon_slack": {},
+        }
+    )
+    save_model(model, tmp_path / "out.toml", provenance={"logs": ["a.csv"], "rms": {"before": 0.1}})
+    assert bare(load_model(tmp_path / "out.toml")) == model
+
+
+def test_template_keeps_its_comments(tmp_path: Path) -> None:
+    """Only what changed is written anew."""
+    text = dump_model(ACTUATOR.recalibrated(pretension=47.5), template=EXAMPLE)
+    assert "# m, p: tendon's contact line to the sheath's inner arc" in text
+    assert "value = 47.5" in text
+    reloaded = loaded(tmp_path, text)
+    assert bare(reloaded) == ACTUATOR.recalibrated(pretension=47.5)
+
+
+def test_recalibration_moves_friction_through_mu() -> None:
+    """Theta stays, since it is what the theta column is compared with."""
+    model = ACTUATOR.recalibrated(friction_angle=0.52)
+    assert (model.friction_coefficient, model.bending_angle) == pytest.approx((0.2, 2.6))
+
+
+def test_straight_sheath_cannot_be_recalibrated_in_friction() -> None:
+    """x is 0 whatever mu is."""
+    with pytest.raises(UsageError, match="bending_angle is 0"):
+        dataclasses.replace(ACTUATOR, bending_angle=0.0).recalibrated(friction_angle=0.1)
+
+
+class TestReferenceTension:
+    """T_ref of tension_dependent_friction defaults to the file's pretension."""
+
+    def test_stays_when_the_pretension_is_recalibrated(self) -> None:
+        """Else a new pretension would be a new friction as well."""
+        model = ACTUATOR.with_effects({"tension_dependent_friction": {"exponent": 0.2}}).recalibrated(pretension=60.0)
+        assert model.effects["tension_dependent_friction"]["reference_tension"] == 45.0
+
+    def test_must_be_given_without_pretension(self) -> None:
+        """A power of T/0 means nothing."""
+        with pytest.raises(UsageError, match="give reference_tension"):
+            dataclasses.replace(ACTUATOR, pretension=0.0).with_effects(
+                {"tension_dependent_friction": {"exponent": 0.2}}
+            )
+
+
+class TestRigidDrive:
+    """[actuator] kind = "rigid_drive"."""
+
+    def test_absent_parameters_are_none(self, tmp_path: Path) -> None:
+        """Absent is not 0: it can be a cause."""
+        assert bare(loaded(tmp_path, DRIVE)) == RigidDrive(inertia=0.002, coulomb_friction=0.05)
+
+    def test_round_trip(self, tmp_path: Path) -> None:
+        """Written and read."""
+        model = RigidDrive(0.002, None, 0.01, -0.03, effects={"joint_stiffness": {"stiffness": 0.5, "rest_angle": 0.0}})
+        save_model(model, tmp_path / "drive.toml")
+        assert bare(load_model(tmp_path / "drive.toml")) == model
+
+    @pytest.mark.parametrize("table", ["[effects.tendon_slack]", "[effects.backlash]\ngap = 0.1"])
+    def test_effects_of_tendons_are_refused(self, tmp_path: Path, table: str) -> None:
+        """They have no meaning without a transmission."""
+        with pytest.raises(UsageError, match="has no meaning for a rigid_drive"):
+            loaded(tmp_path, f"{DRIVE}{table}\n")
+
+    def test_is_no_tendon_sheath(self, tmp_path: Path) -> None:
+        """Where a controller needs one."""
+        (tmp_path / "drive.toml").write_text(DRIVE, encoding="utf-8")
+        with pytest.raises(UsageError, match="give a tendon-sheath model"):
+            load_tendon_sheath(tmp_path / "drive.toml")
