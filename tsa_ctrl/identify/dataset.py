@@ -18,6 +18,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.units import check_pairs, check_rate, check_sizes
 from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
 from tsa_ctrl.log.table import Table, read_table, sha256_of
+from tsa_ctrl.log.timing import check_increasing, fit_grid
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals, zero_phase_derivative
 
@@ -27,8 +28,7 @@ CUTOFF = 10.0  # Hz, of the zero-phase low-pass in front of the derivative of an
 MOST_JITTER = 0.20  # of the period; worse is an error
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST = 10  # rows
-LONGEST_BRIDGE = 0.020  # s of cycles that the daemon skipped, filled by straight lines
-LOADED = (*SIGNAL_NAMES, "cycle")
+LONGEST_SKIP = 0.020  # s of cycles that the daemon skipped, and says so: filled by straight lines
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def load_log(path: str | Path) -> Dataset:
     UsageError that names file, column and row for a missing column, a nan, a time that does not increase, an empty or
     damaged file, jitter above 20 % of the period, or a unit that cannot be right.
     """
-    table = read_table(path, LOADED)
+    table = read_table(path, SIGNAL_NAMES)
     return _dataset(table, Path(path).name, sha256_of(path))
 
 
@@ -134,13 +134,7 @@ def _dataset(table: Table, name: str, sha256: str) -> Dataset:
         columns = {key: value[start:] for key, value in columns.items()}
         notes.append(f"the first {start} rows, before every device had reported, are left out")
     _check_numbers(table, columns, start)
-    period = _check_time(table, columns["t"], start)
-    check_rate(table.label, period)
-    if table.recorded:
-        columns, note = _bridge(columns, period)
-        notes += note
-    columns, period, jitter, note = _uniform(table, columns, period, start)
-    notes += note
+    columns, period, jitter = _uniform(table, columns, start, notes)
     derivatives: dict[str, Array] = {
         angle: zero_phase_derivative(columns[angle], period, CUTOFF) for angle in ("q_j", "q_m") if angle in columns
     }
@@ -197,62 +191,31 @@ def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> No
             )
 
 
-def _check_time(table: Table, t: Array, start: int) -> float:
-    """The typical period, s; raises UsageError where time stands still or runs back."""
-    steps = np.diff(t)
-    if not (steps > 0.0).all():
-        row = int(np.argmin(steps > 0.0)) + 1
-        raise UsageError(
-            f"{table.label}: column t, {table.place(row + start)}: time {t[row]:.9g} s does not increase (before it "
-            f"{t[row - 1]:.9g} s); sort the rows by time and remove doubled ones"
-        )
-    return float(np.median(steps))
-
-
-def _bridge(columns: dict[str, Array], period: float) -> tuple[dict[str, Array], list[str]]:
-    """Fill short holes where the daemon skipped cycles, which it counts, by straight lines."""
-    t = columns["t"]
-    steps = np.rint(np.diff(t) / period).astype(np.int64)
-    if not ((steps > 1) & (steps * period <= LONGEST_BRIDGE + period)).any():
-        return columns, []
-    steps[steps * period > LONGEST_BRIDGE + period] = 1  # left as it is, for the check that follows to report
-    at = np.concatenate([[0], np.cumsum(np.maximum(steps, 1))])
-    grid = np.arange(at[-1] + 1)
-    filled = {name: np.interp(grid, at, values) for name, values in columns.items()}
-    added = len(grid) - len(t)
-    return filled, [
-        f"{added} cycles that the daemon skipped are filled by straight lines ({added / len(grid):.2%} of all)"
-    ]
-
-
 def _uniform(
-    table: Table, columns: dict[str, Array], typical: float, start: int
-) -> tuple[dict[str, Array], float, float, list[str]]:
-    """The columns on a uniform grid, its period, the jitter found (fraction of the period), notes.
-
-    Jitter is the largest deviation of a time from the fitted grid or of a step from the period, whichever is smaller:
-    noise of the stamps doubles in the steps, and a slowly drifting clock adds up in the times.
-    """
+    table: Table, columns: dict[str, Array], start: int, notes: list[str]
+) -> tuple[dict[str, Array], float, float]:
+    """The columns on a uniform grid, its period and the jitter found (fraction of the period)."""
     t = columns["t"]
-    index = np.arange(len(t)) - 0.5 * (len(t) - 1)
-    fitted = float(index @ t) / float(index @ index)
-    close = abs(fitted - typical) < MOST_JITTER * typical
-    period = fitted if close else typical  # the typical step of rounded times is a rounded one
-    interval = np.abs(np.diff(t) / period - 1.0)
-    grid = float(np.mean(t)) + period * index
-    offset = np.abs(t - grid) / period
-    jitter = min(float(interval.max()), float(offset.max()))
-    if jitter > MOST_JITTER:
-        row = int(np.argmax(interval)) + 1
+    check_increasing(table, t, start)
+    grid = fit_grid(t, LONGEST_SKIP if table.recorded else 0.0)
+    check_rate(table.label, grid.typical)
+    if grid.jitter > MOST_JITTER:
+        row = grid.worst
         raise UsageError(
             f"{table.label}: column t, {table.place(row + start)}: a step of {t[row] - t[row - 1]:.6g} s where the "
-            f"period is {typical:.6g} s; at most {MOST_JITTER:.0%} off is allowed: cut the file at the hole"
+            f"period is {grid.typical:.6g} s; at most {MOST_JITTER:.0%} off is allowed: cut the file at the hole"
         )
-    if jitter <= UNIFORM:
-        return columns, period, jitter, []
-    resampled = {name: np.interp(grid, t, values) for name, values in columns.items() if name != "t"}
-    note = f"time jitters by {jitter:.1%} of the period of {period * 1e3:.4g} ms; resampled to a uniform grid"
-    return {"t": grid, **resampled}, period, jitter, [note]
+    if grid.skipped:
+        share = grid.skipped / (grid.index[-1] + 1)
+        notes.append(f"{grid.skipped} cycles ({share:.2%}) that the daemon skipped are filled by straight lines")
+    if grid.jitter > UNIFORM:
+        period = f"the period of {grid.period * 1e3:.4g} ms"
+        notes.append(f"time jitters by {grid.jitter:.1%} of {period}; resampled to a uniform grid")
+    if not grid.skipped and grid.jitter <= UNIFORM:
+        return columns, grid.period, grid.jitter
+    uniform = grid.times[0] + grid.period * np.arange(grid.index[-1] + 1)
+    resampled = {name: np.interp(uniform, t, values) for name, values in columns.items() if name != "t"}
+    return {"t": uniform, **resampled}, grid.period, grid.jitter
 
 
 def _stilled(angle: Array, velocity: Array) -> Array:

@@ -10,7 +10,6 @@ import json
 import mmap
 import zlib
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +24,8 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, MAGIC, SCHEMA_NAME
 from tsa_ctrl.log.table import Table
 
-_PREFIX = 9  # opcode and length of a record
-_MESSAGE_HEAD = np.dtype(
+_PREFIX = 9  # bytes of opcode and length before the content of a record
+_HEAD = np.dtype(
     [
         ("opcode", "u1"),
         ("length", "<u8"),
@@ -38,144 +37,131 @@ _MESSAGE_HEAD = np.dtype(
 )
 
 
-@dataclass
-class LogContents:
-    """A log file taken apart: axes in order, fields, metadata, and per axis the decoded blocks of records.
+class LogFile:
+    """One log: its head is read at once, its records with `blocks`.
 
-    `kept` are the fields that were decoded, in the order of the blocks' columns. `complete` is false when the file was
-    cut off (its writer was killed or is still writing); `damaged` counts chunks whose check sum is wrong, which are
-    left out.
+    `axes` and `fields` in order; `about` is the head's metadata (version, rate, started, units, codes); `files` maps
+    the name of each configuration file to its text. After `blocks` has run to its end, `complete` is false when the
+    file was cut off (its writer was killed or still writes), and `damaged` counts chunks with a wrong check sum.
     """
 
-    axes: list[str] = field(default_factory=list)
-    fields: list[str] = field(default_factory=list)
-    kept: list[str] = field(default_factory=list)
-    about: dict[str, Any] = field(default_factory=dict)
-    files: dict[str, str] = field(default_factory=dict)
-    blocks: dict[str, list[NDArray[np.float64]]] = field(default_factory=dict)
-    complete: bool = False
-    damaged: int = 0
+    def __init__(self, path: Path) -> None:
+        """Raises UsageError when `path` is not a log of this package."""
+        self.path = path
+        self.axes: list[str] = []
+        self.fields: list[str] = []
+        self.about: dict[str, Any] = {}
+        self.files: dict[str, str] = {}
+        self.complete = False
+        self.damaged = 0
+        self._channels: dict[int, str] = {}
+        with path.open("rb") as stream:
+            magic = stream.read(len(MAGIC))
+        if magic != MAGIC:
+            raise UsageError(f"{path}: is {'no MCAP file' if magic else 'empty'}; give a log that the daemon wrote")
+        for opcode, content in self._records():
+            if opcode == Opcode.SCHEMA:
+                self._take_schema(Schema.read(_stream(content)))
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(_stream(content))
+                self._channels[channel.id] = channel.metadata.get("axis", channel.topic.strip("/"))
+            elif opcode == Opcode.METADATA:
+                self._take_metadata(Metadata.read(_stream(content)))
+            elif opcode in (Opcode.CHUNK, Opcode.DATA_END):
+                break
+        self.axes = list(self._channels.values())
+        if not self.fields or not self.axes:
+            raise UsageError(f"{path}: holds no axis (cut off at its head, or not from this package); give another log")
 
     @property
     def codes(self) -> dict[str, dict[int, str]]:
         """Names of the coded fields' values."""
-        return {
-            name: {int(code): text for code, text in names.items()}
-            for name, names in self.about.get("codes", {}).items()
-        }
+        codes: dict[str, dict[str, str]] = self.about.get("codes", {})
+        return {field: {int(code): name for code, name in names.items()} for field, names in codes.items()}
 
-    def column(self, axis: str, name: str) -> NDArray[np.float64]:
-        """One field of one axis over the whole log."""
-        index = self.kept.index(name)
-        return np.concatenate([np.empty(0), *(block[:, index] for block in self.blocks[axis])])
+    def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
+        """Axis and records of each chunk in turn, shape (k, len(wanted)), the `wanted` fields in that order."""
+        pick = [self.fields.index(name) for name in wanted]
+        message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
+        self.complete, self.damaged = False, 0
+        for opcode, content in self._records():
+            if opcode == Opcode.FOOTER:
+                self.complete = True
+            if opcode != Opcode.CHUNK:
+                continue
+            data = _unpacked(content)
+            if data is None or len(data) % message.itemsize:
+                self.damaged += 1
+                continue
+            messages = np.frombuffer(data, dtype=message)
+            channel = messages["head"]["channel"]
+            for number in np.unique(channel).tolist():
+                yield self._channels[number], np.ascontiguousarray(messages["values"][channel == number][:, pick])
 
+    def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
+        """The `wanted` fields of one axis over the whole log."""
+        names = list(wanted)
+        blocks = [block for name, block in self.blocks(names) if name == axis]
+        return {name: np.concatenate([np.empty(0), *(block[:, i] for block in blocks)]) for i, name in enumerate(names)}
 
-def read_log(path: Path, wanted: Collection[str] | None = None) -> LogContents:
-    """Read all axes of a log, `wanted` fields only (None: all). Raises UsageError when it is no log of this package."""
-    contents = LogContents()
-    channels: dict[int, str] = {}
-    pick = np.empty(0, dtype=np.int64)
-    with path.open("rb") as stream:
-        try:
-            data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
-        except ValueError:
-            raise UsageError(f"{path}: is empty; give a log that was recorded") from None
-        with data:
-            if data[: len(MAGIC)] != MAGIC:
-                raise UsageError(f"{path}: is no MCAP file; give a log that the daemon wrote")
-            for opcode, content in _records(data):
-                if opcode == Opcode.SCHEMA:
-                    _take_schema(path, content, contents)
-                    contents.kept = [name for name in contents.fields if wanted is None or name in wanted]
-                    pick = np.array([contents.fields.index(name) for name in contents.kept], dtype=np.int64)
-                elif opcode == Opcode.CHANNEL:
-                    channel = Channel.read(_stream(content))
-                    axis = channel.metadata.get("axis", channel.topic.strip("/"))
-                    if channel.id not in channels:
-                        channels[channel.id] = axis
-                        contents.axes.append(axis)
-                        contents.blocks[axis] = []
-                elif opcode == Opcode.METADATA:
-                    _take_metadata(Metadata.read(_stream(content)), contents)
-                elif opcode == Opcode.CHUNK:
-                    _take_chunk(content, contents, channels, pick)
-                elif opcode == Opcode.FOOTER:
-                    contents.complete = True
-    if not contents.fields or not contents.axes:
-        raise UsageError(f"{path}: holds no axis (cut off at its head, or not from this package); give another log")
-    return contents
+    def _records(self) -> Iterator[tuple[int, bytes]]:
+        """Opcode and content of each whole record; ends where the file is cut off."""
+        with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            position, end = len(MAGIC), len(data)
+            while position + _PREFIX <= end:
+                opcode = data[position]
+                length = int.from_bytes(data[position + 1 : position + _PREFIX], "little")
+                position += _PREFIX
+                if length > end - position:
+                    return
+                yield opcode, data[position : position + length]
+                position += length
+                if opcode == Opcode.FOOTER:
+                    return
+
+    def _take_schema(self, schema: Schema) -> None:
+        if schema.name != SCHEMA_NAME:
+            raise UsageError(
+                f"{self.path}: holds '{schema.name}' messages, not a log of this package; convert it to CSV"
+            )
+        lines = schema.data.decode().splitlines()
+        self.fields = [line.split("#")[0].split()[1] for line in lines if line.startswith("float64")]
+
+    def _take_metadata(self, record: Metadata) -> None:
+        if record.name.startswith(FILES):
+            self.files[record.name.removeprefix(FILES)] = record.metadata["text"]
+            return
+        self.about = dict(record.metadata)
+        for key in ("axes", "fields", "units", "codes", "rate"):
+            self.about[key] = json.loads(self.about[key])
 
 
 def read_axis(path: Path, axis: str | None, wanted: Collection[str] | None = None) -> Table:
-    """One axis of a log as a table. Raises UsageError when there are several and none is named, or it is unknown."""
-    contents = read_log(path, wanted)
-    listed = ", ".join(contents.axes)
-    if axis is None and len(contents.axes) > 1:
-        raise UsageError(f"{path}: holds the axes {listed}; name one as {path}:{contents.axes[0]}")
-    if axis is not None and axis not in contents.axes:
+    """One axis of a log, `wanted` fields only. Raises UsageError when several are there and none is named."""
+    log = LogFile(path)
+    listed = ", ".join(log.axes)
+    if axis is None and len(log.axes) > 1:
+        raise UsageError(f"{path}: holds the axes {listed}; name one as {path}:{log.axes[0]}")
+    if axis is not None and axis not in log.axes:
         raise UsageError(f"{path}: holds no axis '{axis}'; it holds {listed}")
-    axis = axis or contents.axes[0]
-    columns: dict[str, NDArray[np.float64]] = {}
-    for name in contents.kept:
-        values = contents.column(axis, name)
-        if name == "t" or not np.isnan(values).all():
-            columns[name] = values
-    label = str(path) if len(contents.axes) == 1 else f"{path}:{axis}"
-    left_out = tuple(name for name in contents.fields if name not in contents.kept)
+    axis = axis or log.axes[0]
+    kept = [name for name in log.fields if wanted is None or name in wanted]
+    columns = log.columns(axis, kept)
+    columns = {name: values for name, values in columns.items() if name == "t" or not np.isnan(values).all()}
+    label = str(path) if len(log.axes) == 1 else f"{path}:{axis}"
+    left_out = tuple(name for name in log.fields if name not in kept)
     return Table(label, columns, left_out, axis=axis, recorded=True)
-
-
-def _records(data: mmap.mmap) -> Iterator[tuple[int, bytes]]:
-    """Opcode and content of each whole record; ends where the file is cut off or its trailing magic begins."""
-    position, end = len(MAGIC), len(data)
-    while position + _PREFIX <= end:
-        opcode = data[position]
-        length = int.from_bytes(data[position + 1 : position + _PREFIX], "little")
-        position += _PREFIX
-        if length > end - position:
-            return
-        yield opcode, data[position : position + length]
-        position += length
-        if opcode == Opcode.FOOTER:
-            return
 
 
 def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(content))
 
 
-def _take_schema(path: Path, content: bytes, contents: LogContents) -> None:
-    schema = Schema.read(_stream(content))
-    if schema.name != SCHEMA_NAME:
-        raise UsageError(
-            f"{path}: holds messages of type '{schema.name}', not a log of this package; convert it to CSV"
-        )
-    lines = schema.data.decode().splitlines()
-    contents.fields = [line.split("#")[0].split()[1] for line in lines if line.startswith("float64")]
-
-
-def _take_metadata(record: Metadata, contents: LogContents) -> None:
-    if record.name.startswith(FILES):
-        contents.files[record.name.removeprefix(FILES)] = record.metadata["text"]
-        return
-    about: dict[str, Any] = dict(record.metadata)
-    for key in ("axes", "fields", "units", "codes", "rate"):
-        about[key] = json.loads(about[key])
-    contents.about = about
-
-
-def _take_chunk(content: bytes, contents: LogContents, channels: dict[int, str], pick: NDArray[np.int64]) -> None:
+def _unpacked(content: bytes) -> bytes | None:
+    """The messages of a chunk; None where they are damaged."""
     chunk = Chunk.read(_stream(content))
     try:
-        data = zstandard.decompress(chunk.data, chunk.uncompressed_size)
+        data: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
     except zstandard.ZstdError:
-        contents.damaged += 1
-        return
-    message = np.dtype([("head", _MESSAGE_HEAD), ("values", "<f8", (len(contents.fields),))])
-    if zlib.crc32(data) != chunk.uncompressed_crc or len(data) % message.itemsize:
-        contents.damaged += 1
-        return
-    messages = np.frombuffer(data, dtype=message)
-    for number in np.unique(messages["head"]["channel"]).tolist():
-        values = messages["values"][messages["head"]["channel"] == number]
-        contents.blocks[channels[number]].append(np.ascontiguousarray(values[:, pick]))
+        return None
+    return data if zlib.crc32(data) == chunk.uncompressed_crc else None

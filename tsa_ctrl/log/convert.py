@@ -1,0 +1,202 @@
+"""A log to CSV, CSV.gz or Parquet: one file per axis, codes as their names, columns that were never there left out."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.columns import BY_NAME
+from tsa_ctrl.log.reader import LogFile
+from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
+
+ROWS = 16384  # written at once
+FORMATS = (".csv", ".csv.gz", ".parquet")
+
+Progress = Callable[[float], None]
+Codes = dict[str, dict[int, str]]
+Blocks = Iterator[NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class _Source:
+    """One axis to write: its columns, the names of its codes, its rows in blocks (k, columns)."""
+
+    axis: str | None
+    names: list[str]
+    codes: Codes
+    rows: int
+    blocks: Callable[[], Blocks]
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Written:
+    """One file written, and the columns of the log that are no numbers and so not in it."""
+
+    path: Path
+    left_out: tuple[str, ...]
+
+
+class _Sink(Protocol):
+    def write(self, block: NDArray[np.float64]) -> None: ...
+    def close(self) -> None: ...
+
+
+def convert(log: str | Path, out: Path, progress: Progress = lambda share: None) -> list[Written]:
+    """Write every axis of `log` and return the files: `out` itself for one axis, OUT_AXIS for several.
+
+    `out` ends with .csv, .csv.gz or .parquet, or is a folder (then CSV). A file is written beside and renamed, so that
+    it is whole or not there. `progress` is told the share done. Raises UsageError for a log or place that is unusable.
+    """
+    sources = _sources(log)
+    file, _ = split_axis(log)
+    written: list[Written] = []
+    total = sum(source.rows for source in sources)
+    done = 0
+    for source in sources:
+        path = _path(file, out, source.axis if len(sources) > 1 or _is_folder(out) else None)
+        if path.exists() and path.samefile(file):
+            raise UsageError(f"{path}: is the log itself; choose another file for --out")
+        beside = path.with_name(f".{path.name}.part")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.closing(_open(path, beside, source)) as sink:
+                for block in source.blocks():
+                    sink.write(block)
+                    done += len(block)
+                    progress(done / total)
+            beside.replace(path)
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from None
+        finally:
+            with contextlib.suppress(OSError):
+                beside.unlink(missing_ok=True)
+        written.append(Written(path, source.left_out))
+    return written
+
+
+def _sources(log: str | Path) -> list[_Source]:
+    file, axis = split_axis(log)
+    if not file.exists() or kind_of(file) != ".mcap":
+        return [_of_table(read_table(log))]
+    contents = LogFile(file)
+    if axis is not None and axis not in contents.axes:
+        raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(contents.axes)}")
+    present: dict[str, NDArray[np.bool_]] = {}
+    rows = dict.fromkeys(contents.axes, 0)
+    for name, block in contents.blocks(contents.fields):
+        present[name] = ~np.isnan(block).all(axis=0) | present.get(name, np.zeros(len(contents.fields), dtype=bool))
+        rows[name] += len(block)
+    if not present:
+        raise UsageError(f"{file}: holds no records; record longer, or give another log")
+    chosen = [name for name in contents.axes if name in present and axis in (None, name)]
+    return [_of_axis(contents, name, present[name], rows[name]) for name in chosen]
+
+
+def _of_axis(contents: LogFile, axis: str, present: NDArray[np.bool_], rows: int) -> _Source:
+    names = [name for name, there in zip(contents.fields, present.tolist(), strict=True) if there]
+
+    def blocks() -> Blocks:
+        return (block for name, block in contents.blocks(names) if name == axis)
+
+    return _Source(axis, names, contents.codes, rows, blocks)
+
+
+def _of_table(table: Table) -> _Source:
+    names = list(table.columns)
+
+    def blocks() -> Blocks:
+        for start in range(0, len(table), ROWS):
+            yield np.column_stack([values[start : start + ROWS] for values in table.columns.values()])
+
+    return _Source(None, names, {}, len(table), blocks, table.left_out)
+
+
+def _is_folder(out: Path) -> bool:
+    return out.is_dir() or not any(out.name.lower().endswith(ending) for ending in FORMATS)
+
+
+def _path(log: Path, out: Path, axis: str | None) -> Path:
+    if _is_folder(out):
+        if out.suffix and not out.is_dir():
+            raise UsageError(f"{out}: unknown kind of file; allowed are {', '.join(FORMATS)} or a folder")
+        stem = log.name[: -len(kind_of(log))]
+        return out / (f"{stem}_{axis}.csv" if axis else f"{stem}.csv")
+    if axis is None:
+        return out
+    ending = max((ending for ending in FORMATS if out.name.lower().endswith(ending)), key=len)
+    return out.with_name(f"{out.name[: -len(ending)]}_{axis}{out.name[-len(ending) :]}")
+
+
+def _open(path: Path, beside: Path, source: _Source) -> _Sink:
+    if path.name.lower().endswith(".parquet"):
+        return _Parquet(beside, source)
+    return _Csv(beside, source, compressed=path.name.lower().endswith(".gz"))
+
+
+def _as_text(values: NDArray[np.float64], names: dict[int, str]) -> list[str]:
+    """Codes as their names; one without a name stays a number."""
+    return ["" if v != v else names.get(int(v), f"{v:g}") for v in values.tolist()]
+
+
+class _Csv:
+    """Numbers as the shortest text that reads back to the same double; nan as an empty field."""
+
+    def __init__(self, path: Path, source: _Source, compressed: bool) -> None:
+        self._source = source
+        raw = gzip.GzipFile(path, "wb", compresslevel=4) if compressed else path.open("wb")
+        self._stream = io.TextIOWrapper(raw, encoding="utf-8", newline="")
+        self._stream.write(",".join(source.names) + "\n")
+
+    def write(self, block: NDArray[np.float64]) -> None:
+        columns = [self._column(name, block[:, i]) for i, name in enumerate(self._source.names)]
+        self._stream.write("".join([",".join(row) + "\n" for row in zip(*columns, strict=True)]))
+
+    def _column(self, name: str, values: NDArray[np.float64]) -> list[str]:
+        if name in self._source.codes:
+            return _as_text(values, self._source.codes[name])
+        if name in BY_NAME and BY_NAME[name].stepped:
+            return ["" if v != v else f"{v:.17g}" for v in values.tolist()]
+        return ["" if v != v else repr(v) for v in values.tolist()]
+
+    def close(self) -> None:
+        self._stream.close()
+
+
+class _Parquet:
+    """One row group per block; codes as text."""
+
+    def __init__(self, path: Path, source: _Source) -> None:
+        try:
+            import pyarrow as pa
+            import pyarrow.parquet as pq
+        except ImportError:
+            raise UsageError(
+                f"{path.name[1:-5]}: writing Parquet needs pyarrow; install it (pip install 'tsa-ctrl[parquet]') or "
+                "write CSV"
+            ) from None
+        self._pa: Any = pa
+        self._source = source
+        fields = [(name, pa.string() if name in source.codes else pa.float64()) for name in source.names]
+        self._writer: Any = pq.ParquetWriter(path, pa.schema(fields))
+
+    def write(self, block: NDArray[np.float64]) -> None:
+        arrays = [self._array(name, block[:, i]) for i, name in enumerate(self._source.names)]
+        self._writer.write_table(self._pa.Table.from_arrays(arrays, schema=self._writer.schema))
+
+    def _array(self, name: str, values: NDArray[np.float64]) -> Any:
+        if name in self._source.codes:
+            return self._pa.array(_as_text(values, self._source.codes[name]))
+        return self._pa.array(np.ascontiguousarray(values), from_pandas=True)
+
+    def close(self) -> None:
+        self._writer.close()

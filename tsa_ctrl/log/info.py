@@ -1,0 +1,120 @@
+"""What is in a log: rate, length, jitter, columns with their ranges, and how the recording went."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.columns import BY_NAME
+from tsa_ctrl.log.reader import LogFile
+from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
+from tsa_ctrl.log.timing import check_increasing, fit_grid
+
+
+@dataclass(frozen=True)
+class ColumnRange:
+    """One column: unit ("" when unknown), smallest and largest value (None without any), rows without a value."""
+
+    name: str
+    unit: str
+    low: float | None
+    high: float | None
+    missing: int
+
+
+@dataclass(frozen=True)
+class AxisInfo:
+    """One axis: sampling rate in Hz, length in s, jitter as a fraction of the period, samples skipped."""
+
+    axis: str | None
+    rate: float
+    seconds: float
+    rows: int
+    jitter: float
+    skipped: int
+    columns: list[ColumnRange]
+    text_columns: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class LogInfo:
+    """A log file: its axes (one without a name for a table), hash and what its head says; `problems` in words."""
+
+    path: str
+    sha256: str
+    axes: list[AxisInfo]
+    about: dict[str, Any] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON object of `tsa log info`; the rate and the columns are those of all axes together."""
+        names = dict.fromkeys(column.name for axis in self.axes for column in axis.columns)
+        names |= dict.fromkeys(name for axis in self.axes for name in axis.text_columns)
+        return {
+            "schema": 1,
+            "log": self.path,
+            "sha256": self.sha256,
+            "rate": self.axes[0].rate,
+            "seconds": max(axis.seconds for axis in self.axes),
+            "rows": [axis.rows for axis in self.axes],
+            "columns": list(names),
+            "axes": [axis.axis for axis in self.axes if axis.axis is not None],
+            "jitter_percent": 100.0 * max(axis.jitter for axis in self.axes),
+            "skipped": [axis.skipped for axis in self.axes],
+            "recorded_by": self.about.get("version"),
+            "started": self.about.get("started"),
+            "problems": self.problems,
+        }
+
+
+def inspect(path: str | Path) -> LogInfo:
+    """Look into a log. Raises UsageError when it cannot be read or has no usable time."""
+    file, axis = split_axis(path)
+    sha256 = sha256_of(path)
+    if kind_of(file) != ".mcap":
+        table = read_table(path)
+        return LogInfo(str(path), sha256, [_axis_info(table, 0.0)])
+    log = LogFile(file)
+    if axis is not None and axis not in log.axes:
+        raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(log.axes)}")
+    blocks: dict[str, list[NDArray[np.float64]]] = {name: [] for name in log.axes if axis in (None, name)}
+    for name, block in log.blocks(log.fields):
+        if name in blocks:
+            blocks[name].append(block)
+    infos = []
+    for name, parts in blocks.items():
+        values = np.concatenate(parts) if parts else np.empty((0, len(log.fields)))
+        columns = {field: values[:, i] for i, field in enumerate(log.fields)}
+        columns = {field: v for field, v in columns.items() if field == "t" or not np.isnan(v).all()}
+        infos.append(_axis_info(Table(f"{file}:{name}", columns, axis=name, recorded=True), np.inf))
+    problems = [] if log.complete else ["the file was cut off, or is still being written; read up to its last chunk"]
+    if log.damaged:
+        problems.append(f"{log.damaged} damaged chunks are left out")
+    return LogInfo(str(path), sha256, infos, log.about, problems)
+
+
+def _axis_info(table: Table, longest_skip: float) -> AxisInfo:
+    columns = table.columns
+    if "t" not in columns:
+        raise UsageError(f"{table.label}: column t is missing (found: {', '.join(columns) or 'none'}); add it")
+    t = columns["t"]
+    if len(t) < 2:
+        raise UsageError(f"{table.label}: holds {len(t)} rows; at least 2 are needed to tell a rate: give a longer log")
+    check_increasing(table, t)
+    grid = fit_grid(t, longest_skip)
+    ranges = [_range(name, values) for name, values in columns.items()]
+    return AxisInfo(
+        table.axis, grid.rate, float(t[-1] - t[0]), len(t), grid.jitter, grid.skipped, ranges, table.left_out
+    )
+
+
+def _range(name: str, values: NDArray[np.float64]) -> ColumnRange:
+    good = values[np.isfinite(values)]
+    unit = BY_NAME[name].unit if name in BY_NAME else ""
+    low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
+    return ColumnRange(name, unit, low, high, len(values) - len(good))
