@@ -1,8 +1,9 @@
 """usage: tools/vcan COMMAND [ARGUMENT...]
 
 Runs COMMAND where there is a virtual CAN interface, its name in TSA_VCAN, and ends with its exit status. The
-interface is, in this order: a vcan that is up; one that this user may create; one in a user-mode Linux guest that is
-started for COMMAND (its root file system is this one; it has its own /dev/shm, TMPDIR, processes and network).
+interface is, in this order: a vcan that is up; one that this user may create (as root for all, else in a network
+namespace for COMMAND alone); one in a user-mode Linux guest that is started for COMMAND (its root file system is this
+one; it has its own /dev/shm, TMPDIR, processes and network, and one processor).
 Without any of them: one line and exit status 77.
 
   TSA_VCAN          name of the interface; default a vcan that is up, else vcan0
@@ -23,6 +24,7 @@ import sys
 from typing import NoReturn
 
 import link
+import namespace
 from guest import GRACE_SECONDS, Guest, Limits
 from kernel import UnavailableError, kernel
 
@@ -39,8 +41,14 @@ def main(arguments: list[str]) -> int:
     limits = Limits(memory(), seconds())
     if shutil.which(arguments[0]) is None:
         end(NOT_FOUND, f"{arguments[0]}: no such command")
-    interface = found_or_created(os.environ.get("TSA_VCAN", ""))
-    return run_in_guest(arguments, limits) if interface is None else run_here(arguments, interface, limits)
+    name = os.environ.get("TSA_VCAN", "")
+    if interface := found_or_created(name):
+        run_here(arguments, interface, limits)
+    name = name or DEFAULT
+    if namespace.possible(name):
+        namespace.enter(name)
+        run_here(arguments, name, limits)
+    return run_in_guest(arguments, name, limits)
 
 
 def run_here(command: list[str], interface: str, limits: Limits) -> NoReturn:
@@ -50,10 +58,9 @@ def run_here(command: list[str], interface: str, limits: Limits) -> NoReturn:
     os.execvpe(command[0], command, {**os.environ, "TSA_VCAN": interface})
 
 
-def run_in_guest(command: list[str], limits: Limits) -> int:
-    environment = {**os.environ, "TSA_VCAN": os.environ.get("TSA_VCAN") or DEFAULT}
+def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
     try:
-        return Guest(kernel(), command, environment, limits).run()
+        return Guest(kernel(), command, {**os.environ, "TSA_VCAN": interface}, limits).run()
     except (UnavailableError, OSError) as reason:
         if os.environ.get("TSA_REQUIRE_VCAN") == "1":
             end(FAILED, f"no vcan to be had: {reason}")

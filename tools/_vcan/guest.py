@@ -7,6 +7,7 @@ The host's files are the guest's root file system, so the command finds everythi
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import json
 import os
 import shlex
@@ -21,8 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 from types import FrameType
+from typing import IO
 
-from kernel import Kernel, UnavailableError
+from kernel import Kernel, UnavailableError, cache_folder
 
 BOOT_SECONDS = 120.0  # two on an idle machine
 GRACE_SECONDS = 10.0  # between the caller's signal, or the time-out, and the end of the guest
@@ -51,6 +53,7 @@ class Guest:
         # In the background a read of the terminal shall fail, not stop this process.
         self._previous[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
         self._write_request(kernel, command, environment)
+        self._processor, self._claim = _claim_processor()
         self._start(kernel, limits.memory)
         self._seconds = limits.seconds or 0
 
@@ -70,6 +73,7 @@ class Guest:
             for number, handler in self._previous.items():
                 signal.signal(number, handler)
             shutil.rmtree(self._folder, ignore_errors=True)
+            self._claim.close()
 
     def _write_request(self, kernel: Kernel, command: list[str], environment: dict[str, str]) -> None:
         size = shutil.get_terminal_size()
@@ -119,13 +123,19 @@ class Guest:
                 stderr=console,
                 pass_fds=(out, err, keys, orders),
                 start_new_session=True,  # the terminal's Ctrl-C is for this process, which passes it on
-                preexec_fn=lambda: LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL),
+                preexec_fn=self._prepare,
             )
         for fd in (out, err, keys, orders):
             os.close(fd)
         self._pumps = [Thread(target=self._pump, args=streams) for streams in ((output, 1), (errors, 2))]
         for thread in self._pumps:
             thread.start()
+
+    def _prepare(self) -> None:
+        """In the guest's process: ends with this one, and stays on one processor, which nearly halves a round trip."""
+        LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if self._processor is not None:
+            os.sched_setaffinity(0, {self._processor})
 
     def _wait_until_ready(self) -> None:
         deadline = time.monotonic() + BOOT_SECONDS
@@ -197,6 +207,18 @@ def _feed(keyboard: int) -> None:
 def _write_all(fd: int, data: bytes) -> None:
     while data:
         data = data[os.write(fd, data) :]
+
+
+def _claim_processor() -> tuple[int | None, IO[bytes]]:
+    """A processor that no other guest has, and what holds the claim; None when all are taken."""
+    for processor in sorted(os.sched_getaffinity(0), reverse=True):
+        claim = (cache_folder() / f"processor-{processor}").open("wb")
+        try:
+            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return processor, claim
+        except BlockingIOError:
+            claim.close()
+    return None, claim
 
 
 def _memory_folder(memory: int, otherwise: Path) -> str:

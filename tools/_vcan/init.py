@@ -65,9 +65,7 @@ def prepare(modules: Path, interface: str) -> None:
         Path(folder).mkdir(mode=0o700)
     for module in MODULES:
         insert(modules / module)
-    link.set_flags("lo", link.IFF_UP | link.IFF_MULTICAST)
-    link.create_vcan(interface)
-    link.set_flags(interface, link.IFF_UP)
+    link.bring_up_alone(interface)
 
 
 def mount(kind: str, folder: str) -> None:

@@ -10,12 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 # linux/rtnetlink.h, linux/if_link.h, linux/netlink.h
-RTM_NEWLINK, RTM_GETLINK, NLMSG_ERROR, NLMSG_DONE = 16, 18, 2, 3
+RTM_NEWLINK, RTM_GETLINK, RTM_NEWROUTE, NLMSG_ERROR, NLMSG_DONE = 16, 18, 24, 2, 3
 NLM_F_REQUEST, NLM_F_ACK, NLM_F_EXCL, NLM_F_CREATE, NLM_F_DUMP = 0x1, 0x4, 0x200, 0x400, 0x300
 IFLA_IFNAME, IFLA_LINKINFO, IFLA_INFO_KIND = 3, 18, 1
 IFF_UP, IFF_MULTICAST = 0x1, 0x1000
+RTA_DST, RTA_OIF, RT_TABLE_LOCAL, RTPROT_BOOT, RT_SCOPE_LINK, RTN_UNICAST = 1, 4, 255, 3, 253, 1
 HEADER = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
 IFINFO = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, change mask
+ROUTE = struct.Struct("=8BI")  # rtmsg: family, lengths, service, table, protocol, scope, type, flags
 ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
 
 
@@ -44,12 +46,28 @@ def create_vcan(name: str) -> None:
     """As `ip link add dev NAME type vcan`; raises OSError with the kernel's reason."""
     info = _attribute(IFLA_LINKINFO, _attribute(IFLA_INFO_KIND, b"vcan"))
     body = IFINFO.pack(0, 0, 0, 0, 0) + _attribute(IFLA_IFNAME, name.encode() + b"\0") + info
-    _request(NLM_F_CREATE | NLM_F_EXCL, body)
+    _request(RTM_NEWLINK, NLM_F_CREATE | NLM_F_EXCL, body)
 
 
 def set_flags(name: str, flags: int) -> None:
     """As `ip link set NAME up` (or `multicast on`); raises OSError with the kernel's reason."""
-    _request(0, IFINFO.pack(0, 0, socket.if_nametoindex(name), flags, flags))
+    _request(RTM_NEWLINK, 0, IFINFO.pack(0, 0, socket.if_nametoindex(name), flags, flags))
+
+
+def route_multicast(name: str) -> None:
+    """As `ip route add 224.0.0.0/4 dev NAME table local`; raises OSError with the kernel's reason."""
+    header = ROUTE.pack(socket.AF_INET, 4, 0, 0, RT_TABLE_LOCAL, RTPROT_BOOT, RT_SCOPE_LINK, RTN_UNICAST, 0)
+    group = _attribute(RTA_DST, socket.inet_aton("224.0.0.0"))
+    device = _attribute(RTA_OIF, struct.pack("=I", socket.if_nametoindex(name)))
+    _request(RTM_NEWROUTE, NLM_F_CREATE, header + group + device)
+
+
+def bring_up_alone(vcan: str) -> None:
+    """Loopback, multicast on it, and the vcan, in a network namespace of our own; raises OSError."""
+    set_flags("lo", IFF_UP | IFF_MULTICAST)
+    route_multicast("lo")
+    create_vcan(vcan)
+    set_flags(vcan, IFF_UP)
 
 
 def _connection() -> socket.socket:
@@ -65,9 +83,9 @@ def _send(link: socket.socket, kind: int, flags: int, body: bytes) -> None:
     link.send(HEADER.pack(HEADER.size + len(body), kind, NLM_F_REQUEST | flags, 1, 0) + body)
 
 
-def _request(flags: int, body: bytes) -> None:
+def _request(kind: int, flags: int, body: bytes) -> None:
     with _connection() as link:
-        _send(link, RTM_NEWLINK, NLM_F_ACK | flags, body)
+        _send(link, kind, NLM_F_ACK | flags, body)
         for _ in _messages(link):
             pass
 
