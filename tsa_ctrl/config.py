@@ -38,7 +38,6 @@ class ControllerSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     settle_cycles: Annotated[int, Meta(ge=1, le=100_000)] = 100  # complete cycles in a row before any enable
     stop_time: Annotated[float, Meta(gt=0.0, le=5.0)] = 0.3  # s, in which the torque goes to 0 at a stop
     after_fault: Literal["wait", "exit"] = "wait"  # stay, latched, for `tsa set recover 1` or `tsa stop`; or end
-    linked: bool = True  # a fault of one axis ramps all others to 0
 
 
 class LogSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -46,13 +45,11 @@ class LogSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
     enabled: bool = True
     folder: str = "logs"  # relative to the configuration file
-    buffer: Annotated[int, Meta(ge=100, le=10_000_000)] = 20_000  # records per axis between loop and writer
 
 
 class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """The local socket of `tsa status`, `tsa set`, `tsa stop`."""
 
-    enabled: bool = True
     path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else tsa-UID.sock in the folder for temporary files
     group: str | None = None  # this group may use it too; default: the user who started the daemon alone
 
@@ -168,9 +165,10 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     estimator, bending = axis.estimator, axis.bending
     if estimator.kind == "sensor" and axis.torque_sensor is None:
         raise UsageError(f'{where}: estimator.kind "sensor" without [axis.torque_sensor]; give one, or another kind')
-    if estimator.kind != "map" and bending.source == "joints":
+    if (estimator.kind == "map") != (bending.source != "fixed"):
         raise UsageError(
-            f'{where}: bending.source "joints" is used by estimator.kind "map" only, which is "{estimator.kind}" here'
+            f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
+            'kind "map" needs the source "command" or "joints", and no other kind uses them'
         )
     if estimator.kind != "fixed" and model.bending_angle == 0.0:
         raise UsageError(

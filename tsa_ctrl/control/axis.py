@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tsa_ctrl.bus.axis import Axis as BusAxis
 from tsa_ctrl.bus.image import Image
-from tsa_ctrl.bus.rig import Axis as BusAxis
 from tsa_ctrl.bus.supervisor import Phase, Request, Supervisor
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.direction import Direction
@@ -21,8 +21,10 @@ NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it 
 
 @dataclass(slots=True)
 class Terms:
-    """What the last cycle did, for the log; N*m, rad/s, 1."""
+    """What the last cycle worked with and did, for the log; N*m, rad, rad/s, 1."""
 
+    q_j: float = 0.0
+    omega_j: float = 0.0
     tau_j_des: float = 0.0
     tau_m_cmd: float = 0.0
     sigma: float = 0.0
@@ -88,6 +90,13 @@ class ControlAxis:
     def stop(self) -> None:
         """Ramp the torque to 0, then disable the drive."""
         self._stopping = True
+        if self.request is not Request.ENABLE:
+            self.request = Request.DISABLE
+
+    def receive(self, tau_j_des: float, now: float) -> None:
+        """Take a set-point (N*m) that came over the socket; without torque it is forgotten."""
+        if self._enabled_at is not None:
+            self.set_point.receive(tau_j_des, now - self._enabled_at)
 
     def joint(self) -> tuple[float, float]:
         """Angle (rad) and velocity (rad/s) of the joint; without an encoder those of the motor, geared."""

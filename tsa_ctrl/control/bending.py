@@ -5,6 +5,7 @@ Theta = offset + sum over axes of gain_i q_i        (rad; a sheath that crosses 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Literal
 
@@ -25,6 +26,8 @@ class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
                 f'source "{self.source}" with {len(self.gains)} gains; '
                 'gains (rad/rad by axis name) belong to source "joints", which needs at least one'
             )
+        if self.source == "fixed" and self.offset is not None:
+            raise ValueError('source "fixed" takes bending_angle from the model file; remove offset, or change source')
 
 
 class Bending:
@@ -32,6 +35,7 @@ class Bending:
 
     def __init__(self, settings: BendingSettings, nominal: float) -> None:
         """`nominal` is the model file's bending angle, rad."""
+        self.fixed = settings.source == "fixed"
         self.commanded = nominal if settings.offset is None else settings.offset
         self._terms: tuple[tuple[float, Callable[[], float]], ...] = ()
 
@@ -40,7 +44,9 @@ class Bending:
         self._terms = terms
 
     def update(self) -> float:
-        """Theta now, rad, never below 0; nan while a joint angle is missing."""
+        """Theta now, rad, never below 0; nan when it is not known: fixed by the model, or a joint angle is missing."""
+        if self.fixed:
+            return math.nan
         theta = self.commanded
         for gain, angle in self._terms:
             theta += gain * angle()

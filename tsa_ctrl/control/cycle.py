@@ -22,7 +22,7 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
     for axis in axes:
         image, terms = axis.image, axis.terms
         controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
-        q_j, omega_j = axis.joint()
+        terms.q_j, terms.omega_j = q_j, omega_j = axis.joint()
         terms.sigma = sigma = axis.direction.update(omega_j)
         terms.theta = theta = axis.bending.update()
         wanted = 0.0

@@ -35,7 +35,7 @@ class Parameter:
 def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     """The live parameters of an axis, the same names for each; limits can be lowered, never raised.
 
-    Bounds of nan: this parameter belongs to another kind of estimator than the axis has.
+    Bounds of nan: the parameter belongs to another kind of estimator, or source of bending, than this axis has.
     """
     law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
     fixed = isinstance(estimator, Fixed)
@@ -43,6 +43,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     angles = (0.0, angle) if fixed else (math.nan, math.nan)
     tensions = (0.0, pretension) if fixed else (math.nan, math.nan)
     use = (0.0, 1.0) if isinstance(estimator, Recursive) else (math.nan, math.nan)
+    bends = (math.nan, math.nan) if axis.bending.fixed else (0.0, 100.0)
     p, inf = Parameter, math.inf
     return (
         p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),
@@ -50,7 +51,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
         p("friction_angle", "1", *angles, 0.25 * angle, "x = mu Theta", estimator, "friction_angle"),
         p("pretension", "N", *tensions, 0.25 * pretension, "T_p0", estimator, "pretension"),
         p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
-        p("bending_angle", "rad", 0.0, 100.0, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
+        p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
         p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed at which sigma is 1", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
         p("back_off", "1", 0.0, 1.0, 0.5, "of the oscillation monitor; 1 restores", axis.monitor, "back_off"),

@@ -60,7 +60,6 @@ class Description(msgspec.Struct, frozen=True):
     """What the daemon tells its socket server at the start."""
 
     path: str
-    mode: int
     group: str | None
     name: str
     period: float  # s

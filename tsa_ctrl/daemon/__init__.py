@@ -1,0 +1,1 @@
+"""`tsa run`: children, bring-up, the loop, one shutdown path, and the summary."""

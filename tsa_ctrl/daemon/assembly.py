@@ -1,0 +1,122 @@
+"""From a checked configuration to the parts that the loop works with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tsa_ctrl.bus.cia402 import PowerState
+from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.supervisor import Supervisor
+from tsa_ctrl.config import AxisSettings, Configuration
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.bending import Bending
+from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
+from tsa_ctrl.control.law import Law
+from tsa_ctrl.control.limiter import Limiter, Reason
+from tsa_ctrl.control.live import Tuner, parameters_of
+from tsa_ctrl.control.oscillation import OscillationMonitor
+from tsa_ctrl.control.recursive import Recursive
+from tsa_ctrl.control.setpoint import SetPoint
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.ipc.protocol import Description, Range, default_path
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.parameters import TendonSheath
+
+STATES = tuple(PowerState)
+STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
+
+
+def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, ...]:
+    """One controlled axis for each of the rig's."""
+    file, period = configuration.file, configuration.period
+    supervision = file.bus.supervision
+    most_age = (supervision.tolerated_misses + 1.5) * period
+    axes = []
+    for settings, io, model, profile in zip(
+        file.axes, rig.axes, configuration.models, configuration.profiles, strict=True
+    ):
+        signals = {"q_j", "q_m"} if settings.encoder is not None else {"q_m"}
+        ratio = model.motor_pulley_radius / model.joint_pulley_radius
+        axes.append(
+            ControlAxis(
+                io=io,
+                model=model,
+                supervisor=Supervisor(supervision, profile.reports_following),
+                set_point=SetPoint(settings.setpoint, period, configuration.folder),
+                direction=Direction(settings.direction, period),
+                bending=Bending(settings.bending, model.bending_angle),
+                estimator=estimator_of(settings, model, period),
+                law=Law(Feedforward(model, period, signals), ratio, settings.law, period),
+                limiter=Limiter(settings.limits, period),
+                monitor=OscillationMonitor(settings.oscillation, period),
+                period=period,
+                most_age=most_age,
+                stop_time=file.controller.stop_time,
+            )
+        )
+    by_name = {axis.name: axis for axis in axes}
+    for settings, axis in zip(file.axes, axes, strict=True):
+        gains = settings.bending.gains
+        axis.bending.connect(tuple((gain, _joint_angle(by_name[name])) for name, gain in gains.items()))
+    return tuple(axes)
+
+
+def _joint_angle(axis: ControlAxis) -> Callable[[], float]:
+    return lambda: axis.joint()[0]
+
+
+def estimator_of(settings: AxisSettings, model: TendonSheath, period: float) -> Estimator:
+    """The estimator that the configuration chooses."""
+    chosen = settings.estimator
+    if chosen.kind == "fixed":
+        return Fixed(model)
+    if chosen.kind == "map":
+        return ConfigurationMap(model, chosen, period)
+    return Recursive(model, chosen, period)
+
+
+def tuners_of(axes: Sequence[ControlAxis], period: float) -> tuple[Tuner, ...]:
+    return tuple(Tuner(parameters_of(axis), period) for axis in axes)
+
+
+def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Description:
+    """What the socket server has to know."""
+    file, load = configuration.file, configuration.load
+    return Description(
+        path=file.socket.path or default_path(),
+        group=file.socket.group,
+        name=file.controller.name,
+        period=configuration.period,
+        axes=[axis.name for axis in file.axes],
+        parameters=[[Range(p.name, p.unit, p.low, p.high, p.doc) for p in tuner.parameters] for tuner in tuners],
+        states=[state.value for state in STATES],
+        estimate_states=[state.name.lower() for state in EstimateState],
+        reasons=[reason.name.lower() for reason in Reason],
+        phases=[phase.name.lower() for phase in LoopPhase],
+        set_point_limit=[
+            axis.limits.torque * model.joint_pulley_radius / model.motor_pulley_radius
+            if axis.setpoint.kind == "socket"
+            else None
+            for axis, model in zip(file.axes, configuration.models, strict=True)
+        ],
+        figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
+    )
+
+
+def log_header(configuration: Configuration) -> LogHeader:
+    """What stands at the head of the log: the files as they were read, and the names of the codes."""
+    files = {configuration.path.name: configuration.text}
+    for settings in configuration.file.axes:
+        files[settings.model] = (configuration.folder / settings.model).read_text(encoding="utf-8")
+    return LogHeader(
+        axes=tuple(axis.name for axis in configuration.file.axes),
+        rate=configuration.file.controller.rate,
+        files=files,
+        codes={
+            "state": {code: state.value for code, state in enumerate(STATES)},
+            "estimate_state": {state.value: state.name.lower() for state in EstimateState},
+            "limit_reason": {reason.value: reason.name.lower() for reason in Reason},
+        },
+    )

@@ -1,0 +1,61 @@
+"""What happened, in order: for the status, the summary and whoever watches. Nothing here prints."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import msgspec
+
+from tsa_ctrl.ipc.mailbox import TEXT
+
+MOST = 50  # events that are kept beside the first fault
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event; `t` in s since the start of the loop, `axis` empty for all."""
+
+    t: float
+    axis: str
+    text: str
+    fault: bool
+
+    def __str__(self) -> str:
+        return f"{self.t:9.3f} s  {self.axis + ': ' if self.axis else ''}{self.text}"
+
+
+class Events:
+    """The kept events; the first fault is never dropped, because it is the cause."""
+
+    def __init__(self) -> None:
+        self._kept: list[Event] = []
+        self.changed = False
+
+    def __iter__(self) -> object:
+        return iter(self._kept)
+
+    def add(self, t: float, axis: str, text: str, fault: bool = False) -> None:
+        self._kept.append(Event(t, axis, text, fault))
+        self.changed = True
+        if len(self._kept) > MOST:
+            cause = self.first_fault
+            self._kept.pop(1 if cause is self._kept[0] else 0)
+
+    @property
+    def first_fault(self) -> Event | None:
+        return next((event for event in self._kept if event.fault), None)
+
+    @property
+    def faults(self) -> tuple[Event, ...]:
+        return tuple(event for event in self._kept if event.fault)
+
+    @property
+    def all(self) -> tuple[Event, ...]:
+        return tuple(self._kept)
+
+    def encoded(self) -> bytes:
+        """JSON of as many of the newest as the mailbox has room for."""
+        kept = [asdict(event) for event in self._kept]
+        while len(text := msgspec.json.encode(kept)) > TEXT:
+            kept.pop(0)
+        return text

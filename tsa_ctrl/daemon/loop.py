@@ -1,0 +1,225 @@
+"""The real-time loop: sleep to an absolute deadline, one cycle, record, one command, and what follows from faults."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.settings import SupervisionSettings
+from tsa_ctrl.bus.supervisor import Phase, Request
+from tsa_ctrl.config import ControllerSection
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.cycle import run_cycle
+from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.control.realtime import Ticker, sleep_until
+from tsa_ctrl.control.timing import count
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Mailbox
+
+STATUS_RATE = 50.0  # Hz of the published status
+SETTLE_TIME = 3.0  # s beyond the cycles to settle, after which start is given up
+RESET_TIME = 0.5  # s beyond the supervisors' own time-out
+STOP_TIME = 2.0  # s beyond ramp and confirmation, after which the loop ends whatever the drives say
+
+
+class Loop:
+    """Runs cycles until somebody says stop; `cause` is the first reason to end."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        axes: Sequence[ControlAxis],
+        tuners: Sequence[Tuner],
+        mailbox: Mailbox,
+        telemetry: Telemetry,
+        events: Events,
+        settings: ControllerSection,
+        supervision: SupervisionSettings,
+    ) -> None:
+        self.phase = LoopPhase.SETTLING
+        self.cause: str | None = None
+        self.events = events
+        self.cycles = 0
+        self.recover = False  # the bus has to be brought up again before `run` goes on
+        self._rig = rig
+        self._axes = axes
+        self._tuners = tuners
+        self._mailbox = mailbox
+        self._telemetry = telemetry
+        self._settings = settings
+        self._period = 1.0 / settings.rate
+        self._collect = settings.collect / settings.rate
+        self._ticker = Ticker(round(1e9 / settings.rate), 0)
+        self._start = 0
+        self._publish_every = max(1, round(settings.rate / STATUS_RATE))
+        self._check_every = self._publish_every * round(STATUS_RATE)
+        self._settled = 0
+        self._since = 0.0
+        self._stop_time = settings.stop_time + supervision.disable_timeout + STOP_TIME
+        self._reset_time = supervision.reset_timeout + RESET_TIME
+        self._stop: str | None = None
+        self._faults = [0] * len(axes)
+        self._back_offs = [0] * len(axes)
+
+    @property
+    def overruns(self) -> int:
+        return self._ticker.overruns
+
+    @property
+    def skipped(self) -> int:
+        return self._ticker.skipped
+
+    def stop(self, cause: str) -> None:
+        """End soon, by the one way there is; the first cause is kept. Safe in a signal handler."""
+        if self._stop is None:
+            self._stop = cause
+
+    def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
+        """Run until stopped, or for `seconds` of torque; again, from RESETTING, after the bus was brought up anew."""
+        ticker, telemetry = self._ticker, self._telemetry
+        ticker.deadline = time.monotonic_ns() + ticker.period
+        if self._start == 0:
+            self._start = ticker.deadline
+        else:  # on the same grid, so that the log has one
+            ticker.deadline += -(ticker.deadline - self._start) % ticker.period
+        self.recover = False
+        self._enter(first, ticker.deadline)
+        self._settled = 0
+        lateness, work = self._mailbox.lateness, self._mailbox.work
+        start, period = self._start, ticker.period
+        while self.phase is not LoopPhase.ENDED and not self.recover:
+            planned = ticker.deadline
+            sleep_until(planned)
+            woke = time.monotonic_ns()
+            now = woke * 1e-9
+            run_cycle(self._rig, self._axes, now, now + self._collect)
+            done = time.monotonic_ns()
+            count(lateness, woke - planned)
+            count(work, done - woke)
+            telemetry.record(
+                (planned - start) * 1e-9, (planned - start) // period, (woke - planned) * 1e-9, (done - woke) * 1e-9
+            )
+            self.cycles += 1
+            self._take_command(now, planned)
+            self._judge(planned, seconds)
+            if self.cycles % self._publish_every == 0:
+                self.publish(planned)
+            ticker.advance(time.monotonic_ns())
+        self.publish(ticker.deadline)
+
+    def publish(self, planned: int) -> None:
+        """Write the status for the socket server; once a second, look after the log."""
+        ticker = self._ticker
+        if self.cycles % self._check_every == 0:
+            self._telemetry.check_log(self._t(planned), self.cycles * len(self._axes))
+        number = (planned - self._start) // ticker.period + 1
+        counts = (self.cycles, number, ticker.skipped, ticker.overruns)
+        self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
+
+    def _take_command(self, now: float, planned: int) -> None:
+        """At most one command per cycle, and one step of every parameter that moves."""
+        command = self._mailbox.take()
+        if command is not None:
+            if command.parameter == SET_POINT:
+                self._axes[command.axis].receive(command.value, now)
+            elif command.parameter == RECOVER:
+                self._begin_recovery(planned)
+            else:
+                self._tuners[command.axis].set(command.parameter, command.value)
+        for tuner in self._tuners:
+            tuner.update()
+
+    def _judge(self, planned: int, seconds: float) -> None:
+        """Move the loop's own phase on; the supervisors have already seen to the torque."""
+        now = planned * 1e-9
+        if self._stop is None and self._mailbox.stop_requested:
+            self._stop = "tsa stop"
+        self._note_faults(planned)
+        phase = self.phase
+        if self._stop is not None and phase is not LoopPhase.STOPPING:
+            self.cause = self.cause or self._stop
+            for axis in self._axes:
+                axis.stop()
+            self._enter(LoopPhase.STOPPING, planned)
+        elif phase is LoopPhase.RUNNING:
+            if now - self._since >= seconds:
+                self.stop(f"{seconds:g} s are over")
+        elif phase is LoopPhase.SETTLING:
+            self._settle(planned)
+        elif phase is LoopPhase.RESETTING:
+            self._reset(planned)
+        elif phase is LoopPhase.STOPPING and (
+            all(axis.at_rest for axis in self._axes) or now - self._since > self._stop_time
+        ):
+            self._enter(LoopPhase.ENDED, planned)
+
+    def _settle(self, planned: int) -> None:
+        """Enable once all answers came for long enough."""
+        self._settled = self._settled + 1 if all(axis.image.fresh for axis in self._axes) else 0
+        if self._settled >= self._settings.settle_cycles:
+            for axis in self._axes:
+                axis.enable()
+            self._enter(LoopPhase.RUNNING, planned)
+        elif planned * 1e-9 - self._since > self._settings.settle_cycles * self._period + SETTLE_TIME:
+            self.events.add(self._t(planned), "", "the nodes do not answer every SYNC", fault=True)
+            self.stop("the nodes do not answer every SYNC")
+
+    def _reset(self, planned: int) -> None:
+        """Hold the reset until every supervisor is back in standby, then settle anew."""
+        standby = all(axis.supervisor.phase is Phase.STANDBY for axis in self._axes)
+        if not standby and planned * 1e-9 - self._since < self._reset_time:
+            return
+        for index, axis in enumerate(self._axes):
+            axis.request = Request.DISABLE
+            self._faults[index] = len(axis.supervisor.faults)
+        self._settled = 0
+        self._enter(LoopPhase.SETTLING if standby else LoopPhase.FAULTED, planned)
+
+    def _begin_recovery(self, planned: int) -> None:
+        """On request, and only from a latched fault: reset what can be reset, or have the bus brought up again."""
+        if self.phase is not LoopPhase.FAULTED:
+            return
+        self.recover = any(axis.supervisor.needs_bring_up for axis in self._axes)
+        if not self.recover:
+            self.reset_faults()
+            self._enter(LoopPhase.RESETTING, planned)
+
+    def reset_faults(self) -> None:
+        """Release every latch and ask every supervisor in fault for a reset."""
+        for axis in self._axes:
+            axis.limiter.reset()
+            axis.request = Request.RESET if axis.supervisor.phase is Phase.FAULT else Request.DISABLE
+
+    def _note_faults(self, planned: int) -> None:
+        """Turn new faults and back-offs into events."""
+        for index, axis in enumerate(self._axes):
+            faults = axis.supervisor.faults
+            if len(faults) > self._faults[index]:
+                for fault in faults[self._faults[index] :]:
+                    self.events.add(fault.time - self._start * 1e-9, axis.name, str(fault), fault=True)
+                self._faults[index] = len(faults)
+                self._fault(planned)
+            if axis.monitor.count > self._back_offs[index]:
+                self._back_offs[index] = axis.monitor.count
+                text = f"oscillation: compensation backed off to {axis.monitor.back_off:.3g} of its value"
+                self.events.add(self._t(planned), axis.name, text)
+
+    def _fault(self, planned: int) -> None:
+        """One axis' fault ramps all others to 0: they move the same limb."""
+        for axis in self._axes:
+            axis.stop()
+        if self._settings.after_fault == "exit":
+            self.stop(f"fault: {self.events.faults[0].text}")
+        if self.phase not in (LoopPhase.STOPPING, LoopPhase.RESETTING):
+            self._enter(LoopPhase.FAULTED, planned)
+
+    def _t(self, planned: int) -> float:
+        return (planned - self._start) * 1e-9
+
+    def _enter(self, phase: LoopPhase, planned: int) -> None:
+        self.phase = phase
+        self._since = planned * 1e-9

@@ -1,0 +1,141 @@
+"""What the loop tells others: a record per axis and cycle, a status snapshot, and the health of who receives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from tsa_ctrl.bus.cia402 import decode
+from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.limiter import Reason
+from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.daemon.assembly import STATE_CODE
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.ipc.mailbox import Mailbox
+from tsa_ctrl.log.process import LogProcess
+from tsa_ctrl.log.record import RingWriter
+
+_STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
+_NAN = math.nan
+
+
+class Telemetry:
+    """Writes to shared memory only; nobody here can make the loop wait."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        axes: Sequence[ControlAxis],
+        tuners: Sequence[Tuner],
+        mailbox: Mailbox,
+        ring: RingWriter | None,
+        log: LogProcess | None,
+        events: Events,
+    ) -> None:
+        """`ring` and `log` are None when nothing is logged."""
+        self.log_lost = 0
+        self._rig = rig
+        self._axes = tuple(enumerate(axes))
+        self._tuners = tuners
+        self._mailbox = mailbox
+        self._push = None if ring is None else ring.push
+        self._log = log
+        self._log_alive = log is not None
+        self._trouble = ""
+        self._written = 0
+        self._events = events
+
+    def record(self, t: float, cycle: float, lateness: float, work: float) -> None:
+        """One record per axis; `t` is the planned time, SYNC went out `lateness` later (s)."""
+        push = self._push
+        if push is None:
+            return
+        for index, axis in self._axes:
+            image, terms, estimator = axis.image, axis.terms, axis.estimator
+            reason = terms.reason
+            if reason is Reason.NONE and axis.monitor.back_off < 1.0:
+                reason = Reason.OSCILLATION
+            push(
+                index,
+                (
+                    t,
+                    image.tau_m,
+                    image.tau_j,
+                    terms.omega_j,
+                    terms.q_j,
+                    image.q_m,
+                    image.omega_m,
+                    terms.theta,
+                    _NAN,
+                    _NAN,
+                    _NAN,
+                    terms.tau_j_des,
+                    terms.tau_m_cmd,
+                    cycle,
+                    lateness,
+                    work,
+                    image.pdo_age,
+                    image.missed,
+                    _STATE[image.statusword & 0x7F],
+                    terms.sigma,
+                    axis.law.friction_term,
+                    estimator.friction_angle,
+                    estimator.pretension,
+                    estimator.state.value,
+                    reason.value,
+                ),
+            )
+
+    def publish(self, now: float, start: float, counts: tuple[int, int, int, int], phase: int) -> None:
+        """Write the status; `counts`: cycles run, planned, skipped, overruns; times in s, monotonic."""
+        dropped = self._rig.bus.counters.dropped
+        general = (now, start, *counts, dropped, self.log_lost, phase)
+        self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
+        if self._events.changed:
+            self._events.changed = False
+            self._mailbox.publish_text(self._events.encoded())
+
+    def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[float, ...]:
+        image, terms, estimator = axis.image, axis.terms, axis.estimator
+        return (
+            t,
+            terms.tau_j_des,
+            terms.tau_m_cmd,
+            image.tau_m,
+            image.tau_j,
+            terms.omega_j,
+            terms.q_j,
+            terms.sigma,
+            axis.law.friction_term,
+            estimator.friction_angle,
+            estimator.pretension,
+            estimator.state.value,
+            _STATE[image.statusword & 0x7F],
+            terms.reason.value,
+            image.missed,
+            image.pdo_age,
+            *(parameter.value for parameter in self._tuners[index].parameters),
+        )
+
+    def check_log(self, t: float, records: int) -> None:
+        """About once a second: say it when the log writer is in trouble or gone; `records` is how many it was given."""
+        log = self._log
+        if log is None or not self._log_alive:
+            self.log_lost += records - self._written if log is not None else 0
+            self._written = records
+            return
+        health = log.health()
+        self.log_lost = health.lost
+        if health.trouble != self._trouble:
+            text = (
+                f"log: {health.trouble}; the loop goes on, records may be lost"
+                if health.trouble
+                else "log: written again"
+            )
+            self._events.add(t, "", text)
+            self._trouble = health.trouble
+        if not log.alive:
+            self._log_alive = False
+            self._written = health.written + health.lost
+            self._events.add(t, "", "log: its process is gone; the loop goes on, records are lost from here")
