@@ -1,0 +1,56 @@
+"""`tsa doctor`: is this machine fit to run the loop."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.control.realtime import RealtimeSettings
+from tsa_ctrl.doctor import can_interface, machine
+from tsa_ctrl.doctor.check import Check, Result
+
+COLOURS = {Result.PASS: "green", Result.WARN: "yellow", Result.FAIL: "red"}
+
+
+@click.command("doctor", epilog="Example: tsa doctor config/controller.toml")
+@click.argument("controller", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--seconds", default=3.0, show_default=True, type=click.FloatRange(0.1, 600.0), help="Of measured lateness."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(controller: Path | None, seconds: float, as_json: bool) -> int:
+    """Check kernel, rights, clock, CAN interface, bus load and lateness; exit code 1 when something fails.
+
+    With a CONTROLLER.toml its rate, rights and bus are checked; without one the machine alone at 1 kHz.
+    """
+    configuration = None if controller is None else load_configuration(controller)
+    found: list[Check] = []
+    if configuration is None:
+        found += machine.checks(RealtimeSettings(), 1000.0, seconds)
+    else:
+        file = configuration.file
+        found += machine.checks(file.realtime, file.controller.rate, seconds)
+        found += can_interface.checks(file.bus, file.axes, file.controller.rate)
+    if as_json:
+        click.echo(json.dumps({"schema": 1, "checks": [check.to_dict() for check in found]}))
+    else:
+        _show(found)
+    return int(any(check.result is Result.FAIL for check in found))
+
+
+def _show(found: list[Check]) -> None:
+    console = Console()
+    table = Table("check", "result", "found", "wanted")
+    for check in found:
+        result = f"[{COLOURS[check.result]}]{check.result.value}[/]"
+        table.add_row(escape(check.name), result, escape(check.found), escape(check.wanted))
+    console.print(table)
+    for check in found:
+        if check.fix:
+            console.print(f"{check.name}: {check.fix}", soft_wrap=True, markup=False, highlight=False)

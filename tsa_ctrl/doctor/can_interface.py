@@ -1,0 +1,161 @@
+"""The CAN interface as the kernel reports it (`ip -details -statistics -json link`), its echo, and the bus load."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from tsa_ctrl.bus import budget
+from tsa_ctrl.bus.connect import open_bus
+from tsa_ctrl.bus.seam import Bus
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.doctor.check import Check, Result, judge
+from tsa_ctrl.errors import TsaError
+
+MOST_QUEUE = 256  # frames: a longer queue plays stale torque out late
+LISTEN_TIME = 0.5  # s, in which traffic of others is counted
+UPLOAD_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))  # CiA 301: initiate upload of 0x1000:0
+ROUND_TRIPS = 20
+ANSWER_TIME = 0.1  # s
+MOST_ROUND_TRIP = 5.0  # ms, median: an SDO server may take its time, an adapter may not
+
+
+def checks(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Iterator[Check]:
+    """Interface state, bit rate, error counters, queue length (SocketCAN only), traffic, and the load at `rate` Hz."""
+    if settings.interface == "socketcan":
+        yield from _socketcan(settings)
+    yield from _traffic(settings, axes)
+    yield _load(settings, axes, rate)
+
+
+def _socketcan(settings: BusSettings) -> Iterator[Check]:
+    channel = settings.channel
+    link = _link(channel)
+    make = f"ip link set {channel} type can bitrate {settings.bitrate} && ip link set {channel} up"
+    if link is None:
+        make = (
+            f"modprobe vcan; ip link add dev {channel} type vcan; ip link set {channel} up"
+            if "vcan" in channel
+            else make
+        )
+        yield Check("CAN interface", Result.FAIL, f"no interface {channel}", "an interface that is up", make)
+        return
+    kind = link.get("linkinfo", {}).get("info_kind", link.get("link_type", "unknown"))
+    up = "UP" in link.get("flags", [])
+    yield judge("CAN interface", up, f"{channel} ({kind}), {'up' if up else 'down'}", "up", make, Result.FAIL)
+    details: dict[str, Any] = link.get("linkinfo", {}).get("info_data", {})
+    if kind == "can":
+        bitrate = int(details.get("bittiming", {}).get("bitrate", 0))
+        yield judge(
+            "bit rate", bitrate == settings.bitrate, f"{bitrate} bit/s", f"{settings.bitrate} bit/s",
+            f"ip link set {channel} down && {make}", Result.FAIL,
+        )  # fmt: skip
+        state = str(details.get("state", "unknown"))
+        counters = details.get("berr_counter", {})
+        found = f"{state}, tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
+        yield judge(
+            "error counters", state == "ERROR-ACTIVE" and not any(counters.values()), found, "ERROR-ACTIVE, 0, 0",
+            "check termination (60 ohm between the lines), wiring and bit rate of every node", Result.FAIL,
+        )  # fmt: skip
+        restart = int(details.get("restart_ms", 0))
+        yield judge(
+            "automatic restart", restart == 0, f"restart-ms {restart}", "0: bus-off stays until somebody asks",
+            f"ip link set {channel} down && ip link set {channel} type can restart-ms 0 && ip link set {channel} up",
+        )  # fmt: skip
+    else:
+        yield Check("bit rate", Result.PASS, f"{kind} has none", "computed from the configuration")
+    queue = int(link.get("txqlen", 0))
+    yield judge(
+        "transmit queue", 0 < queue <= MOST_QUEUE, f"{queue} frames", f"1 to {MOST_QUEUE}, about 128",
+        f"ip link set {channel} txqueuelen 128",
+    )  # fmt: skip
+    statistics = link.get("stats64", {})
+    dropped = sum(int(statistics.get(way, {}).get(key, 0)) for way in ("rx", "tx") for key in ("errors", "dropped"))
+    yield judge(
+        "lost frames", dropped == 0, f"{dropped} errors and drops since the interface is up", "0",
+        "look at the bus load and at the adapter's cable; the count starts again when the interface is set down and up",
+    )  # fmt: skip
+
+
+def _link(channel: str) -> dict[str, Any] | None:
+    """What `ip` says of one link; None when there is no such link."""
+    if shutil.which("ip") is None:
+        raise TsaError("doctor: the command 'ip' is not installed; install iproute2")
+    command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    if run.returncode != 0:
+        return None
+    links = json.loads(run.stdout or "[]")
+    return dict(links[0]) if links else None
+
+
+def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check]:
+    """Open the bus as the daemon would, listen to who talks already, and time the answer of each drive."""
+    wanted = "opens; nobody else sends SYNC or torque"
+    try:
+        bus = open_bus(settings)
+    except TsaError as error:
+        yield Check("bus", Result.FAIL, str(error), wanted, "mend the lines above, or [bus] interface and channel")
+        return
+    try:
+        yield _listen(bus, wanted)
+        for axis in axes:
+            yield _round_trip(bus, axis)
+    finally:
+        bus.close()
+
+
+def _listen(bus: Bus, wanted: str) -> Check:
+    seen: dict[int, int] = {}
+    end = time.monotonic() + LISTEN_TIME
+    while bus.fault is None and (left := end - time.monotonic()) > 0.0:
+        frame = bus.recv(left)
+        if frame is not None:
+            seen[frame[0]] = seen.get(frame[0], 0) + 1
+    found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
+    if bus.fault is not None:
+        return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "mend wiring and power of the bus")
+    masters = [f"0x{can_id:03X}" for can_id in seen if can_id == 0x080 or 0x200 <= can_id < 0x280]
+    if masters:
+        text = f"{found}; another master sends {', '.join(masters)}"
+        return Check("bus", Result.FAIL, text, wanted, "stop the other controller (tsa stop) before starting this one")
+    return Check("bus", Result.PASS, found, wanted)
+
+
+def _round_trip(bus: Bus, axis: AxisNodes) -> Check:
+    """Time from an SDO request for 0x1000 (device type) to its answer: adapter, wire and drive together."""
+    node, name = axis.drive.node_id, f"round trip to node {axis.drive.node_id}"
+    times = []
+    for _ in range(ROUND_TRIPS):
+        begin = time.monotonic()
+        bus.send(0x600 + node, UPLOAD_DEVICE_TYPE)
+        while (left := begin + ANSWER_TIME - time.monotonic()) > 0.0:
+            frame = bus.recv(left)
+            if frame is not None and frame[0] == 0x580 + node:
+                times.append(time.monotonic() - begin)
+                break
+    if not times:
+        fix = "switch the drive on, check its node id and bit rate; or start `tsa plant`"
+        return Check(name, Result.FAIL, "no answer", "an answer to SDO 0x1000", fix)
+    p50, worst = (1e3 * float(v) for v in np.quantile(times, [0.5, 1.0]))
+    found = f"p50 {p50:.2f}, worst {worst:.2f} ms, {len(times)} of {ROUND_TRIPS} answered"
+    fix = "check the adapter (latency timer of USB), the bus load and the wiring"
+    return judge(name, len(times) == ROUND_TRIPS and p50 < MOST_ROUND_TRIP, found, f"below {MOST_ROUND_TRIP:g} ms", fix)
+
+
+def _load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Check:
+    load = budget.load(settings, axes, rate)
+    return judge(
+        "bus load",
+        load.worst <= settings.max_load,
+        f"{100 * load.least:.0f} to {100 * load.worst:.0f} % of {settings.bitrate} bit/s at {rate:g} Hz",
+        f"at most {100 * settings.max_load:.0f} %",
+        f"[controller] rate at most {load.highest_rate(settings.max_load):.0f} Hz, or a higher bit rate",
+        Result.FAIL,
+    )

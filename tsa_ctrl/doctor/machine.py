@@ -1,0 +1,170 @@
+"""Kernel, scheduling and memory-lock rights as in force, frequency governor, clock source, measured lateness."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import platform
+import time
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from tsa_ctrl.control import realtime
+from tsa_ctrl.control.realtime import RealtimeSettings
+from tsa_ctrl.doctor.check import Check, Result, judge
+from tsa_ctrl.errors import BusError
+
+GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page")
+CPUS = Path("/sys/devices/system/cpu")
+CLOCKS = Path("/sys/devices/system/clocksource/clocksource0")
+
+
+def checks(settings: RealtimeSettings, rate: float, seconds: float) -> Iterator[Check]:
+    """All checks of the machine; the last one sleeps at `rate` Hz for `seconds`, with the rights of `settings`."""
+    yield kernel()
+    yield processors()
+    yield governor()
+    yield clock_source()
+    yield throttling()
+    scheduling, memory, lateness = _in_a_process(settings, rate, seconds)
+    yield scheduling
+    yield memory
+    yield lateness
+
+
+def kernel() -> Check:
+    """Preemption model of the kernel."""
+    version = platform.version()
+    realtime_kernel = _text(Path("/sys/kernel/realtime")) == "1" or "PREEMPT_RT" in version
+    model = "PREEMPT_RT" if realtime_kernel else "PREEMPT" if "PREEMPT" in version else "no full preemption"
+    return judge(
+        "kernel",
+        realtime_kernel,
+        f"{platform.system()} {platform.release()}, {model}",
+        "PREEMPT_RT",
+        "install the distribution's real-time kernel (Debian: apt install linux-image-rt-amd64)",
+    )
+
+
+def processors() -> Check:
+    """A processor of its own for the loop."""
+    count = os.cpu_count() or 1
+    isolated = _text(CPUS / "isolated")
+    return judge(
+        "processors",
+        count >= 2,
+        f"{count}, isolated: {isolated or 'none'}",
+        "at least 2",
+        "use a machine with two cores: one for the loop, one for the rest",
+    )
+
+
+def governor() -> Check:
+    """Frequency governor: a sleeping processor that first speeds up is late."""
+    found = sorted({_text(path) for path in CPUS.glob("cpu[0-9]*/cpufreq/scaling_governor")})
+    return judge(
+        "governor",
+        found in ([], ["performance"]),
+        ", ".join(found) or "none (fixed frequency)",
+        "performance",
+        "cpupower frequency-set -g performance",
+    )
+
+
+def clock_source() -> Check:
+    """The kernel's clock: anything but a processor counter costs a microsecond and more at each reading."""
+    found = _text(CLOCKS / "current_clocksource") or "unknown"
+    available = _text(CLOCKS / "available_clocksource")
+    better = next((name for name in GOOD_CLOCKS if name in available.split()), None)
+    return judge(
+        "clock source",
+        found in GOOD_CLOCKS,
+        found,
+        " or ".join(GOOD_CLOCKS[:2]),
+        f"echo {better} > {CLOCKS / 'current_clocksource'}" if better else f"this machine offers only: {available}",
+    )
+
+
+def throttling() -> Check:
+    """Share of time that the kernel leaves to real-time tasks."""
+    found = _text(Path("/proc/sys/kernel/sched_rt_runtime_us"))
+    share = 1.0 if found in ("-1", "") else int(found) / int(_text(Path("/proc/sys/kernel/sched_rt_period_us")) or 1e6)
+    return judge(
+        "real-time throttling",
+        share >= 0.9,
+        f"{100 * share:.0f} % of each period" if found else "unknown",
+        "at least 90 %",
+        "sysctl kernel.sched_rt_runtime_us=950000",
+    )
+
+
+def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tuple[Check, Check, Check]:
+    """Take the rights in a process of its own and read them back there, so that this one keeps what it had."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    process = context.Process(target=_measure, args=(theirs, settings, rate, seconds), daemon=True)
+    process.start()
+    theirs.close()
+    try:
+        fifo, priority, locked, missing, late = ours.recv()
+    except EOFError:
+        raise BusError("doctor: the measuring process died; see the system's log (dmesg)") from None
+    finally:
+        process.join()
+    wanted = Result.WARN if settings.allow_without else Result.FAIL
+    scheduling = judge(
+        "scheduling",
+        fifo and priority == settings.priority,
+        f"SCHED_FIFO {priority}" if fifo else "SCHED_OTHER: real-time scheduling is refused",
+        f"SCHED_FIFO {settings.priority}",
+        _first(missing, "SCHED_FIFO") or "give the user an rtprio limit: '@realtime - rtprio 95' in limits.conf",
+        wanted,
+    )
+    memory = judge(
+        "memory lock",
+        not settings.lock_memory or locked > 0,
+        f"{locked / 2**20:.0f} MiB locked",
+        "all memory locked",
+        _first(missing, "memory") or "give the user memlock unlimited: '@realtime - memlock unlimited' in limits.conf",
+        wanted,
+    )
+    p50, p99, worst = (float(v) for v in np.quantile(late, [0.5, 0.99, 1.0]) * 1e6)
+    period = 1e6 / rate
+    lateness = judge(
+        "lateness",
+        worst < 0.3 * period,
+        f"p50 {p50:.0f}, p99 {p99:.0f}, worst {worst:.0f} us in {len(late)} cycles at {rate:g} Hz",
+        f"worst below {0.3 * period:.0f} us (30 % of the period)",
+        "mend the lines above, stop other load, or lower [controller] rate",
+        Result.FAIL if p99 > 0.3 * period else Result.WARN,
+    )
+    return scheduling, memory, lateness
+
+
+def _measure(pipe: Connection, settings: RealtimeSettings, rate: float, seconds: float) -> None:
+    """Bare absolute sleeps at the loop's rate: lateness in s of each wake-up."""
+    rights = realtime.acquire(msgspec.structs.replace(settings, allow_without=True))
+    period = round(1e9 / rate)
+    late = np.zeros(max(1, round(seconds * rate)))
+    deadline = time.monotonic_ns() + period
+    for i in range(late.size):
+        realtime.sleep_until(deadline)
+        now = time.monotonic_ns()
+        late[i] = (now - deadline) * 1e-9
+        deadline += period * max(1, -(-(now - deadline) // period))
+    pipe.send((rights.fifo, rights.priority, rights.locked_bytes, rights.missing, late))
+
+
+def _first(lines: tuple[str, ...], word: str) -> str:
+    return next((line for line in lines if line.startswith(word)), "")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="ascii", errors="replace").strip()
+    except OSError:
+        return ""
