@@ -24,7 +24,9 @@ class FakeBus:
     `answer`: called with each frame sent; what it returns is received next. Waiting for nothing moves the clock.
     """
 
-    def __init__(self, clock: FakeClock | None = None, answer: Callable[[Frame], Iterable[Frame]] | None = None) -> None:
+    def __init__(
+        self, clock: FakeClock | None = None, answer: Callable[[Frame], Iterable[Frame]] | None = None
+    ) -> None:
         self.name = "fake"
         self.counters = Counters()
         self.fault: BusFault | None = None

@@ -77,8 +77,6 @@ ERROR_REGISTER = Object(0x1001, 0, Type.U8, "error register")
 ERROR_HISTORY_COUNT = Object(0x1003, 0, Type.U8, "error history count")
 ERROR_HISTORY = Object(0x1003, 1, Type.U32, "newest entry of the error history")
 SYNC_COB_ID = Object(0x1005, 0, Type.U32, "SYNC COB-ID")
-CYCLE_PERIOD = Object(0x1006, 0, Type.U32, "communication cycle period")  # us
-HEARTBEAT_CONSUMER_COUNT = Object(0x1016, 0, Type.U8, "heartbeat consumer entries")
 HEARTBEAT_CONSUMER = Object(0x1016, 1, Type.U32, "heartbeat consumer")  # node << 16 | ms
 HEARTBEAT_PRODUCER = Object(0x1017, 0, Type.U16, "heartbeat producer")  # ms
 VENDOR_ID = Object(0x1018, 1, Type.U32, "vendor")
@@ -114,6 +112,8 @@ SUPPORTED_MODES = Object(0x6502, 0, Type.U32, "supported modes")
 
 # CiA 404 and 406
 PROCESS_VALUE = Object(0x9130, 1, Type.I32, "process value")
+MEASURING_UNITS = Object(0x6001, 0, Type.U32, "measuring units per revolution")
+TOTAL_RANGE = Object(0x6002, 0, Type.U32, "total measuring range")
 ENCODER_POSITION = Object(0x6004, 0, Type.U32, "position value")
 
 TABLE: tuple[Object, ...] = tuple(value for value in dict(globals()).values() if isinstance(value, Object))

@@ -113,6 +113,8 @@ class SeamBus(can.BusABC):  # type: ignore[misc]  # python-can is not followed b
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         frame = self._seam.recv(0.1 if timeout is None else timeout)
         if frame is None:
+            if self._seam.fault is not None:
+                raise can.CanOperationError(f"{self._seam.name}: {self._seam.fault.value}")
             return None, False
         can_id, data = frame
         message = can.Message(

@@ -1,0 +1,52 @@
+"""The end of every run: torque 0, drives disabled and confirmed, nodes pre-operational, then silence.
+
+The ramp of a torque to zero belongs to the loop; this is what follows it, whatever the reason was.
+"""
+
+from __future__ import annotations
+
+import time
+
+from tsa_ctrl.bus import cia402
+from tsa_ctrl.bus.cia301 import NmtCommand
+from tsa_ctrl.bus.cia402 import Controlword, PowerState
+from tsa_ctrl.bus.rig import Rig
+
+_OFF = (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT, PowerState.NOT_READY_TO_SWITCH_ON)
+_LAST_COMMANDS = 3  # cycles of "disable voltage" after the confirmation, or in spite of its absence
+
+
+def shut_down(rig: Rig, period: float, timeout: float = 1.0) -> list[str]:
+    """Disable all drives and leave their nodes pre-operational; returns what was not confirmed, one line each.
+
+    Cycles at `period` s until every drive says in a fresh PDO that it is off, at most `timeout` s. May be called in any
+    state, twice, and on a bus that has failed: it never raises for that.
+    """
+    start = time.monotonic()
+    off: set[str] = set()
+    cycle = 0
+    after = 0
+    while after < _LAST_COMMANDS:
+        time.sleep(max(0.0, start + cycle * period - time.monotonic()))
+        cycle += 1
+        rig.sync()
+        now = rig.collect(time.monotonic() + 0.8 * period)
+        for axis in rig.axes:
+            state = cia402.decode(axis.image.statusword)
+            if axis.image.fresh and state in _OFF:
+                off.add(axis.name)
+            enabled = state is PowerState.OPERATION_ENABLED
+            axis.command(Controlword.SHUTDOWN if enabled else Controlword.DISABLE_VOLTAGE, 0.0)
+        rig.heartbeat(now)
+        if len(off) == len(rig.axes) or now - start > timeout or rig.bus.fault is not None:
+            after += 1
+    for axis in rig.axes:
+        for health in axis.image.nodes:
+            rig.nmt(NmtCommand.PRE_OPERATIONAL, health.node_id)
+    return [_unconfirmed(rig, axis.name, axis.image.statusword) for axis in rig.axes if axis.name not in off]
+
+
+def _unconfirmed(rig: Rig, name: str, statusword: int) -> str:
+    state = cia402.decode(statusword).value
+    reason = rig.bus.fault.value if rig.bus.fault is not None else f"its last state was {state}"
+    return f"axis '{name}': the drive did not confirm that it is off ({reason}); cut its power"
