@@ -71,10 +71,14 @@ def acquire(settings: RealtimeSettings) -> Rights:
     rights = in_force(tuple(missing))
     if missing and not settings.allow_without:
         raise BusError(f"real-time rights are missing: {'; '.join(missing)}; or set allow_without under [realtime]")
+    return rights
+
+
+def freeze_garbage() -> None:
+    """What exists is never scanned again, and no collection starts; called right before the loop."""
     gc.collect()
     gc.freeze()
     gc.disable()
-    return rights
 
 
 def in_force(missing: tuple[str, ...] = ()) -> Rights:
@@ -88,7 +92,7 @@ def in_force(missing: tuple[str, ...] = ()) -> Rights:
 
 
 def release() -> None:
-    """Give back what `acquire` took, so that the slow end of a run does not hold the machine."""
+    """Give back what `acquire` and `freeze_garbage` took, so that the slow end of a run does not hold the machine."""
     gc.enable()
     gc.unfreeze()
     _libc.munlockall()

@@ -44,6 +44,7 @@ class Loop:
         self.cause: str | None = None
         self.events = events
         self.cycles = 0
+        self.late = 0  # cycles begun later than half a period
         self.recover = False  # the bus has to be brought up again before `run` goes on
         self._rig = rig
         self._axes = axes
@@ -66,6 +67,11 @@ class Loop:
         self._back_offs = [0] * len(axes)
 
     @property
+    def planned(self) -> int:
+        """Periods run or skipped."""
+        return self.cycles + self.skipped
+
+    @property
     def overruns(self) -> int:
         return self._ticker.overruns
 
@@ -78,19 +84,23 @@ class Loop:
         if self._stop is None:
             self._stop = cause
 
+    def note(self, text: str) -> None:
+        """Keep an event that happened outside of the cycles."""
+        self.events.add((time.monotonic_ns() - self._start) * 1e-9, "", text)
+
     def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
         """Run until stopped, or for `seconds` of torque; again, from RESETTING, after the bus was brought up anew."""
         ticker, telemetry = self._ticker, self._telemetry
         ticker.deadline = time.monotonic_ns() + ticker.period
         if self._start == 0:
             self._start = ticker.deadline
-        else:  # on the same grid, so that the log has one
+        else:  # on the same grid, so that the log has one; the time of a bring-up is a hole
             ticker.deadline += -(ticker.deadline - self._start) % ticker.period
         self.recover = False
         self._enter(first, ticker.deadline)
         self._settled = 0
         lateness, work = self._mailbox.lateness, self._mailbox.work
-        start, period = self._start, ticker.period
+        start, period, half = self._start, ticker.period, ticker.period // 2
         while self.phase is not LoopPhase.ENDED and not self.recover:
             planned = ticker.deadline
             sleep_until(planned)
@@ -99,6 +109,8 @@ class Loop:
             run_cycle(self._rig, self._axes, now, now + self._collect)
             done = time.monotonic_ns()
             count(lateness, woke - planned)
+            if woke - planned > half:
+                self.late += 1
             count(work, done - woke)
             telemetry.record(
                 (planned - start) * 1e-9, (planned - start) // period, (woke - planned) * 1e-9, (done - woke) * 1e-9
@@ -116,8 +128,7 @@ class Loop:
         ticker = self._ticker
         if self.cycles % self._check_every == 0:
             self._telemetry.check_log(self._t(planned), self.cycles * len(self._axes))
-        number = (planned - self._start) // ticker.period + 1
-        counts = (self.cycles, number, ticker.skipped, ticker.overruns)
+        counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
 
     def _take_command(self, now: float, planned: int) -> None:

@@ -1,0 +1,46 @@
+"""`tsa run`."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from tsa_ctrl.config import Configuration, load_configuration
+
+
+@click.command(
+    "run",
+    epilog="Example: tsa run config/controller.toml --seconds 20",
+    help="Bring the drives up, run the loop and log, until SIGTERM, SIGINT or `tsa stop`.",
+)
+@click.argument("controller", type=click.Path(path_type=Path))
+@click.option("--check", is_flag=True, help="Validate the configuration and what it refers to; move nothing.")
+@click.option("--seconds", type=click.FloatRange(min=0.0, min_open=True), help="End after this time of torque.")
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
+def command(controller: Path, check: bool, seconds: float | None, as_json: bool) -> int:
+    configuration = load_configuration(controller)
+    if check:
+        click.echo(_checked(configuration))
+        return 0
+    from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
+
+    summary = run(configuration, math.inf if seconds is None else seconds, lambda line: click.echo(line, err=True))
+    if as_json:
+        click.echo(json.dumps(summary.as_dict()))
+    else:
+        summary.show(Console(file=sys.stderr))
+    return 1 if summary.failed else 0
+
+
+def _checked(configuration: Configuration) -> str:
+    load, file = configuration.load, configuration.file
+    axes = ", ".join(axis.name for axis in file.axes)
+    return (
+        f"{configuration.path}: good; {axes} at {file.controller.rate:g} Hz, bus load "
+        f"{100 * load.least:.0f} to {100 * load.worst:.0f} % of {file.bus.bitrate} bit/s"
+    )

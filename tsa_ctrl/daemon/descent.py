@@ -1,0 +1,29 @@
+"""Torque to zero when the loop itself has failed: the last torque fades, and nothing of the control law is asked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.supervisor import Request
+from tsa_ctrl.control.axis import ControlAxis
+
+
+def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: float) -> None:
+    """Ramp what was last sent to 0 within `stop_time` s, as far as each supervisor still permits torque."""
+    steps = max(1, round(stop_time / period))
+    last = [axis.terms.tau_m_cmd for axis in axes]
+    start = time.monotonic()
+    for step in range(1, steps + 1):
+        time.sleep(max(0.0, start + step * period - time.monotonic()))
+        rig.sync()
+        now = rig.collect(time.monotonic() + 0.6 * period)
+        share = 1.0 - step / steps
+        for axis, torque in zip(axes, last, strict=True):
+            controlword, permitted, _ = axis.supervisor.update(
+                axis.image, now, Request.ENABLE if torque else Request.DISABLE
+            )
+            axis.io.command(controlword, torque * share if permitted else 0.0)
+            axis.terms.tau_m_cmd = torque * share if permitted else 0.0
+        rig.heartbeat(now)

@@ -1,0 +1,146 @@
+"""What a run was like: printed as tables for people, or as one JSON object."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tsa_ctrl.control.timing import Distribution
+from tsa_ctrl.daemon.events import Event
+
+SCHEMA = 1
+BAR = 40  # characters of the longest bar
+
+
+@dataclass(frozen=True)
+class NodeCount:
+    """How the PDOs of one node arrived."""
+
+    axis: str
+    node: str
+    missed: int  # cycles without all its PDOs
+    late: int
+    repeated: int
+    malformed: int
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Counts of one run; durations in s."""
+
+    bus: str
+    rate: float  # Hz
+    cause: str  # the first reason to end
+    failed: bool  # whether that was a fault
+    planned: int  # periods from the first cycle to the last
+    sent: int  # cycles run, each with its SYNC and commands
+    skipped: int  # periods lost to overruns
+    overruns: int
+    late: int  # cycles that began later than half a period
+    dropped: int  # frames that could not be sent
+    load: tuple[float, float]  # of the bit rate: least and worst bit stuffing
+    rights: str
+    lateness: Distribution
+    work: Distribution
+    lateness_bins: list[tuple[float, int]]
+    work_bins: list[tuple[float, int]]
+    nodes: tuple[NodeCount, ...]
+    events: tuple[Event, ...]
+    unconfirmed: tuple[str, ...]
+    log: str | None
+    log_written: int
+    log_lost: int
+
+    @property
+    def missed_pdo(self) -> int:
+        """Cycles, summed over nodes, in which PDOs did not come in time."""
+        return sum(node.missed for node in self.nodes)
+
+    def as_dict(self) -> dict[str, Any]:
+        """JSON-ready: null for unknown."""
+        return {
+            "schema": SCHEMA,
+            "bus": self.bus,
+            "rate": self.rate,
+            "cause": self.cause,
+            "failed": self.failed,
+            "cycles": {
+                "planned": self.planned,
+                "sent": self.sent,
+                "skipped": self.skipped,
+                "overruns": self.overruns,
+                "late": self.late,
+                "missed_pdo": self.missed_pdo,
+                "dropped": self.dropped,
+            },
+            "load": list(self.load),
+            "rights": self.rights,
+            "lateness": _distribution(self.lateness, self.lateness_bins),
+            "work": _distribution(self.work, self.work_bins),
+            "nodes": [vars(node) for node in self.nodes],
+            "events": [vars(event) for event in self.events],
+            "unconfirmed": list(self.unconfirmed),
+            "log": self.log,
+            "log_records": {"written": self.log_written, "lost": self.log_lost},
+        }
+
+    def show(self, console: Console) -> None:
+        """Print tables: cycles, histograms of lateness and work, nodes, events."""
+        table = Table(title=f"{self.bus}: {self.cause}", title_justify="left", show_header=False)
+        table.add_row("cycles planned / run", f"{self.planned} / {self.sent}")
+        table.add_row("periods skipped, in overruns", f"{self.skipped} in {self.overruns}")
+        table.add_row("cycles begun late (over half a period)", str(self.late))
+        table.add_row("frames dropped", str(self.dropped))
+        table.add_row("bus load", f"{100 * self.load[0]:.0f} to {100 * self.load[1]:.0f} % of the bit rate")
+        table.add_row("rights", self.rights)
+        if self.log is not None:
+            table.add_row("log", f"{self.log}: {self.log_written} records, {self.log_lost} lost")
+        console.print(table)
+        console.print(_histogram(self))
+        nodes = Table("axis", "node", "cycles missed", "late", "repeated", "wrong length")
+        for node in self.nodes:
+            counts = (node.missed, node.late, node.repeated, node.malformed)
+            nodes.add_row(node.axis, node.node, *(str(count) for count in counts))
+        console.print(nodes)
+        for event in self.events:
+            console.print(str(event), style="red" if event.fault else None, highlight=False, markup=False)
+        for line in self.unconfirmed:
+            console.print(line, style="bold red", highlight=False, markup=False)
+
+
+def _histogram(summary: Summary) -> Table:
+    table = Table("up to", "lateness", "", "work", "")
+    most = max(
+        (number for _, number in [*summary.lateness_bins, *summary.work_bins]),
+        default=0,
+    )
+    for (edge, late), (_, work) in zip(summary.lateness_bins, summary.work_bins, strict=True):
+        name = "above" if math.isinf(edge) else f"{edge * 1e6:g} us"
+        table.add_row(name, str(late), _bar(late, most), str(work), _bar(work, most))
+    table.add_section()
+    for name, attribute in (("p50", "p50"), ("p99", "p99"), ("p99.9", "p999")):
+        lateness, work_time = getattr(summary.lateness, attribute), getattr(summary.work, attribute)
+        table.add_row(name, _microseconds(lateness), "", _microseconds(work_time), "")
+    return table
+
+
+def _bar(number: int, most: int) -> str:
+    """Length by the logarithm, so that single outliers show."""
+    return "" if number == 0 else "█" * max(1, round(BAR * math.log1p(number) / math.log1p(most)))
+
+
+def _microseconds(seconds: float) -> str:
+    return "-" if math.isnan(seconds) else f"{seconds * 1e6:.0f} us"
+
+
+def _distribution(found: Distribution, bins: list[tuple[float, int]]) -> dict[str, Any]:
+    values = {"p50": found.p50, "p99": found.p99, "p999": found.p999}
+    return {
+        "samples": found.samples,
+        **{name: None if math.isnan(value) else value for name, value in values.items()},
+        "bins": [[None if math.isinf(edge) else edge, number] for edge, number in bins],
+    }
