@@ -1,0 +1,171 @@
+"""The reading process over a pseudo-terminal pair: noise, cuts, silence, unplugging, and the daemon's death."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tsa_ctrl.serial_line.process import SerialSensors
+from tsa_ctrl.serial_line.settings import SerialSensorSettings
+from tsa_ctrl.serial_line.slots import NOTHING, LineState, Reading, Slots
+
+PATIENCE = 15.0  # s until a condition must hold, on a slow machine
+
+
+class Line:
+    """A pseudo-terminal behind a fixed path, so that it can be unplugged and plugged in again."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.plug()
+
+    def plug(self) -> None:
+        self.ours, self._theirs = pty.openpty()
+        tty.setraw(self._theirs)
+        self.path.unlink(missing_ok=True)
+        self.path.symlink_to(os.ttyname(self._theirs))
+
+    def unplug(self) -> None:
+        self.path.unlink(missing_ok=True)
+        os.close(self.ours)
+        os.close(self._theirs)
+
+    def send(self, data: bytes) -> None:
+        os.write(self.ours, data)
+
+
+@pytest.fixture
+def line(tmp_path: Path) -> Iterator[Line]:
+    made = Line(tmp_path / "tty")
+    yield made
+    with contextlib.suppress(OSError):
+        made.unplug()
+
+
+def settings(line: Line, **changes: object) -> SerialSensorSettings:
+    return SerialSensorSettings(port=str(line.path), quantity="tau_j", timeout=0.2, rate=20.0, **changes)  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def sensors(*each: SerialSensorSettings) -> Iterator[SerialSensors]:
+    made = SerialSensors(each)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def wait_for(condition: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "the condition never held"
+        meanwhile()
+        time.sleep(0.01)
+
+
+def test_a_value_arrives_with_its_time(line: Line) -> None:
+    with sensors(settings(line, scale=2.0)) as read:
+        wait_for(lambda: read.value(0, time.monotonic()) == 3.0, lambda: line.send(b"1.5\r\n"))
+        reading = read.reading(0)
+        assert reading.state is LineState.READING
+        assert 0.0 <= time.monotonic() - reading.time < PATIENCE
+
+
+def test_a_silent_line_gives_nan_after_its_time_out(line: Line) -> None:
+    with sensors(settings(line)) as read:
+        wait_for(lambda: read.reading(0).count > 2, lambda: line.send(b"1\n"))
+        wait_for(lambda: read.reading(0).state is LineState.SILENT)
+        assert math.isnan(read.value(0, time.monotonic()))
+
+
+def test_noise_is_counted_and_never_becomes_a_value(line: Line) -> None:
+    with sensors(settings(line, low=-10.0, high=10.0)) as read:
+        wait_for(lambda: read.reading(0).count > 0, lambda: line.send(b"1\n"))
+        wait_for(lambda: read.reading(0).rejected >= 20, lambda: line.send(b"\xf3\x00garb\n99\n1e"))
+        value = read.reading(0).value
+        assert value == 1.0
+
+
+def test_an_unplugged_line_is_lost_and_comes_back(line: Line) -> None:
+    with sensors(settings(line)) as read:
+        wait_for(lambda: read.reading(0).count > 0, lambda: line.send(b"1\n"))
+        line.unplug()
+        wait_for(lambda: read.reading(0).state is LineState.LOST)
+        assert math.isnan(read.value(0, time.monotonic() + 1.0))
+        line.plug()
+        wait_for(lambda: read.value(0, time.monotonic()) == 2.0, lambda: line.send(b"2\n"))
+
+
+def test_a_sensor_that_is_asked_gets_its_request(line: Line) -> None:
+    with sensors(settings(line, request="READ?\n")) as read:
+        os.set_blocking(line.ours, False)
+
+        def answer() -> None:
+            with contextlib.suppress(BlockingIOError):
+                if b"READ?" in os.read(line.ours, 100):
+                    line.send(b"0.25\n")
+
+        wait_for(lambda: read.value(0, time.monotonic()) == 0.25, answer)
+
+
+def test_two_sensors_do_not_mix(tmp_path: Path) -> None:
+    a, b = Line(tmp_path / "a"), Line(tmp_path / "b")
+    with sensors(settings(a), settings(b)) as read:
+
+        def both() -> None:
+            a.send(b"1\n")
+            b.send(b"2\n")
+
+        wait_for(lambda: min(read.reading(0).count, read.reading(1).count) > 3, both)
+        assert (read.reading(0).value, read.reading(1).value) == (1.0, 2.0)
+    a.unplug()
+    b.unplug()
+
+
+def test_the_reader_ends_when_the_daemon_is_killed(line: Line) -> None:
+    program = (
+        "import sys, time\nfrom tsa_ctrl.serial_line.process import SerialSensors\n"
+        "from tsa_ctrl.serial_line.settings import SerialSensorSettings\n"
+        f"s = SerialSensors([SerialSensorSettings(port={str(line.path)!r}, quantity='t1')])\n"
+        "print(s._children[0].pid, flush=True)\ntime.sleep(60)\n"
+    )
+    daemon = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE)
+    assert daemon.stdout is not None
+    child = int(daemon.stdout.readline())
+    daemon.send_signal(signal.SIGKILL)
+    daemon.wait()
+    wait_for(lambda: not _runs(child))
+
+
+def _runs(pid: int) -> bool:
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0]
+    except FileNotFoundError:
+        return False
+
+
+def test_a_new_slot_holds_nothing() -> None:
+    slots = Slots(2)
+    assert math.isnan(slots.fresh(1, 0.0, 1.0))
+    assert slots.read(1).state is NOTHING.state
+    slots.close()
+
+
+def test_a_slot_that_is_being_written_is_not_read() -> None:
+    slots = Slots(1)
+    slots.write(0, Reading(1.0, 5.0, 1, 0, LineState.READING))
+    assert slots.fresh(0, 5.0, 0.1) == 1.0
+    slots._map[0:8] = (7).to_bytes(8, "little")
+    assert math.isnan(slots.fresh(0, 5.0, 0.1))
+    slots.close()
