@@ -1,24 +1,46 @@
-# Shared by the scripts of this folder; sourced with `tool` set to the name that messages begin with.
-# After it `root` is the project's folder, its .venv comes first on PATH, and the current folder is unchanged.
+# shellcheck shell=bash
+# Sourced by the scripts of this folder, with `tool` set to the name that their messages begin with.
+# After it `root` is the project's folder, its .venv comes first on PATH, and compiled functions are kept in .cache.
 
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd)
-PATH=$root/.venv/bin:$PATH
+export PATH=$root/.venv/bin:$PATH
+export NUMBA_CACHE_DIR=${NUMBA_CACHE_DIR:-${TSA_CACHE:-$root/.cache}/numba}
 
-die() { # MESSAGE [STATUS]
+die() { # MESSAGE
     printf '%s: %s\n' "$tool" "$1" >&2
-    exit "${2:-1}"
+    exit 1
 }
-
-python_new_enough() { "$1" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; }
 
 # Prints the first Python that is new enough: the project's own, then $PYTHON, then what PATH has.
 find_python() {
     local candidate
-    for candidate in "$root/.venv/bin/python" "${PYTHON:-}" python3 python3.{11..19} python; do
-        if [[ -n $candidate ]] && python_new_enough "$candidate"; then
+    for candidate in "$root/.venv/bin/python" "${PYTHON:-}" python3 python3.{11..15} python; do
+        if [[ -n $candidate ]] && "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
             command -v "$candidate"
             return
         fi
     done
-    die "needs Python 3.11 or later, found $(python3 --version 2>&1 || echo none); install it or name it in PYTHON"
+    die "Python 3.11 or later is needed, found $(python3 --version 2>/dev/null || echo none); install it or name it in PYTHON"
+}
+
+# Makes .venv and installs the project with its tools into it, when it is missing or pyproject.toml has changed since.
+ensure_venv() {
+    local venv=$root/.venv log=$root/.cache/install.log python stamp
+    stamp="$root $(cksum <"$root/pyproject.toml")"
+    mkdir -p "$root/.cache"
+    exec 9>"$root/.cache/install.lock"
+    if command -v flock >/dev/null; then flock 9; fi
+    if ! grep -qxF "$stamp" "$venv/installed" 2>/dev/null; then
+        python=$(find_python)
+        printf '%s: installing into .venv (once; some 900 MB on disk)\n' "$tool" >&2
+        if [[ ! -x $venv/bin/python ]] || ! "$venv/bin/python" -m pip --version 2>/dev/null | grep -qF "$venv/"; then
+            "$python" -m venv --clear "$venv" >"$log" 2>&1 ||
+                die "'$python -m venv' failed (on Debian and Ubuntu: apt-get install python3-venv); see $log"
+        fi
+        "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --retries 2 \
+            --editable "$root[dev]" >"$log" 2>&1 ||
+            die "pip could not install the project: $(grep -m1 ERROR "$log" || tail -n1 "$log"); all of it in $log"
+        printf '%s\n' "$stamp" >"$venv/installed"
+    fi
+    exec 9>&-
 }

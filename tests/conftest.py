@@ -1,0 +1,78 @@
+"""What the tests need of the machine: a vcan, a browser, measured data. Absent, a test skips with one line."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import socket
+import struct
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+SIOCGIFFLAGS, IFF_UP = 0x8913, 0x1  # linux/sockios.h, linux/if.h
+
+hypothesis.settings.register_profile("local", deadline=None)
+hypothesis.settings.register_profile("reproducible", deadline=None, derandomize=True, database=None)
+hypothesis.settings.load_profile("reproducible" if os.environ.get("CI") == "true" else "local")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that talk on a bus share one worker of pytest-xdist: two at once would hear each other."""
+    for item in items:
+        if item.get_closest_marker("hil"):
+            item.add_marker(pytest.mark.xdist_group("bus"))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    if item.get_closest_marker("vcan") and (lack := _lack_of_vcan()):
+        if os.environ.get("TSA_REQUIRE_VCAN") == "1":
+            pytest.fail(lack, pytrace=False)
+        pytest.skip(lack)
+    if item.get_closest_marker("browser") and _browser() is None:
+        pytest.skip(f"no browser: none of {', '.join(BROWSERS)} is on PATH")
+
+
+@pytest.fixture(scope="session")
+def vcan() -> str:
+    """Name of the interface that tools/vcan made or found; for tests marked `vcan`."""
+    return os.environ["TSA_VCAN"]
+
+
+@pytest.fixture(scope="session")
+def browser() -> str:
+    """Path of a Chromium; for tests marked `browser`."""
+    path = _browser()
+    assert path is not None
+    return path
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of the measured data sets: TSA_DATA, else `shared/data` beside the project."""
+    folder = Path(os.environ.get("TSA_DATA") or ROOT.parent / "shared" / "data")
+    if not folder.is_dir():
+        pytest.skip(f"no measured data: {folder} is not there; name its folder in TSA_DATA")
+    return folder
+
+
+def _lack_of_vcan() -> str | None:
+    """Why there is no vcan for this test; None when there is one."""
+    name = os.environ.get("TSA_VCAN")
+    if not name:
+        return "no vcan: run under tools/vcan"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        try:
+            answer = fcntl.ioctl(any_socket, SIOCGIFFLAGS, struct.pack("16sH14x", name.encode(), 0))
+        except OSError as error:
+            return f"no vcan: TSA_VCAN={name}: {error.strerror}"
+    up = struct.unpack_from("16xH", answer)[0] & IFF_UP
+    return None if up else f"no vcan: TSA_VCAN={name} is down"
+
+
+def _browser() -> str | None:
+    return next((path for name in BROWSERS if (path := shutil.which(name))), None)
