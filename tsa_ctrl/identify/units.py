@@ -30,6 +30,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
 }
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi
+MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
 
 
 def check_rate(label: str, period: float) -> None:
@@ -89,6 +90,44 @@ def check_pairs(label: str, columns: Mapping[str, Array], derivatives: Mapping[s
         else:
             continue
         raise UsageError(f"{label}: column {angle} and column {velocity} disagree: {found}; {fix}")
+
+
+def check_ratios(
+    label: str,
+    columns: Mapping[str, Array],
+    motor_pulley_radius: float,
+    joint_pulley_radius: float,
+    bending_angle: float,
+) -> None:
+    """Raise UsageError when two ends of the transmission disagree by more than their pulleys can explain.
+
+    Radii in m, the nominal bending angle in rad.
+    """
+    ratio = joint_pulley_radius / motor_pulley_radius
+    if "tau_j" in columns:
+        slope = _slope(columns["tau_m"], columns["tau_j"])
+        if slope is not None and not 1.0 / MOST_GAIN < abs(slope) / ratio < MOST_GAIN:
+            name = "tau_j" if abs(slope) > ratio else "tau_m"
+            raise UsageError(
+                f"{label}: column tau_j is {slope:.3g} times tau_m where the pulleys give {ratio:.3g}, which cannot be "
+                f"right; {name} seems to be in N*mm: convert it to N*m"
+            )
+    for motor, joint in (("q_m", "q_j"), ("omega_m", "omega_j")):
+        if motor in columns and joint in columns:
+            slope = _slope(columns[joint] - np.mean(columns[joint]), columns[motor] - np.mean(columns[motor]))
+            for factor, name in ((DEGREES, motor), (1.0 / DEGREES, joint)):
+                if slope is not None and _near(slope, factor * ratio):
+                    raise UsageError(
+                        f"{label}: column {motor} is {slope:.3g} times {joint} where the pulleys give {ratio:.3g}, "
+                        f"which cannot be right; {name} seems to be in degrees: use rad"
+                    )
+    if "theta" in columns and bending_angle > 0.0:
+        typical = float(np.median(np.abs(columns["theta"])))
+        if typical > 0.5 * DEGREES * bending_angle:
+            raise UsageError(
+                f"{label}: column theta is typically {typical:.3g} rad where the model says {bending_angle:.3g}, which "
+                "cannot be right; it seems to be in degrees: convert it to rad"
+            )
 
 
 def _near(ratio: float, factor: float) -> bool:

@@ -1,0 +1,21 @@
+"""May this log be used with this model: columns, units and signs in one call."""
+
+from __future__ import annotations
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.energy import check_energy
+from tsa_ctrl.identify.units import check_ratios
+from tsa_ctrl.model.parameters import Model, TendonSheath
+
+
+def admit(dataset: Dataset, model: Model, *columns: str) -> None:
+    """Raise UsageError, naming file and column, unless `dataset` can be right for `model`.
+
+    Needs the velocity that every simulation needs, and `columns`; refuses torques or angles whose two ends disagree by
+    a factor that is a unit's, and a channel whose sign makes the transmission create energy.
+    """
+    dataset.require(model, *columns)
+    if isinstance(model, TendonSheath):
+        radii = model.motor_pulley_radius, model.joint_pulley_radius
+        check_ratios(dataset.label, dataset.columns, *radii, model.bending_angle)
+    check_energy(dataset, model)

@@ -1,0 +1,136 @@
+"""A log whose transmission creates energy has a reversed channel; this names it.
+
+While sliding, the motor's torque carries the joint's torque, what is stored or accelerated, and the friction, which
+always points against the motion:
+
+    R tau_M = a tau_J + F sigma + k q + J domega/dt + c,    R = r_J / r_M,    a > 0,    F > 0
+
+Springs, weights and inertia give back what they take and are fitted beside it (q, sin q, cos q, domega/dt, 1), so that
+only friction is left to judge. Reversing tau_M turns the signs of a and F, reversing tau_J that of a, reversing omega
+that of F. A log is refused only where a sign is beyond doubt: block by block, and by more than the residual explains.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import Model, TendonSheath
+
+Array = NDArray[np.float64]
+
+BLOCKS = 12  # of time, the clusters of the standard errors
+CERTAIN = 5.0  # standard errors
+CLEAR = 0.5  # of the residual's RMS: a smaller term may be the work of what the fit lacks
+SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
+
+
+def check_energy(dataset: Dataset, model: Model) -> None:
+    """Raise UsageError, naming the channel, when a sign in the log makes its transmission create energy.
+
+    Says nothing about logs that are too short, too still or too uniform to tell.
+    """
+    if isinstance(model, TendonSheath):
+        _check_kinematics(dataset)
+        if "tau_j" in dataset:
+            _check_transmission(dataset, model)
+    else:
+        _check_drive(dataset)
+
+
+def _check_kinematics(dataset: Dataset) -> None:
+    """An angle and its velocity have one sign; so have motor and joint velocity while sliding."""
+    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
+        if angle in dataset and velocity in dataset and velocity not in dataset.derived:
+            rate = np.gradient(dataset[angle], dataset.period)
+            if _opposed(rate, dataset[velocity]):
+                raise UsageError(
+                    f"{dataset.label}: column {velocity} runs against d{angle}/dt: one of the two is reversed; turn "
+                    "its sign"
+                )
+
+
+def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
+    omega = dataset["omega_j"]
+    sliding = _sliding(omega)
+    tau_m = dataset["tau_m"] * (model.joint_pulley_radius / model.motor_pulley_radius)
+    signs = _signs(dataset, tau_m, omega, sliding, dataset["tau_j"])
+    if signs is None:
+        return
+    gain, friction = signs
+    velocity = "omega_j" if "omega_j" not in dataset.derived else "q_j"
+    against = "omega_m" in dataset and _opposed(omega[sliding], dataset["omega_m"][sliding])
+    motor_velocity = "omega_m" if "omega_m" not in dataset.derived else "q_m"
+    if gain < 0 and friction != 0:
+        channel = "tau_j" if friction > 0 else "tau_m"
+    elif gain < 0:
+        channel = "tau_m or tau_j"
+    elif friction < 0:
+        channel = velocity if gain > 0 or against else f"tau_m or {velocity}"
+    elif against:
+        channel = motor_velocity if friction > 0 else f"{motor_velocity} or {velocity}"
+    else:
+        return
+    raise UsageError(
+        f"{dataset.label}: column {channel} is reversed: as recorded the transmission creates energy (allowed: tau_m "
+        "omega_m > 0 is work put in, tau_j omega_j > 0 work given out, omega_m and omega_j of one sign); turn its sign"
+    )
+
+
+def _check_drive(dataset: Dataset) -> None:
+    _check_kinematics(dataset)
+    if "omega_m" not in dataset:
+        return
+    omega = dataset["omega_m"]
+    signs = _signs(dataset, dataset["tau_m"], omega, _sliding(omega), None)
+    if signs is not None and signs[1] < 0:
+        velocity = "omega_m" if "omega_m" not in dataset.derived else "q_m"
+        raise UsageError(
+            f"{dataset.label}: column tau_m or {velocity} is reversed: as recorded the drive's friction creates energy "
+            "(allowed: tau_m omega_m > 0 is work put in); turn its sign"
+        )
+
+
+def _sliding(omega: Array) -> NDArray[np.bool_]:
+    return np.abs(omega) > SLIDING * float(np.percentile(np.abs(omega), 95.0))
+
+
+def _opposed(x: Array, y: Array) -> bool:
+    """Whether two velocities are clearly one motion with opposite signs."""
+    scale = float(np.linalg.norm(x)) * float(np.linalg.norm(y))
+    return scale > 0.0 and float(x @ y) < -0.8 * scale
+
+
+def _signs(
+    dataset: Dataset, tau_m: Array, omega: Array, sliding: NDArray[np.bool_], tau_j: Array | None
+) -> tuple[int, int] | None:
+    """Signs of a and F, 0 where they are not certain; None where the log cannot tell anything."""
+    sigma = np.sign(omega)
+    if sliding.sum() < 100 or abs(float(np.mean(sigma[sliding]))) > 0.9:
+        return None
+    column = "q_m" if tau_j is None else "q_j"
+    angle = dataset[column] if column in dataset else np.cumsum(omega) * dataset.period
+    acceleration = np.gradient(omega, dataset.period)
+    torque = [] if tau_j is None else [tau_j]
+    columns = np.column_stack([sigma, *torque, angle, np.sin(angle), np.cos(angle), acceleration])[sliding]
+    columns = columns - columns.mean(axis=0)  # the constant
+    scale = columns.std(axis=0)
+    useful = scale > 0.0
+    columns = columns[:, useful] / scale[useful]
+    y = tau_m[sliding] - float(np.mean(tau_m[sliding]))
+    coefficients, *_ = np.linalg.lstsq(columns, y, rcond=1e-9)
+    residual = y - columns @ coefficients
+    rms = float(np.sqrt(np.mean(residual**2)))
+    error = _clustered_error(columns, residual, np.flatnonzero(sliding) * BLOCKS // len(sliding))
+    clear = (np.abs(coefficients) > CERTAIN * error) & (np.abs(coefficients) > CLEAR * rms)
+    sign = np.where(clear, np.sign(coefficients), 0.0)
+    return (int(sign[1]) if tau_j is not None and useful[1] else 0), int(sign[0])
+
+
+def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:
+    """Standard errors that hold for residuals correlated within a block (sandwich with blocks as clusters)."""
+    bread = np.linalg.pinv(columns.T @ columns, rcond=1e-9)
+    scores = np.stack([columns[block == b].T @ residual[block == b] for b in range(BLOCKS)])
+    return np.asarray(np.sqrt(np.diag(bread @ (scores.T @ scores) @ bread)), dtype=np.float64)
