@@ -1,8 +1,8 @@
 """Measured-like logs with hidden effects, built without the package under test.
 
-    from hidden import case
-    c = case("single", "stribeck_friction", seed=3)
-    c.logs[0].columns["tau_j"], c.model, c.truth.effects
+from hidden import case
+c = case("single", "stribeck_friction", seed=3)
+c.logs[0].columns["tau_j"], c.model, c.truth.effects
 """
 
 from .cases import Case, Truth

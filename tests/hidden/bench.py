@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from . import memory, sensors
-from .motion import Motion, held_levels, grid, one_way, plain_motion, rich_motion, torque_programme, wander
-from .plant import Effects, Scene, simulate
+from .motion import Motion, grid, held_levels, one_way, plain_motion, rich_motion, smoothed, torque_programme, wander
+from .plant import Effects, Scene, Tensions, simulate
 from .rig import Rig, draw_nominal, draw_rig
 
 Array = np.ndarray
+MEMORY = {"presliding_hysteresis", "backlash", "transport_delay"}
 Disturbance = Callable[["Bench", "Run", Array], Array]
 
 
@@ -22,9 +23,10 @@ class Recipe:
     """How to excite and what to record; None and empty leave it to chance."""
 
     motion: str = "rich"  # "rich", "one_way" or a kind of motion.KINDS
-    torque: str = ""  # "independent", "levels", "one_sign", "loaded", "spring", "free", "weight"
+    torque: str = ""  # "independent", "levels", "one_sign", "loaded", "spring", "free", "weight", "one_load"
     amplitude: float | None = None  # rad
     speed: float | None = None  # rad/s, for plain motions
+    rounding: float = 0.0  # s, of the corners of a plain motion
     level: tuple[float, float] = (0.4, 0.85)  # peak motor torque as a share of the slack limit
     bending: str = "fixed"  # "fixed", "varied" (known, in column theta)
     temperature: str = ""  # "cycle", "warm_up", "none"
@@ -35,7 +37,9 @@ class Recipe:
     runs: int = 0  # 0: one to four
     rate: int = 0
     x: tuple[float, float] = (0.12, 0.9)
-    sign_noise: float = 1.0  # how far errors in the sign of the velocity may exceed the torque noise
+    sign_noise: float = 2.0  # how far errors in the sign of the velocity may exceed the torque noise
+    blind: bool = False  # the temperature moves but is not recorded
+    bare: bool = False  # no columns but those that the recipe names
     short: bool = False  # the quick gate: 12 to 20 s, one run
 
 
@@ -45,12 +49,33 @@ class Run:
 
     scene: Scene
     every: int
-    first: int  # fine sample of the log's first sample
     rate: float
     motion: Motion
+    _plain: Array | None = None
 
     def pick(self, values: Array) -> Array:
-        return values[self.first :: self.every]
+        return values[self.scene.first :: self.every]
+
+    @cached_property
+    def sparse(self) -> Scene:
+        """The scene at the log's samples only: enough where no effect has a memory."""
+        s = self.scene
+        scale = (None if f is None else self.pick(f) for f in (s.friction_scale, s.pretension_scale))
+        columns = (s.t, s.q, s.omega, s.acceleration, s.q_m, s.tau_m, s.theta, s.temperature)
+        return Scene(*(self.pick(c) for c in columns), 0, self.pick(s.direction()), *scale)
+
+    def plain(self, rig: Rig, motor_angle: bool) -> Array:
+        """Joint torque without effects on the fine grid; kept, because a disturbance is tried at several strengths."""
+        if self._plain is None:
+            self._plain = simulate(rig, self.scene, {}, motor_angle).joint_torque
+        return self._plain
+
+    def simulate(self, rig: Rig, effects: Effects, motor_angle: bool) -> Tensions:
+        """Tensions and joint torque at the log's samples."""
+        if not MEMORY & effects.keys():
+            return simulate(rig, self.sparse, effects, motor_angle)
+        fine = simulate(rig, self.scene, effects, motor_angle)
+        return Tensions(*(self.pick(c) for c in (fine.t1, fine.t2, fine.t3, fine.t4, fine.joint_torque)))
 
 
 @dataclass
@@ -78,19 +103,31 @@ class Bench:
     extras: tuple[str, ...] = ()
     clock_start: float = 0.0
     scale: float = 0.0  # RMS of the joint torque without effects, N·m
-    wanted: dict[str, float] = field(default_factory=dict)
 
     def ideal(self, effects: Effects) -> list[Array]:
         """Joint torque of every run on its log's grid, without any noise."""
-        return [run.pick(simulate(self.rig, run.scene, effects, self.motor_angle).joint_torque) for run in self.runs]
+        return [run.simulate(self.rig, effects, self.motor_angle).joint_torque for run in self.runs]
+
+    def ideal_as_seen(self, effects: Effects, log_effects: Effects) -> list[Array]:
+        """The same with the direction that the log's velocity shows when it carries `log_effects`."""
+        torques = []
+        for run in self.runs:
+            sigma = memory.direction(self.seen_velocity(run, log_effects))
+            seen = Run(replace(run.scene, sigma=sigma), run.every, run.rate, run.motion)
+            torques.append(seen.simulate(self.rig, effects, self.motor_angle).joint_torque)
+        return torques
+
+    def disturbed(self, disturb: Disturbance) -> list[Array]:
+        """The same with a cause outside the catalogue instead of effects."""
+        torques = []
+        for run in self.runs:
+            torques.append(run.pick(disturb(self, run, run.plain(self.rig, self.motor_angle))))
+        return torques
 
     def slack_share(self, effects: Effects) -> float:
         """Share of all samples in which a tendon would have to push."""
-        slack = []
-        for run in self.runs:
-            tensions = simulate(self.rig, run.scene, effects, self.motor_angle)
-            slack.append(run.pick((tensions.t1 < 0.0) | (tensions.t3 < 0.0)))
-        return float(np.mean(np.concatenate(slack)))
+        all_tensions = [run.simulate(self.rig, effects, self.motor_angle) for run in self.runs]
+        return float(np.mean(np.concatenate([(each.t1 < 0.0) | (each.t3 < 0.0) for each in all_tensions])))
 
     def seen_velocity(self, run: Run, effects: Effects) -> Array:
         """Velocity on the fine grid as the log would have it without noise."""
@@ -113,20 +150,26 @@ class Bench:
         return 0.5 * max(float(np.ptp(run.scene.q_m)) for run in self.runs)
 
 
-def draw_bench(rng: np.random.Generator, recipe: Recipe) -> Bench:
-    """A rig with its runs; no effects, no noise yet."""
-    rig = draw_rig(rng, recipe.x)
-    nominal = draw_nominal(rng, rig)
+def draw_bench(rng: np.random.Generator, recipe: Recipe, like: Bench | None = None) -> Bench:
+    """A rig with its runs; no effects, no noise yet. `like`: the rig and its papers are those of another bench."""
+    rig = draw_rig(rng, recipe.x) if like is None else like.rig
+    nominal = draw_nominal(rng, rig) if like is None else like.nominal
     count = 1 if recipe.short else recipe.runs or int(rng.choice([1, 1, 1, 2, 3, 4]))
     rate = recipe.rate or int(rng.choice([200, 250, 500, 500, 1000]))
     if recipe.short:
         rate = min(rate, 500)
     every = {200: 20, 250: 16, 500: 9, 1000: 4}.get(rate, max(2, round(4000 / rate)))
     velocity = recipe.velocity or str(rng.choice(["tachometer", "encoder", "derived"], p=[0.45, 0.35, 0.2]))
-    joint_angle = velocity == "derived" or (bool(rng.random() < 0.7) if recipe.joint_angle is None else recipe.joint_angle)
+    joint_angle = velocity == "derived" or (
+        bool(rng.random() < 0.7) if recipe.joint_angle is None else recipe.joint_angle
+    )
     motor_angle = bool(rng.random() < 0.45) if recipe.motor_angle is None else recipe.motor_angle
     temperature = recipe.temperature or str(rng.choice(["none", "none", "cycle", "warm_up"]))
-    extras = tuple(name for name, share in (("omega_m", 0.2), ("tensions", 0.08), ("tau_m_cmd", 0.1)) if rng.random() < share)
+    extras = tuple(
+        name for name, share in (("omega_m", 0.2), ("tensions", 0.08), ("tau_m_cmd", 0.1)) if rng.random() < share
+    )
+    if recipe.bare:
+        extras, motor_angle = (), bool(recipe.motor_angle)
     runs = []
     low, high = (12.0, 20.0) if recipe.short else recipe.seconds
     for _ in range(count):
@@ -140,7 +183,7 @@ def draw_bench(rng: np.random.Generator, recipe: Recipe) -> Bench:
         motor_angle=motor_angle,
         joint_angle=joint_angle,
         velocity=velocity,
-        temperature=temperature != "none",
+        temperature=temperature != "none" and not recipe.blind,
         counts=2 ** int(rng.integers(15, 19)),
         window=rng.uniform(0.006, 0.014),
         extras=extras,
@@ -185,8 +228,9 @@ def _draw_run(
         tau_m=tau_m,
         theta=theta,
         temperature=_draw_temperature(rng, temperature, t),
+        first=round(0.25 * fine),
     )
-    return Run(scene, every, round(0.25 * fine), float(rate), motion)
+    return Run(scene, every, float(rate), motion)
 
 
 def _draw_motion(rng: np.random.Generator, recipe: Recipe, t: Array, velocity: str) -> Motion:
@@ -197,7 +241,8 @@ def _draw_motion(rng: np.random.Generator, recipe: Recipe, t: Array, velocity: s
         fast = recipe.speed or rng.uniform(0.5, 3.0)
         return one_way(rng, t, (0.2 * fast, fast))
     amplitude = recipe.amplitude or rng.uniform(0.4, 1.3)
-    return plain_motion(rng, t, recipe.motion, amplitude, recipe.speed or amplitude * rng.uniform(0.8, 4.0))
+    speed = recipe.speed or amplitude * rng.uniform(0.8, 4.0)
+    return plain_motion(rng, t, recipe.motion, amplitude, speed, recipe.rounding)
 
 
 def _draw_torque(
@@ -213,13 +258,17 @@ def _draw_torque(
         return level * limit * torque_programme(rng, t)
     if kind == "one_sign":
         return level * limit * torque_programme(rng, t, sign=int(rng.choice([-1, 1])))
+    if kind == "one_load":  # so far from zero that friction never turns the sign of the joint's torque
+        least = np.tanh(float(np.max(rig.mu * theta))) + 0.08
+        share = np.abs(torque_programme(rng, t, sign=1))
+        return float(rng.choice([-1.0, 1.0])) * limit * (least + max(level - least, 0.15) * share)
     if kind == "levels":
         return level * limit * held_levels(rng, t, rng.uniform(2.0, 6.0))
     # The joint carries a load and a controller with the nominal numbers compensates the friction.
     load = _draw_load(rng, kind, motion)
     x, sigma = nominal.mu * theta, memory.direction(motion.omega)
     compensation = nominal.motor_radius * 2.0 * nominal.pretension / rig.pretension * pretension * sigma * np.tanh(x)
-    compensation = gaussian_filter1d(compensation, rng.uniform(0.006, 0.02) / step, mode="nearest")
+    compensation = smoothed(compensation, rng.uniform(0.006, 0.02) / step)
     room = max(level * limit - float(np.max(np.abs(compensation))), 0.12 * limit)
     tau_m = compensation + room * load
     return tau_m * min(1.0, 0.92 * limit / float(np.max(np.abs(tau_m))))
@@ -276,11 +325,10 @@ def record(
     logs: list[HiddenLog] = []
     torque_errors, sign_errors = [], []
     for number, run in enumerate(bench.runs):
-        tensions = simulate(bench.rig, run.scene, effects, bench.motor_angle)
+        tensions = run.simulate(bench.rig, effects, bench.motor_angle)
         ideal = tensions.joint_torque
         if disturb is not None:
-            ideal = disturb(bench, run, ideal)
-        ideal = run.pick(ideal)
+            ideal = run.pick(disturb(bench, run, run.plain(bench.rig, bench.motor_angle)))
         count = ideal.size
         tau_m_true = run.pick(run.scene.tau_m)
         tau_j = ideal + noise * np.sqrt(1.0 - motor_share) * sensors.coloured_noise(rng, count, run.rate)
@@ -294,7 +342,7 @@ def record(
             columns["omega_j"] = omega
         if bench.joint_angle:
             columns["q_j"] = q_j
-        _extras(rng, bench, run, columns, tensions.t1, tensions.t3)
+        _extras(rng, bench, run, columns, tensions)
         logs.append(HiddenLog(f"run_{number:02d}", columns))
     return logs, rms(np.concatenate(torque_errors)), rms(np.concatenate(sign_errors))
 
@@ -308,24 +356,24 @@ def _velocity(
     true_sign = run.pick(memory.direction(seen))
     x = bench.rig.mu * run.pick(run.scene.theta)
     half_loop = 2.0 * bench.rig.pretension * bench.rig.joint_radius * np.sinh(x)
-    counts = bench.counts
-    for _ in range(6):
+    counts, window = bench.counts, bench.window
+    for _ in range(12):
         q_fine = sensors.encoder(rng, run.scene.q, counts, 0.0 if bench.velocity == "encoder" else 0.25)
         q_j = run.pick(q_fine)
         if bench.velocity == "tachometer":
             omega = sensors.tachometer(rng, run.pick(seen), noise, smooth)
         else:
-            omega = run.pick(sensors.differenced(q_fine, step, bench.window))
+            omega = run.pick(sensors.differenced(q_fine, step, window))
             if "velocity_lag" in effects:
                 omega = memory.first_order_lag(omega, 1.0 / run.rate, effects["velocity_lag"]["time_constant"])
         sign_error = half_loop * (memory.direction(omega) - true_sign)
         if rms(sign_error) <= limit:
             break
-        noise, counts = 0.5 * noise, 4 * counts
+        noise, counts, window = 0.6 * noise, 2 * counts, 0.85 * window
     return omega, q_j, sign_error
 
 
-def _extras(rng: np.random.Generator, bench: Bench, run: Run, columns: dict[str, Array], t1: Array, t3: Array) -> None:
+def _extras(rng: np.random.Generator, bench: Bench, run: Run, columns: dict[str, Array], tensions: Tensions) -> None:
     """The optional columns."""
     scene = run.scene
     if bench.motor_angle:
@@ -334,8 +382,7 @@ def _extras(rng: np.random.Generator, bench: Bench, run: Run, columns: dict[str,
         speed = np.gradient(scene.q_m, scene.t[1] - scene.t[0])
         columns["omega_m"] = run.pick(speed) + 2e-3 * bench.speed * rng.standard_normal(columns["t"].size)
     if "tensions" in bench.extras:
-        for name, value in (("t1", t1), ("t3", t3)):
-            exact = run.pick(value)
+        for name, exact in (("t1", tensions.t1), ("t3", tensions.t3)):
             columns[name] = exact + 3e-3 * bench.rig.pretension * rng.standard_normal(exact.size)
     if "tau_m_cmd" in bench.extras:
         columns["tau_m_cmd"] = run.pick(scene.tau_m)
@@ -345,8 +392,3 @@ def _extras(rng: np.random.Generator, bench: Bench, run: Run, columns: dict[str,
         )
     if bench.recipe.bending == "varied":
         columns["theta"] = run.pick(scene.theta)
-
-
-def with_runs(bench: Bench, runs: list[Run]) -> Bench:
-    """The same rig and instruments with other runs."""
-    return replace(bench, runs=runs)

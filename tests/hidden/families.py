@@ -4,13 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from .cases import POOR, Case, none_case, pair_case, single_case
+from .cases import POOR, Case, none_case, outside_case, pair_case, single_case
+from .confounded import ROWS, confounded_case
+from .outside import STRANGERS
+from .rigid import NAMES as RIGID_NAMES
+from .rigid import rigid_case
 from .strength import NAMES
 
 FAMILIES: dict[str, tuple[Callable[..., Case], tuple[str, ...]]] = {
     "none": (none_case, ("rich", "rich", "rich", "plain", *POOR)),
     "single": (single_case, NAMES),
     "pair": (pair_case, ("any",)),
+    "outside": (outside_case, tuple(STRANGERS)),
+    "confounded": (confounded_case, tuple(ROWS)),
+    "rigid": (rigid_case, RIGID_NAMES),
 }
 
 

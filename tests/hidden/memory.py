@@ -64,13 +64,13 @@ def slip_elements(displacement: Array, distance: float, count: int, start: float
 
 
 @njit(cache=True)
-def engaged(angle: Array, sigma: Array, gap: float) -> Array:
-    """1 where the play after the last reversal has been crossed, else 0; 1 before the first reversal."""
+def engaged(angle: Array, sigma: Array, gap: float, first: int) -> Array:
+    """1 where the play after the last reversal has been crossed, else 0; 1 before the first reversal after `first`."""
     n = angle.size
     out = np.ones(n)
     turned = False
     turning_angle = 0.0
-    for i in range(1, n):
+    for i in range(first + 1, n):
         if sigma[i] * sigma[i - 1] < 0.0:
             turned = True
             turning_angle = angle[i - 1]
@@ -108,4 +108,15 @@ def rest_time(velocity: Array, step: float, threshold: float) -> Array:
             last = resting
             resting = 0.0
         out[i] = last
+    return out
+
+
+@njit(cache=True)
+def slid_since_rest(angle: Array, velocity: Array, threshold: float) -> Array:
+    """Distance travelled since the joint last rested."""
+    n = angle.size
+    out = np.zeros(n)
+    for i in range(1, n):
+        if abs(velocity[i]) >= threshold:
+            out[i] = out[i - 1] + abs(angle[i] - angle[i - 1])
     return out

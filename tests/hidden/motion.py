@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import uniform_filter1d
 
 Array = np.ndarray
 
@@ -45,22 +45,26 @@ def rich_motion(rng: np.random.Generator, t: Array, amplitude: float | None = No
     return _assemble(rng, t, pieces, dwell)
 
 
-def plain_motion(rng: np.random.Generator, t: Array, kind: str, amplitude: float, speed: float) -> Motion:
-    """One kind of motion from beginning to end."""
-    return _assemble(rng, t, [(kind, amplitude, speed)], False)
+def plain_motion(
+    rng: np.random.Generator, t: Array, kind: str, amplitude: float, speed: float, rounding: float = 0.0
+) -> Motion:
+    """One kind of motion from beginning to end; `rounding` in seconds smooths its corners (0: by chance)."""
+    return _assemble(rng, t, [(kind, amplitude, speed)], False, rounding)
 
 
 def one_way(rng: np.random.Generator, t: Array, speeds: tuple[float, float]) -> Motion:
     """Rotation in one direction, with a speed that wanders between two values."""
     low, high = speeds
     wander = 0.5 * (1.0 + np.sin(2.0 * np.pi * rng.uniform(0.05, 0.2) * t + rng.uniform(0.0, 6.28)))
-    omega = low + (high - low) * wander
+    omega = (low + (high - low) * wander) * rng.choice([-1.0, 1.0])
     step = t[1] - t[0]
     q = np.cumsum(omega) * step
     return Motion(t, q - q.mean(), omega, np.gradient(omega, step), ("one_way",), float(np.max(np.abs(omega))))
 
 
-def _assemble(rng: np.random.Generator, t: Array, pieces: list[tuple[str, float, float]], dwell: bool) -> Motion:
+def _assemble(
+    rng: np.random.Generator, t: Array, pieces: list[tuple[str, float, float]], dwell: bool, rounding: float = 0.0
+) -> Motion:
     step = t[1] - t[0]
     edges = np.linspace(t[0], t[-1] + step, len(pieces) + 1)
     fade = min(0.8, 0.25 * (edges[1] - edges[0]))
@@ -69,7 +73,7 @@ def _assemble(rng: np.random.Generator, t: Array, pieces: list[tuple[str, float,
         window = _ramp(t, begin, fade, begin > t[0]) * (1.0 - _ramp(t, end, fade, end < edges[-1]))
         inside = window > 0.0
         q[inside] += window[inside] * _shape(rng, kind, t[inside] - begin, amplitude, speed, dwell)
-    q = gaussian_filter1d(q, max(1.0, rng.uniform(0.006, 0.02) / step), mode="nearest", truncate=6.0)
+    q = smoothed(q, (rounding or rng.uniform(0.006, 0.02)) / step)
     omega = np.gradient(q, step)
     omega[np.abs(omega) < 1e-6 * np.max(np.abs(omega))] = 0.0
     acceleration = np.gradient(omega, step)
@@ -135,7 +139,7 @@ def torque_programme(rng: np.random.Generator, t: Array, sign: int = 0, slow: bo
     sines = sum(np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 6.28)) * f**-0.3 for f in frequencies)
     sines = sines / np.max(np.abs(sines))
     levels = _levels(rng, t, rng.uniform(1.0, 4.0))
-    levels = gaussian_filter1d(levels, rng.uniform(0.02, 0.08) / step, mode="nearest")
+    levels = smoothed(levels, rng.uniform(0.02, 0.08) / step)
     share = rng.uniform(0.2, 0.8)
     out = share * sines + (1.0 - share) * levels
     out = out / np.max(np.abs(out))
@@ -147,7 +151,7 @@ def torque_programme(rng: np.random.Generator, t: Array, sign: int = 0, slow: bo
 
 def held_levels(rng: np.random.Generator, t: Array, hold: float, sign: int = 0) -> Array:
     """Steps between levels that are held for about `hold` seconds, peak 1."""
-    levels = gaussian_filter1d(_levels(rng, t, hold), 0.03 / (t[1] - t[0]), mode="nearest")
+    levels = smoothed(_levels(rng, t, hold), 0.03 / (t[1] - t[0]))
     return sign * np.abs(levels) if sign else levels
 
 
@@ -155,6 +159,14 @@ def _levels(rng: np.random.Generator, t: Array, hold: float) -> Array:
     count = max(2, int(np.ceil((t[-1] - t[0]) / hold)) + 1)
     values = rng.permutation(np.linspace(-1.0, 1.0, count))
     return values[np.minimum(((t - t[0]) / hold).astype(int), count - 1)]
+
+
+def smoothed(values: Array, samples: float) -> Array:
+    """Three moving averages in a row: nearly a Gaussian of `samples` standard deviation, without phase."""
+    width = 2 * max(1, round(samples)) + 1
+    for _ in range(3):
+        values = uniform_filter1d(values, width, mode="nearest")
+    return values
 
 
 def wander(rng: np.random.Generator, t: Array, slowest: float) -> Array:

@@ -33,7 +33,10 @@ class Scene:
     tau_m: Array
     theta: Array
     temperature: Array
+    first: int = 0  # the log's first sample; what lies before it is history
     sigma: Array | None = None  # direction of sliding where it is not just the sign of omega
+    friction_scale: Array | None = None  # factors on mu and on the pretension: causes outside the catalogue
+    pretension_scale: Array | None = None
 
     def direction(self) -> Array:
         return memory.direction(self.omega) if self.sigma is None else self.sigma
@@ -70,7 +73,7 @@ def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = T
         k = effects["load_dependent_friction"]["coefficient"]
         tau = tau / (1.0 + sigma * k * np.sign(tau))
     if "backlash" in effects:
-        tau = tau * memory.engaged(scene.q, scene.direction(), effects["backlash"]["gap"])
+        tau = tau * memory.engaged(scene.q, scene.direction(), effects["backlash"]["gap"], scene.first)
     tau = tau - joint_side(scene, effects)
     if "transport_delay" in effects:
         late = effects["transport_delay"]["delay"]
@@ -87,11 +90,15 @@ def sliding_state(scene: Scene, effects: Effects, motor_log_angle: bool = True) 
     effect = effects["presliding_hysteresis"]
     where = effect.get("displacement", "motor" if motor_log_angle else "joint")
     path = scene.q_m if where == "motor" else scene.q
-    start = float(sigma[0]) if scene.omega[0] != 0.0 else 0.0
+    state = sigma.copy()  # before the log begins the tendons slide
+    start = float(sigma[scene.first]) if scene.omega[scene.first] != 0.0 else 0.0
     elements = int(effect.get("elements", 1))
+    path = path[scene.first :]
     if elements == 1:
-        return memory.bristle(path, effect["presliding_distance"], start)
-    return memory.slip_elements(path, effect["presliding_distance"], elements, start)
+        state[scene.first :] = memory.bristle(path, effect["presliding_distance"], start)
+    else:
+        state[scene.first :] = memory.slip_elements(path, effect["presliding_distance"], elements, start)
+    return state
 
 
 def joint_side(scene: Scene, effects: Effects) -> Array:
@@ -141,13 +148,17 @@ def _bending_and_pretension(rig: Rig, scene: Scene, effects: Effects) -> tuple[A
         k = effects["stiffness_nonlinearity"]["quadratic"]
         pretension = pretension * (1.0 + k * pretension / rig.axial_stiffness)
     if "pretension_relaxation" in effects:
-        pretension = pretension * remaining_pretension(scene.t, effects["pretension_relaxation"])
+        pretension = pretension * remaining_pretension(
+            scene.t, effects["pretension_relaxation"], float(scene.t[scene.first])
+        )
+    if scene.pretension_scale is not None:
+        pretension = pretension * scene.pretension_scale
     return theta, np.maximum(pretension, 0.0)
 
 
-def remaining_pretension(t: Array, effect: Mapping[str, Any]) -> Array:
+def remaining_pretension(t: Array, effect: Mapping[str, Any], log_start: float) -> Array:
     """Share of the pretension that is left at time t."""
-    age = np.maximum(t - effect.get("start_time", t[0]), 0.0) / effect["time_constant"]
+    age = np.maximum(t - effect.get("start_time", log_start), 0.0) / effect["time_constant"]
     if effect.get("law", "exponential") == "logarithmic":
         return 1.0 - effect["relaxed_fraction"] * np.log10(1.0 + age)
     return 1.0 - effect["relaxed_fraction"] * -np.expm1(-age)
@@ -160,6 +171,8 @@ def _friction_angle(rig: Rig, scene: Scene, effects: Effects, theta: Array) -> A
     if "thermal_friction_drift" in effects:
         e = effects["thermal_friction_drift"]
         mu = mu * (1.0 + e["temperature_coefficient"] * (scene.temperature - e.get("reference_temperature", 25.0)))
+    if scene.friction_scale is not None:
+        mu = mu * scene.friction_scale
     return mu * theta
 
 

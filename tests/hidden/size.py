@@ -2,71 +2,84 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from . import memory
 from .bench import Bench, rms
 from .plant import Effects
+from .rig import Rig
 
 Array = np.ndarray
 
 UNCERTAINTY = 0.25  # factor either way, minus 1: how far recalibration may go from nominal
+ENOUGH = 5000  # samples that fix two numbers well enough
 
 
-class Recalibration:
-    """Least squares over x and T_p of the plain model, within the uncertainty, on noise-free channels of all runs."""
+@dataclass(frozen=True)
+class Channels:
+    """What the plain model needs of all runs, without noise: motor torque, bending, direction as recorded."""
 
-    def __init__(self, bench: Bench, effects: Effects, stride: int = 1) -> None:
-        self.rig, self.nominal = bench.rig, bench.nominal
-        self.stride = stride
-        tau, theta, sigma = [], [], []
-        for run in bench.runs:
-            tau.append(run.pick(run.scene.tau_m)[::stride])
-            theta.append(run.pick(run.scene.theta)[::stride])
-            sigma.append(run.pick(memory.direction(bench.seen_velocity(run, effects)))[::stride])
-        self.tau, self.theta, self.sigma = (np.concatenate(part) for part in (tau, theta, sigma))
-        self.shift = self.rig.tension_per_bending * (self.theta - self.rig.bending)
-        self.bent = bool(np.ptp(self.theta) > 0.0)
+    rig: Rig  # of which x and the pretension are not looked at
+    tau_m: Array
+    theta: Array
+    sigma: Array
 
-    def model(self, x: float, pretension: float) -> Array:
-        """Joint torque of the plain model with friction angle x at the nominal bending."""
+    def thinned(self, stride: int) -> Channels:
+        return Channels(self.rig, self.tau_m[::stride], self.theta[::stride], self.sigma[::stride])
+
+    def plain(self, x: float, pretension: float) -> Array:
+        """Joint torque of the plain model with friction angle x and pretension at the rig's bending."""
         angle = x * self.theta / self.rig.bending
-        half = self.tau / (2.0 * self.rig.motor_radius)
-        tension = pretension + self.shift
+        half = self.tau_m / (2.0 * self.rig.motor_radius)
+        tension = pretension + self.rig.tension_per_bending * (self.theta - self.rig.bending)
         t2 = (tension - half) * np.exp(self.sigma * angle)
         t4 = (tension + half) * np.exp(-self.sigma * angle)
         return self.rig.joint_radius * (t4 - t2)
 
-    def fit(self, torque: Array) -> tuple[float, float, Array]:
-        """x, T_p and residual of the best recalibrated plain model of `torque`."""
-        nominal_x, nominal_t = self.nominal.x, self.nominal.pretension
-        low, high = 1.0 / (1.0 + UNCERTAINTY), 1.0 + UNCERTAINTY
-
-        def pretension(x: float) -> tuple[float, Array]:
-            at_zero = self.model(x, 0.0)
-            slope = self.model(x, 1.0) - at_zero
-            best = float(slope @ (torque - at_zero) / max(float(slope @ slope), 1e-300))
-            best = float(np.clip(best, low * nominal_t, high * nominal_t))
-            return best, torque - at_zero - best * slope
-
-        found = minimize_scalar(
-            lambda x: float(np.sum(pretension(x)[1] ** 2)),
-            bounds=(low * nominal_x, high * nominal_x),
-            method="bounded",
-            options={"xatol": 1e-5 * nominal_x},
-        )
-        ends = [low * nominal_x, high * nominal_x, float(found.x)]
-        x = min(ends, key=lambda value: float(np.sum(pretension(value)[1] ** 2)))
-        best, residual = pretension(x)
-        return x, best, residual
+    def best_pretension(self, x: float, torque: Array, low: float, high: float) -> tuple[float, Array]:
+        """The pretension within bounds that fits `torque` best at this x, and the residual."""
+        at_zero = self.plain(x, 0.0)
+        slope = self.plain(x, 1.0) - at_zero
+        best = float(slope @ (torque - at_zero)) / max(float(slope @ slope), 1e-300)
+        best = min(max(best, low), high)
+        return best, torque - at_zero - best * slope
 
 
-def size(bench: Bench, effects: Effects, stride: int = 1) -> float:
+def channels(bench: Bench, effects: Effects) -> Channels:
+    """Noise-free channels; with a velocity lag among the effects the direction is the lagged one."""
+    sigma = []
+    for run in bench.runs:
+        late = "velocity_lag" in effects
+        sigma.append(run.pick(memory.direction(bench.seen_velocity(run, effects))) if late else run.sparse.sigma)
+    tau_m = np.concatenate([run.sparse.tau_m for run in bench.runs])
+    theta = np.concatenate([run.sparse.theta for run in bench.runs])
+    return Channels(bench.rig, tau_m, theta, np.concatenate(sigma))
+
+
+def recalibrated(nominal: Rig, seen: Channels, torque: Array) -> tuple[float, float, Array]:
+    """x, T_p and residual of the plain model that fits best, both within the uncertainty about nominal."""
+    low, high = 1.0 / (1.0 + UNCERTAINTY), 1.0 + UNCERTAINTY
+    bounds = low * nominal.pretension, high * nominal.pretension
+    stride = max(1, torque.size // ENOUGH)
+    few, few_torque = seen.thinned(stride), torque[::stride]
+
+    def misfit(x: float) -> float:
+        return rms(few.best_pretension(x, few_torque, *bounds)[1])
+
+    ends = low * nominal.x, high * nominal.x
+    found = minimize_scalar(misfit, bounds=ends, method="bounded", options={"xatol": 1e-5 * nominal.x})
+    x = min((*ends, float(found.x)), key=misfit)
+    pretension, residual = seen.best_pretension(x, torque, *bounds)
+    return x, pretension, residual
+
+
+def size(bench: Bench, effects: Effects) -> float:
     """RMS in N·m of what recalibration leaves of all these effects together."""
-    fit = Recalibration(bench, effects, stride)
-    torque = np.concatenate([y[::stride] for y in bench.ideal(effects)])
-    return rms(fit.fit(torque)[2])
+    torque = np.concatenate(bench.ideal(effects))
+    return rms(recalibrated(bench.nominal, channels(bench, effects), torque)[2])
 
 
 def added_size(bench: Bench, effects: Effects, name: str) -> float:
@@ -74,23 +87,22 @@ def added_size(bench: Bench, effects: Effects, name: str) -> float:
 
     The freedom of the other effects is taken as linear in their parameters about the truth.
     """
-    fit = Recalibration(bench, effects)
     others = {key: dict(value) for key, value in effects.items() if key != name}
     whole = np.concatenate(bench.ideal(effects))
-    without = np.concatenate(bench.ideal(others))
-    x, pretension = bench.rig.x, bench.rig.pretension
+    without = np.concatenate(bench.ideal_as_seen(others, effects) if name == "velocity_lag" else bench.ideal(others))
+    seen, x, pretension = channels(bench, effects), bench.rig.x, bench.rig.pretension
     tangents = [
-        fit.model(1.01 * x, pretension) - fit.model(0.99 * x, pretension),
-        fit.model(x, 1.01 * pretension) - fit.model(x, 0.99 * pretension),
+        seen.plain(1.01 * x, pretension) - seen.plain(0.99 * x, pretension),
+        seen.plain(x, 1.01 * pretension) - seen.plain(x, 0.99 * pretension),
     ]
+    alone = np.concatenate(bench.ideal(others))
     for key, parameters in others.items():
         for parameter, value in parameters.items():
-            if isinstance(value, str) or parameter in ("cycles_per_revolution", "elements", "start_time"):
+            if isinstance(value, str) or parameter in ("cycles_per_revolution", "elements", "reference_tension"):
                 continue
-            step = 0.02 * abs(value) if value else 0.02
-            moved = {**others, key: {**parameters, parameter: value + step}}
-            tangents.append(np.concatenate(bench.ideal(moved)) - without)
-    basis = np.stack([column / max(rms(column), 1e-300) for column in tangents], axis=1)
+            moved = {**others, key: {**parameters, parameter: value + (0.02 * abs(value) or 0.02)}}
+            tangents.append(np.concatenate(bench.ideal(moved)) - alone)
+    basis = np.stack([column / rms(column) for column in tangents if rms(column) > 1e-12 * bench.scale], axis=1)
     difference = whole - without
     solution = np.linalg.lstsq(basis, difference, rcond=1e-9)[0]
     return rms(difference - basis @ solution)

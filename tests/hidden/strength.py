@@ -88,7 +88,8 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
         case "thermal_friction_drift":
             return Strength(name, {}, "temperature_coefficient", sign * 0.005, sign * 0.03)
         case "tension_dependent_friction":
-            return Strength(name, {}, "exponent", 0.2, 0.9)
+            # The reference is not fitted: what a diagnosis takes for it is the nominal pretension.
+            return Strength(name, {"reference_tension": bench.nominal.pretension}, "exponent", 0.2, 0.9)
         case "presliding_hysteresis":
             elements = int(rng.choice([1, 1, 1, 2, 4, 8]))
             return Strength(name, {"elements": elements, "presliding_distance": path * _log_uniform(rng, 0.006, 0.15)})

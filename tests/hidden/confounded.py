@@ -1,0 +1,279 @@
+"""Cases in which no diagnosis can name one cause, from the table of twins, each with the log that parts the twins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .bench import Bench, Recipe, draw_bench
+from .cases import NEEDS, Case, finish, generator, in_domain, log_uniform
+from .size import size
+from .strength import Strength, draw_strength, solve
+
+ONE_SPEED: dict[str, Any] = {
+    "motion": "triangle",
+    "amplitude": 1.3,
+    "velocity": "tachometer",
+    "rounding": 1e-3,
+    "runs": 1,
+}
+ONE_WAY: dict[str, Any] = {"motion": "one_way", "velocity": "tachometer", "runs": 1}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of twins: which is hidden (`name` of the case), what it is confounded with, in which kind of log."""
+
+    truth: str
+    twins: tuple[str, ...]
+    recipe: dict[str, Any]
+    absorbed: bool = False  # recalibration removes it: nothing need be found
+    exact: bool = True
+    parted_by: dict[str, Any] | None = None  # excitation of the experiment beside the truth's own needs; None: no log
+    ratio: tuple[float, float] = (1.3, 4.0)
+    draw: Callable[[np.random.Generator, Bench, float], dict[str, Any] | None] | None = None
+
+
+def _like_elongation(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    """The gain error that gives the slope of an evenly bent sheath."""
+    rig = bench.rig
+    spring = rig.axial_stiffness / rig.series_stiffness / rig.length if rig.series_stiffness else 0.0
+    x = rig.x
+    grown, shrunk = np.expm1(x) / x + spring, -np.expm1(-x) / x + spring
+    slope = (grown * np.exp(-x) + shrunk * np.exp(x)) / (grown + shrunk)
+    return {"relative_error": float(slope / np.cosh(x) - 1.0)}
+
+
+def _positive_direction(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    """The difference by direction that viscous friction imitates: its sign follows the one direction of motion."""
+    sign = float(np.sign(np.mean(bench.runs[0].scene.omega)))
+    strength = Strength("", {}, "viscous_difference", 0.05 * sign * bench.scale / bench.speed, sign * bench.scale)
+    return _sized("direction_asymmetric_friction", strength, bench, wanted)
+
+
+def _opposite_asymmetry(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    """The asymmetry that friction with the load imitates: of the sign that takes torque away."""
+    sign = -float(np.sign(np.mean(np.concatenate(bench.ideal({})))))
+    strength = Strength("", {}, "relative_difference", 0.1 * sign, 0.06 * sign / (0.5 * bench.rig.x))
+    return _sized("sheath_asymmetry", strength, bench, wanted)
+
+
+def _weak_load_friction(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    """So weak that its second order, in which the twins differ, drowns in the noise."""
+    return _sized("load_dependent_friction", Strength("", {}, "coefficient", 0.02, 0.05), bench, wanted)
+
+
+def _steep_weight(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    strength = Strength("", {"phase": rng.uniform(-0.1, 0.1)}, "amplitude", 0.2 * bench.scale, 20.0 * bench.scale)
+    return _sized("gravity_load", strength, bench, wanted)
+
+
+def _soft_spring(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    scale = bench.scale / bench.reach
+    strength = Strength("", {"rest_angle": rng.uniform(-0.03, 0.03)}, "stiffness", 0.1 * scale, 20.0 * scale)
+    return _sized("joint_stiffness", strength, bench, wanted)
+
+
+def _hanging_weight(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    phase = float(rng.choice([-1.0, 1.0])) * (0.5 * np.pi + rng.uniform(-0.15, 0.15))
+    return _sized(
+        "gravity_load", Strength("", {"phase": phase}, "amplitude", 0.1 * bench.scale, bench.scale), bench, wanted
+    )
+
+
+def _within_recalibration(name: str, key: str) -> Callable[[np.random.Generator, Bench, float], dict[str, Any] | None]:
+    """As strong as recalibration can still take up: nothing is left of it."""
+
+    def draw(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any] | None:
+        strength = draw_strength(rng, name, bench)
+        for share in (1.0, 0.5, 0.25, 0.12, 0.06):
+            parameters = {**strength.parameters, key: share * strength.start}
+            if size(bench, {name: parameters}) < 0.1 * wanted:
+                return parameters
+        return None
+
+    return draw
+
+
+def _cooling_warmth(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    """Friction that falls as the rig warms up, as it would with a relaxing pretension."""
+    strength = Strength("", {}, "temperature_coefficient", -0.005, -0.03)
+    return _sized("thermal_friction_drift", strength, bench, wanted)
+
+
+def _lag_of_samples(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    return {"delay": rng.uniform(1.0, 2.0) / bench.runs[0].rate}
+
+
+def _sized(name: str, strength: Strength, bench: Bench, wanted: float) -> dict[str, Any]:
+    return solve(strength, wanted, lambda parameters: size(bench, {name: parameters}))[0]
+
+
+_STILL = {"motion": "multisine", "amplitude": 0.02, "speed": 0.1, "joint_angle": True, "torque": "independent"}
+_SMALL = {"motion": "multisine", "amplitude": 0.06, "speed": 0.3, "joint_angle": True, "torque": "independent"}
+_ONE_LOAD = {"torque": "one_load", "x": (0.12, 0.2), "level": (0.75, 0.9), "joint_angle": False, "motor_angle": False}
+_WARM = {"temperature": "warm_up", "x": (0.12, 0.18), "level": (0.2, 0.35), "blind": True}
+
+ROWS: dict[str, Row] = {
+    "motor_friction_or_parameters": Row(
+        "motor_side_friction",
+        ("motor_side_friction", "parameter_error"),
+        {},
+        absorbed=True,
+        parted_by={"bending": "varied"},
+        draw=_within_recalibration("motor_side_friction", "coulomb"),
+    ),
+    "stiffening_or_parameters": Row(
+        "stiffness_nonlinearity",
+        ("stiffness_nonlinearity", "parameter_error"),
+        {},
+        absorbed=True,
+        parted_by={"bending": "varied"},
+        draw=_within_recalibration("stiffness_nonlinearity", "quadratic"),
+    ),
+    "gain_or_parameters": Row(
+        "torque_constant_error",
+        ("torque_constant_error", "parameter_error"),
+        {"x": (0.35, 0.9)},
+        absorbed=True,
+        draw=_within_recalibration("torque_constant_error", "relative_error"),
+    ),
+    "elongation_or_gain": Row(
+        "elongation_coupling",
+        ("elongation_coupling", "torque_constant_error"),
+        {"x": (0.45, 0.9), "torque": "independent"},
+        parted_by={"bending": "varied"},
+    ),
+    "gain_or_elongation": Row(
+        "torque_constant_error",
+        ("torque_constant_error", "elongation_coupling"),
+        {"x": (0.45, 0.9), "torque": "independent"},
+        parted_by={"bending": "varied"},
+        draw=_like_elongation,
+    ),
+    "weight_or_spring": Row(
+        "gravity_load", ("gravity_load", "joint_stiffness"), _SMALL, parted_by={"amplitude": 1.5}, draw=_steep_weight
+    ),
+    "spring_or_weight": Row(
+        "joint_stiffness", ("joint_stiffness", "gravity_load"), _SMALL, parted_by={"amplitude": 1.5}, draw=_soft_spring
+    ),
+    "offset_or_weight": Row(
+        "torque_offset", ("torque_offset", "gravity_load"), _STILL, parted_by={"amplitude": 1.5, "joint_angle": True}
+    ),
+    "weight_or_offset": Row(
+        "gravity_load", ("gravity_load", "torque_offset"), _STILL, parted_by={"amplitude": 1.5}, draw=_hanging_weight
+    ),
+    "viscous_or_direction": Row(
+        "viscous_friction",
+        ("viscous_friction", "direction_asymmetric_friction"),
+        {**ONE_WAY, "joint_angle": False, "motor_angle": False},
+        parted_by={},
+    ),
+    "direction_or_viscous": Row(
+        "direction_asymmetric_friction",
+        ("direction_asymmetric_friction", "viscous_friction"),
+        {**ONE_WAY, "joint_angle": False, "motor_angle": False},
+        parted_by={},
+        draw=_positive_direction,
+    ),
+    "direction_or_offset": Row(
+        "direction_asymmetric_friction",
+        ("direction_asymmetric_friction", "torque_offset"),
+        {**ONE_SPEED, "joint_angle": False, "motor_angle": False},
+        parted_by={},
+    ),
+    "offset_or_direction": Row(
+        "torque_offset",
+        ("torque_offset", "direction_asymmetric_friction"),
+        {**ONE_SPEED, "joint_angle": False, "motor_angle": False},
+        parted_by={},
+    ),
+    "viscous_or_motor_friction": Row(
+        "viscous_friction",
+        ("viscous_friction", "motor_side_friction"),
+        {**ONE_SPEED, "joint_angle": False, "motor_angle": False},
+        parted_by={},
+    ),
+    "load_or_asymmetry": Row(
+        "load_dependent_friction",
+        ("load_dependent_friction", "sheath_asymmetry"),
+        _ONE_LOAD,
+        parted_by={},
+        ratio=(1.3, 2.2),
+        draw=_weak_load_friction,
+    ),
+    "asymmetry_or_load": Row(
+        "sheath_asymmetry",
+        ("sheath_asymmetry", "load_dependent_friction"),
+        _ONE_LOAD,
+        parted_by={"x": (0.12, 0.9)},
+        ratio=(1.3, 2.2),
+        draw=_opposite_asymmetry,
+    ),
+    "relaxation_or_warmth": Row(
+        "pretension_relaxation",
+        ("pretension_relaxation", "thermal_friction_drift"),
+        _WARM,
+        parted_by={"temperature": "cycle"},
+        ratio=(1.3, 2.5),
+    ),
+    "warmth_or_relaxation": Row(
+        "thermal_friction_drift",
+        ("thermal_friction_drift", "pretension_relaxation"),
+        _WARM,
+        parted_by={"temperature": "cycle"},
+        ratio=(1.3, 2.5),
+        draw=_cooling_warmth,
+    ),
+    "late_at_one_speed": Row(
+        "transport_delay",
+        ("transport_delay", "presliding_hysteresis", "velocity_lag", "backlash"),
+        {"motion": "sine", "rate": 200, "torque": "levels", "joint_angle": True, "runs": 1},
+        exact=False,
+        parted_by={"rate": 500},
+        draw=_lag_of_samples,
+    ),
+}
+
+
+def confounded_case(name: str, seed: int, short: bool = False) -> Case:
+    """One row of twins in the kind of log in which they cannot be parted, and the experiment that parts them."""
+    row = ROWS[name]
+    for attempt in range(60):
+        rng = generator("confounded", name, seed, attempt)
+        bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
+        ratio = log_uniform(rng, *row.ratio)
+        noise = bench.scale * log_uniform(rng, 0.005, 0.02)
+        parameters = _parameters(rng, row, bench, noise * (1.0 if row.absorbed else ratio))
+        if parameters is None:
+            continue
+        effects = {row.truth: parameters}
+        reached = size(bench, effects)
+        if not row.absorbed:
+            noise = reached / ratio
+        if not 1e-3 * bench.scale < noise < 0.08 * bench.scale or not in_domain(bench, effects):
+            continue
+        case = finish(rng, "confounded", name, seed, bench, effects, noise, row.recipe.get("motion", "rich"))
+        case.truth.twins, case.truth.exact = row.twins, row.exact
+        if row.parted_by is None:
+            return case
+        recipe = Recipe(**{**NEEDS.get(row.truth, {}), **row.parted_by}, bare=True, short=short)
+        other = draw_bench(rng, recipe, like=bench)
+        reached = size(other, effects)
+        if reached < 1e-3 * other.scale or not in_domain(other, effects):
+            continue
+        case.experiment = finish(
+            rng, "experiment", name, seed, other, effects, min(noise, reached / 1.5), "parts " + " and ".join(row.twins)
+        )
+        case.experiment.model = case.model
+        return case
+    raise RuntimeError(f"no case of {name} for seed {seed}")
+
+
+def _parameters(rng: np.random.Generator, row: Row, bench: Bench, wanted: float) -> dict[str, Any] | None:
+    if row.draw is not None:
+        return row.draw(rng, bench, wanted)
+    return _sized(row.truth, draw_strength(rng, row.truth, bench), bench, wanted)

@@ -1,0 +1,303 @@
+"""Causes that no catalogue of ours has: drawn so that most of them stays when the whole catalogue is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from . import memory
+from .bench import Bench, Run, rms
+from .motion import smoothed
+from .plant import simulate
+
+Array = np.ndarray
+Torque = Callable[[Bench, Run, Array], Array]
+
+
+@dataclass(frozen=True)
+class Stranger:
+    """A kind of cause: what it does to the joint torque at a strength, and the excitation that it needs."""
+
+    describe: str
+    draw: Callable[[np.random.Generator, Bench], Callable[[float], Torque]]
+    start: float
+    cap: float
+    needs: dict[str, Any]
+
+
+def _clipping(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    peak = max(float(np.max(np.abs(y))) for y in bench.ideal({}))
+
+    def at(strength: float) -> Torque:
+        limit = (1.0 - strength) * peak
+        return lambda bench, run, tau: np.clip(tau, -limit, limit)
+
+    return at
+
+
+def _temperature_crosstalk(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    def at(strength: float) -> Torque:
+        return lambda bench, run, tau: tau + strength * bench.scale * (run.scene.temperature - 25.0) / 10.0
+
+    return at
+
+
+def _anchor_slip(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    when = rng.uniform(0.35, 0.65)
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            scale = np.where(run.scene.t > when * run.scene.t[-1], 1.0 - strength, 1.0)
+            return simulate(bench.rig, replace(run.scene, pretension_scale=scale), {}).joint_torque
+
+        return torque
+
+    return at
+
+
+def _ageing(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """Break-away friction that grows with the time at rest and wears off over a distance."""
+    ageing_time, wear = rng.uniform(0.05, 0.2), 0.25 * bench.reach
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            scene = run.scene
+            step = scene.t[1] - scene.t[0]
+            aged = np.log1p(memory.rest_time(scene.omega, step, 0.02 * bench.speed) / ageing_time)
+            slid = memory.slid_since_rest(scene.q, scene.omega, 0.02 * bench.speed)
+            scale = 1.0 + strength * aged * np.exp(-slid / wear)
+            return simulate(bench.rig, replace(scene, friction_scale=scale), {}).joint_torque
+
+        return torque
+
+    return at
+
+
+def _viscoelastic(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """A Maxwell element in the tendon: part of the torque creeps away within a second or so."""
+    time_constant = rng.uniform(0.25, 1.5)
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            step = run.scene.t[1] - run.scene.t[0]
+            return tau - strength * (tau - memory.first_order_lag(tau, step, time_constant))
+
+        return torque
+
+    return at
+
+
+def _resonance(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """A torque sensor on a soft mount rings after every step."""
+    frequency, damping = rng.uniform(5.0, 15.0), rng.uniform(0.02, 0.08)
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            step = run.scene.t[1] - run.scene.t[0]
+            pole = np.exp(2.0 * np.pi * frequency * step * (-damping + 1j * np.sqrt(1.0 - damping**2)))
+            a = np.array([1.0, -2.0 * pole.real, abs(pole) ** 2])
+            change = tau - tau[0]
+            return tau[0] + change + strength * (lfilter([a.sum()], a, change) - change)
+
+        return torque
+
+    return at
+
+
+def _kink(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """One place in the sheath where the tendon rubs: a bump of friction at one joint angle."""
+    q = np.concatenate([run.scene.q for run in bench.runs])
+    place, width = np.quantile(q, rng.uniform(0.3, 0.7)), rng.uniform(0.04, 0.1) * np.ptp(q)
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            scale = 1.0 + strength * np.exp(-0.5 * ((run.scene.q - place) / width) ** 2)
+            return simulate(bench.rig, replace(run.scene, friction_scale=scale), {}).joint_torque
+
+        return torque
+
+    return at
+
+
+def _quadratic_drag(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            omega = run.scene.omega / bench.speed
+            return tau - strength * bench.scale * omega * np.abs(omega)
+
+        return torque
+
+    return at
+
+
+def _dead_zone(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    def at(strength: float) -> Torque:
+        zone = strength * bench.scale
+        return lambda bench, run, tau: np.sign(tau) * np.maximum(np.abs(tau) - zone, 0.0)
+
+    return at
+
+
+def _beating(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """The pretension oscillates by itself, slowly."""
+    frequency, phase = rng.uniform(0.2, 1.2), rng.uniform(0.0, 2.0 * np.pi)
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            scale = 1.0 + strength * np.sin(2.0 * np.pi * frequency * run.scene.t + phase)
+            return simulate(bench.rig, replace(run.scene, pretension_scale=scale), {}).joint_torque
+
+        return torque
+
+    return at
+
+
+def _frozen(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """Torque telegrams get lost now and then: the last value is held for a tenth of a second or more."""
+    seed = int(rng.integers(2**31))
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            draw = np.random.default_rng(seed)
+            rate = 1.0 / (run.scene.t[1] - run.scene.t[0])
+            keep = np.arange(tau.size)
+            for start in np.flatnonzero(draw.random(tau.size) < 0.6 * min(strength, 1.0) / rate):
+                stop = start + int(draw.uniform(0.1, 0.4) * max(strength, 1.0) * rate)
+                keep[start:stop] = keep[start]
+            return tau[keep]
+
+        return torque
+
+    return at
+
+
+def _eccentric(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """A joint pulley off its centre: the lever arm changes with the angle."""
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+
+    def at(strength: float) -> Torque:
+        return lambda bench, run, tau: tau * (1.0 + strength * np.sin(2.0 * run.scene.q + phase))
+
+    return at
+
+
+def _zero_drift(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """The torque sensor's zero walks."""
+    seed = int(rng.integers(2**31))
+
+    def at(strength: float) -> Torque:
+        def torque(bench: Bench, run: Run, tau: Array) -> Array:
+            draw = np.random.default_rng(seed)
+            step = run.scene.t[1] - run.scene.t[0]
+            walk = smoothed(np.cumsum(draw.standard_normal(tau.size)), 0.5 / step)
+            walk -= walk.mean()
+            return tau + strength * bench.scale * walk / np.std(walk)
+
+        return torque
+
+    return at
+
+
+def _bridge(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """A torque sensor with another gain for pull than for push."""
+
+    def at(strength: float) -> Torque:
+        return lambda bench, run, tau: np.where(tau > 0.0, (1.0 + strength) * tau, (1.0 - strength) * tau)
+
+    return at
+
+
+STRANGERS: dict[str, Stranger] = {
+    "sensor_clipping": Stranger("the torque sensor saturates", _clipping, 0.3, 0.75, {}),
+    "temperature_crosstalk": Stranger(
+        "the torque sensor feels the temperature", _temperature_crosstalk, 0.05, 0.5, {"temperature": "cycle"}
+    ),
+    "anchor_slip": Stranger(
+        "an anchor slips: the pretension drops at once", _anchor_slip, 0.15, 0.5, {"level": (0.2, 0.45)}
+    ),
+    "ageing_friction": Stranger("friction grows while at rest", _ageing, 0.3, 3.0, {"velocity": "encoder"}),
+    "viscoelastic_tendon": Stranger("the tendon creeps", _viscoelastic, 0.1, 0.5, {}),
+    "sensor_resonance": Stranger("the torque sensor rings", _resonance, 1.0, 1.0, {}),
+    "sheath_kink": Stranger("a kink in the sheath", _kink, 0.4, 3.0, {"joint_angle": True}),
+    "quadratic_drag": Stranger("drag with the square of the speed", _quadratic_drag, 0.2, 1.0, {}),
+    "sensor_dead_zone": Stranger("the torque sensor has a dead zone", _dead_zone, 0.1, 0.6, {}),
+    "tension_beating": Stranger("the pretension beats", _beating, 0.1, 0.4, {"level": (0.2, 0.5)}),
+    "frozen_samples": Stranger("torque telegrams get lost", _frozen, 1.0, 3.0, {}),
+    "eccentric_pulley": Stranger("the joint pulley is off centre", _eccentric, 0.05, 0.3, {"joint_angle": True}),
+    "zero_drift": Stranger("the torque sensor's zero walks", _zero_drift, 0.05, 0.4, {}),
+    "bridge_asymmetry": Stranger("the torque sensor has two gains", _bridge, 0.05, 0.3, {}),
+}
+
+
+class CatalogueSpan:
+    """What the whole catalogue together can imitate, as a linear space about the rig without effects."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.stride = max(1, round(sum(run.scene.t.size / run.every for run in bench.runs) / 8000.0))
+        base = self._thin(bench.ideal({}))
+        columns = [np.ones_like(base), base]
+        for effects in _imitations(bench):
+            columns.append(self._thin(bench.ideal(effects)) - base)
+        for rig in (
+            replace(bench.rig, mu=1.03 * bench.rig.mu),
+            replace(bench.rig, pretension=1.03 * bench.rig.pretension),
+        ):
+            columns.append(self._thin(replace(bench, rig=rig).ideal({})) - base)
+        columns = [column for column in columns if rms(column) > 1e-9 * bench.scale]
+        matrix = np.stack([column / rms(column) for column in columns], axis=1)
+        left, values, _ = np.linalg.svd(matrix, full_matrices=False)
+        self.basis = left[:, values > 1e-5 * values[0]]
+        self.base = base
+
+    def _thin(self, torques: list[Array]) -> Array:
+        return np.concatenate([torque[:: self.stride] for torque in torques])
+
+    def leftover(self, torques: list[Array]) -> float:
+        """RMS in N·m of a change of the joint torque that no mixture of the catalogue imitates."""
+        change = self._thin(torques) - self.base
+        return rms(change - self.basis @ (self.basis.T @ change))
+
+
+def _imitations(bench: Bench) -> list[dict[str, dict[str, Any]]]:
+    """Every effect of the catalogue at several of its non-linear parameters, weak enough to superpose."""
+    speed, reach, path = bench.speed, bench.reach, bench.motor_reach if bench.motor_angle else bench.reach
+    rig, seconds = bench.rig, max(run.scene.t[-1] for run in bench.runs)
+    unit: list[tuple[str, dict[str, Any]]] = [
+        ("viscous_friction", {"coefficient": bench.scale / speed}),
+        ("direction_asymmetric_friction", {"viscous_difference": bench.scale / speed}),
+        ("inertia", {"inertia": bench.scale / speed}),
+        ("gravity_load", {"amplitude": bench.scale, "phase": 0.0}),
+        ("gravity_load", {"amplitude": bench.scale, "phase": 0.5 * np.pi}),
+        ("joint_stiffness", {"stiffness": bench.scale / reach, "rest_angle": 0.0}),
+        ("motor_side_friction", {"coulomb": 0.05 * rig.torque_limit}),
+        ("torque_constant_error", {"relative_error": 0.05}),
+        ("tension_dependent_friction", {"exponent": 0.2}),
+        ("load_dependent_friction", {"coefficient": 0.05}),
+        ("sheath_asymmetry", {"relative_difference": 0.1}),
+        ("elongation_coupling", {"curvature_profile": "uniform"}),
+        ("elongation_coupling", {"curvature_profile": "motor_end"}),
+        ("stiffness_nonlinearity", {"quadratic": 0.1 * rig.axial_stiffness / rig.pretension}),
+        ("tendon_slack", {}),
+        ("configuration_dependent_bending", {"bending_per_joint_angle": 0.05 * rig.bending / reach}),
+        ("thermal_friction_drift", {"temperature_coefficient": 0.003}),
+    ]
+    for share in (0.03, 0.1, 0.3):
+        for shape in (1.0, 2.0):
+            unit.append(
+                ("stribeck_friction", {"static_excess": 0.2, "stribeck_velocity": share * speed, "shape": shape})
+            )
+    for share in (0.005, 0.02, 0.08):
+        unit.append(("presliding_hysteresis", {"presliding_distance": share * path}))
+        unit.append(("presliding_hysteresis", {"presliding_distance": 4.0 * share * path, "elements": 4}))
+        unit.append(("backlash", {"gap": share * reach}))
+    for share in (0.1, 0.4, 1.5):
+        unit.append(("pretension_relaxation", {"relaxed_fraction": 0.1, "time_constant": share * seconds}))
+        drawn = {"relaxed_fraction": 0.05, "time_constant": 0.1 * share * seconds, "law": "logarithmic"}
+        unit.append(("pretension_relaxation", drawn))
+    for delay in (0.003, 0.01, 0.03):
+        unit.append(("transport_delay", {"delay": delay}))
+    return [{name: parameters} for name, parameters in unit]
