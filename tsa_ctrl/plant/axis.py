@@ -1,0 +1,254 @@
+"""One axis of the machine: parameters from the actuator file and the settings, the compiled mechanics, the sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.plant.mechanics import advance
+from tsa_ctrl.plant.motion import build_motion
+from tsa_ctrl.plant.readings import MotorCommand, Readings
+from tsa_ctrl.plant.record import COLUMNS
+from tsa_ctrl.plant.settings import AxisSettings, PhysicsSettings
+from tsa_ctrl.plant.state import DELAY_SAMPLES, MAX_ELEMENTS, PARAMETERS, STATE, Load, Presliding
+
+CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
+    "uniform": ((0.0, 0.0), (1.0, 1.0)),
+    "motor_end": ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0)),
+    "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),
+}
+_TRUTH = tuple(name for name, _ in COLUMNS[6:])
+_MIN_PRESLIDING = 1e-6  # m
+
+Effects = Mapping[str, Mapping[str, Any]]
+
+
+class Axis:
+    """Mechanics of one axis in its own time, s since the plant's start."""
+
+    def __init__(self, settings: AxisSettings, physics: PhysicsSettings) -> None:
+        self.settings = settings
+        self.name = settings.name
+        self.readings = Readings()
+        self.command = MotorCommand()
+        model = load_tendon_sheath(settings.actuator)
+        motion = build_motion(settings.motion)
+        self.parameters: NDArray[Any] = np.zeros(1, PARAMETERS)
+        self.state: NDArray[Any] = np.zeros(1, STATE)
+        _set(self.parameters, step=physics.step)
+        _set(self.parameters, **_transmission(model, settings), **_motor(settings), **_joint(settings))
+        _set(self.parameters, **_neutral(model, settings))
+        _set(self.parameters, **_effects(settings.effects, model))
+        _set(
+            self.parameters,
+            motion_grid=motion.grid,
+            motion_repeat=int(motion.repeat),
+            motion_ramp=motion.ramp,
+        )
+        self._start_at_once = physics.start == "power_on"
+        self._ring = np.zeros((2, DELAY_SAMPLES))
+        self._slip = np.zeros(MAX_ELEMENTS)
+        profile = _profile(settings)
+        self._curve = np.ascontiguousarray(np.array(profile, dtype=np.float64).T)
+        self._motion = np.ascontiguousarray(np.vstack((motion.angle, motion.speed)))
+        self._bending = _table(settings.environment.bending)
+        self._temperature = _table(settings.environment.temperature)
+        self._rest(motion.angle[0] if settings.joint.load == "imposed" else settings.joint.initial_angle)
+
+    def _rest(self, angle: float) -> None:
+        """Everything at standstill, the tendons at their pretension, the motor where it balances them."""
+        p = self.parameters[0]
+        _set(
+            self.state,
+            q_j=angle,
+            q_lagged=angle,
+            q_m=angle * float(p["r_j"]) / float(p["r_m"]),
+            started=0.0 if self._start_at_once else -1.0,
+            theta=float(p["theta"]),
+            temperature=25.0,
+            t1=float(p["pretension"]),
+            t2=float(p["pretension"]),
+            t3=float(p["pretension"]),
+            t4=float(p["pretension"]),
+        )
+        self._read()
+
+    def advance(self, until: float) -> None:
+        """Bring mechanics and readings to time `until`, s since the plant's start; the past is left alone."""
+        command = self.command
+        if command.enabled and self.state["started"][0] < 0.0:
+            self.state["started"] = self.state["t"]
+        advance(
+            self.state,
+            self.parameters,
+            self._ring,
+            self._slip,
+            self._curve,
+            self._motion,
+            self._bending,
+            self._temperature,
+            command.torque,
+            command.enabled,
+            command.max_speed,
+            until,
+        )
+        self._read()
+
+    def _read(self) -> None:
+        values = self.values()
+        readings = self.readings
+        readings.motor_torque = values["torque_loop"]
+        readings.motor_speed = values["omega_m"]
+        readings.motor_angle = values["q_m"]
+        readings.joint_angle = values["q_lagged"]
+        readings.joint_speed = values["omega_lagged"]
+        readings.joint_torque = values["tau_sensed"]
+        readings.temperature = values["temperature"]
+        readings.speed_limited = bool(values["speed_limited"])
+
+    @property
+    def time(self) -> float:
+        """s since the plant's start."""
+        return float(self.state["t"][0])
+
+    def truth(self) -> tuple[float, ...]:
+        """What the record has of this axis, in its order from `enabled` on."""
+        v = self.values()
+        return (float(self.command.enabled), self.command.torque, *(v[name] for name in _TRUTH))
+
+    def values(self) -> dict[str, float]:
+        """The whole state by name."""
+        return dict(zip(STATE.names or (), self.state[0].item(), strict=True))
+
+
+def _set(record: NDArray[Any], **values: float) -> None:
+    for name, value in values.items():
+        record[name] = value
+
+
+def _table(points: list[tuple[float, float]]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(np.array(points, dtype=np.float64).reshape(-1, 2).T)
+
+
+def _profile(settings: AxisSettings) -> tuple[tuple[float, float], ...]:
+    coupling = settings.effects.get("elongation_coupling")
+    chosen = coupling["curvature_profile"] if coupling else settings.tendon.curvature
+    return CURVATURES[chosen] if isinstance(chosen, str) else tuple(chosen)
+
+
+def _transmission(model: TendonSheath, settings: AxisSettings) -> dict[str, float]:
+    factor = settings.perturbation
+    stiffness = model.axial_stiffness * factor.axial_stiffness
+    series = 0.0 if model.series_stiffness is None else stiffness / model.series_stiffness
+    pretension = model.pretension * factor.pretension
+    mu, theta = model.friction_coefficient * factor.friction_coefficient, model.bending_angle * factor.bending_angle
+    tendon_stiffness = stiffness / (model.unstrained_length + series)
+    natural = pretension * mu * theta / (4.0 * tendon_stiffness)  # half a tendon stretches by the friction it holds
+    return {
+        "r_m": model.motor_pulley_radius * factor.motor_pulley_radius,
+        "r_j": model.joint_pulley_radius * factor.joint_pulley_radius,
+        "stiffness": stiffness,
+        "length": model.unstrained_length,
+        "series_length": series,
+        "pretension": pretension,
+        "pretension_factor": 1.0,
+        "tendon_stiffness": tendon_stiffness,
+        "bending_arm": model.contact_offset + model.diameter / 2.0,
+        "friction": mu,
+        "theta": theta,
+        "presliding": settings.tendon.presliding or max(natural, _MIN_PRESLIDING),
+    }
+
+
+def _motor(settings: AxisSettings) -> dict[str, float]:
+    drive, motor = settings.drive, settings.motor
+    return {
+        "motor_inertia": motor.inertia,
+        "motor_damping": motor.damping,
+        "torque_lag": drive.torque_time_constant,
+        "peak_torque": drive.peak_torque * drive.gear_ratio,
+    }
+
+
+def _joint(settings: AxisSettings) -> dict[str, float]:
+    joint = settings.joint
+    return {
+        "load": Load[joint.load.upper()],
+        "load_inertia": joint.inertia,
+        "load_damping": joint.damping,
+        "load_stiffness": joint.stiffness,
+        "load_rest": joint.rest_angle,
+        "weight": joint.weight_torque,
+        "weight_phase": joint.weight_phase,
+    }
+
+
+def _neutral(model: TendonSheath, settings: AxisSettings) -> dict[str, float]:
+    """Values of absent effects that are not zero."""
+    return {
+        "torque_gain": 1.0,
+        "stribeck_velocity": 1.0,
+        "stribeck_shape": 2.0,
+        "reference_temperature": 25.0,
+        "reference_tension": max(model.pretension, 1e-6),
+        "relaxation_time": 1.0,
+        "hysteresis": Presliding.ELASTIC,
+        "backlash_threshold": 2.0 * 2.0 * math.pi / settings.encoder.counts_per_revolution,
+    }
+
+
+_NAMES: dict[str, dict[str, str]] = {
+    "velocity_lag": {"time_constant": "velocity_lag"},
+    "torque_ripple": {"amplitude": "ripple", "cycles_per_revolution": "ripple_cycles", "phase": "ripple_phase"},
+    "motor_side_friction": {"coulomb": "motor_coulomb"},
+    "configuration_dependent_bending": {"bending_per_joint_angle": "bending_per_angle"},
+    "stiffness_nonlinearity": {"quadratic": "stiffening"},
+    "pretension_relaxation": {
+        "relaxed_fraction": "relaxed",
+        "time_constant": "relaxation_time",
+        "start_time": "relaxation_start",
+    },
+    "stribeck_friction": {
+        "static_excess": "static_excess",
+        "stribeck_velocity": "stribeck_velocity",
+        "shape": "stribeck_shape",
+    },
+    "thermal_friction_drift": {
+        "temperature_coefficient": "temperature_coefficient",
+        "reference_temperature": "reference_temperature",
+    },
+    "tension_dependent_friction": {"exponent": "tension_exponent", "reference_tension": "reference_tension"},
+    "presliding_hysteresis": {"presliding_distance": "hysteresis_distance", "elements": "hysteresis_elements"},
+    "sheath_asymmetry": {"relative_difference": "asymmetry"},
+    "load_dependent_friction": {"coefficient": "load_friction"},
+    "backlash": {"gap": "backlash"},
+    "viscous_friction": {"coefficient": "viscous"},
+    "direction_asymmetric_friction": {"viscous_difference": "viscous_difference"},
+    "inertia": {"inertia": "inertia"},
+    "gravity_load": {"amplitude": "gravity", "phase": "gravity_phase"},
+    "joint_stiffness": {"stiffness": "spring", "rest_angle": "spring_rest"},
+    "torque_offset": {"offset": "offset"},
+    "transport_delay": {"delay": "sensor_delay"},
+}  # tendon_slack is always there; torque_constant_error and elongation_coupling are not a plain number
+
+
+def _effects(effects: Effects, model: TendonSheath) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for name, parameters in effects.items():
+        for key, target in _NAMES.get(name, {}).items():
+            if key in parameters:
+                values[target] = parameters[key]
+    if "torque_constant_error" in effects:
+        values["torque_gain"] = 1.0 + effects["torque_constant_error"]["relative_error"]
+    if effects.get("pretension_relaxation", {}).get("law") == "logarithmic":
+        values["relaxation_logarithmic"] = 1
+    if "presliding_hysteresis" in effects:
+        side = effects["presliding_hysteresis"].get("displacement", "motor")
+        values["hysteresis"] = Presliding[str(side).upper()]
+        values["hysteresis_elements"] = min(MAX_ELEMENTS, int(values["hysteresis_elements"]))
+    return values

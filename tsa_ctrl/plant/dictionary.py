@@ -1,0 +1,157 @@
+"""Object dictionary of a simulated node (CiA 301): typed entries, access rights, bounds, SDO abort codes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+Key = tuple[int, int]  # index, sub-index
+
+
+class AbortCode(IntEnum):
+    """SDO abort codes of CiA 301."""
+
+    TOGGLE_BIT = 0x05030000
+    TIMED_OUT = 0x05040000
+    UNKNOWN_COMMAND = 0x05040001
+    OUT_OF_MEMORY = 0x05040005
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_LENGTH = 0x06040042
+    LENGTH = 0x06070010
+    TOO_LONG = 0x06070012
+    TOO_SHORT = 0x06070013
+    NO_SUBINDEX = 0x06090011
+    INVALID_VALUE = 0x06090030
+    TOO_HIGH = 0x06090031
+    TOO_LOW = 0x06090032
+    CANNOT_STORE = 0x08000020
+    DEVICE_STATE = 0x08000022
+
+
+class SdoAbort(Exception):  # noqa: N818, the standard's word
+    """An SDO request that the node refuses, with its code."""
+
+    def __init__(self, code: AbortCode) -> None:
+        super().__init__(f"{code.name} 0x{code:08X}")
+        self.code = code
+
+
+class Type(Enum):
+    """Basic data types: CiA 301 number, struct format, bytes, bounds. TEXT is VISIBLE_STRING."""
+
+    I8 = (0x02, "b", 1, -(1 << 7), (1 << 7) - 1)
+    I16 = (0x03, "h", 2, -(1 << 15), (1 << 15) - 1)
+    I32 = (0x04, "i", 4, -(1 << 31), (1 << 31) - 1)
+    U8 = (0x05, "B", 1, 0, (1 << 8) - 1)
+    U16 = (0x06, "H", 2, 0, (1 << 16) - 1)
+    U32 = (0x07, "I", 4, 0, (1 << 32) - 1)
+    TEXT = (0x09, "", 0, 0, 0)
+
+    def __init__(self, number: int, code: str, size: int, low: int, high: int) -> None:
+        self.number = number
+        self.code = code
+        self.size = size
+        self.low = low
+        self.high = high
+
+
+class Access(Enum):
+    """Who may read and write over SDO."""
+
+    CONST = "const"
+    RO = "ro"
+    RW = "rw"
+    WO = "wo"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the dictionary; `low`/`high` narrow the type, `mappable` allows it in a PDO."""
+
+    index: int
+    sub: int
+    type: Type
+    access: Access = Access.RW
+    default: int | str = 0
+    mappable: bool = False
+    low: int | None = None
+    high: int | None = None
+
+    @property
+    def key(self) -> Key:
+        return self.index, self.sub
+
+
+class ObjectDictionary:
+    """Values by (index, sub-index). `values` holds the numbers; the node itself writes there without checks.
+
+    A hook of `on_write` is called with the new value after all checks and before it is stored; it may raise SdoAbort.
+    """
+
+    def __init__(self, entries: Iterable[Entry]) -> None:
+        self.entries: dict[Key, Entry] = {}
+        self.values: dict[Key, int] = {}
+        self.texts: dict[Key, str] = {}
+        self.on_write: dict[Key, Callable[[int], None]] = {}
+        for entry in entries:
+            self.add(entry)
+
+    def add(self, entry: Entry) -> None:
+        self.entries[entry.key] = entry
+        if isinstance(entry.default, str):
+            self.texts[entry.key] = entry.default
+        else:
+            self.values[entry.key] = entry.default
+
+    def remove(self, index: int) -> None:
+        """Take an object away, as on a drive that does not have it."""
+        for key in [key for key in self.entries if key[0] == index]:
+            del self.entries[key]
+            self.values.pop(key, None)
+
+    def restore(self, first: int = 0, last: int = 0xFFFF) -> None:
+        """Power-on values of the objects with an index in [first, last]."""
+        for key, entry in self.entries.items():
+            if first <= key[0] <= last and isinstance(entry.default, int):
+                self.values[key] = entry.default
+
+    def find(self, key: Key) -> Entry:
+        entry = self.entries.get(key)
+        if entry is None:
+            known = any(index == key[0] for index, _ in self.entries)
+            raise SdoAbort(AbortCode.NO_SUBINDEX if known else AbortCode.NO_OBJECT)
+        return entry
+
+    def read(self, key: Key) -> bytes:
+        """SDO upload: little-endian bytes; raises SdoAbort."""
+        entry = self.find(key)
+        if entry.access is Access.WO:
+            raise SdoAbort(AbortCode.WRITE_ONLY)
+        if entry.type is Type.TEXT:
+            return self.texts[key].encode("latin-1")
+        return struct.pack("<" + entry.type.code, self.values[key])
+
+    def write(self, key: Key, data: bytes) -> None:
+        """SDO download with access, length and bounds checked; raises SdoAbort and changes nothing."""
+        entry = self.find(key)
+        if entry.access in (Access.RO, Access.CONST):
+            raise SdoAbort(AbortCode.READ_ONLY)
+        if entry.type is Type.TEXT:
+            self.texts[key] = data.decode("latin-1")
+            return
+        if len(data) != entry.type.size:
+            raise SdoAbort(AbortCode.TOO_LONG if len(data) > entry.type.size else AbortCode.TOO_SHORT)
+        value = int(struct.unpack("<" + entry.type.code, data)[0])
+        if entry.high is not None and value > entry.high:
+            raise SdoAbort(AbortCode.TOO_HIGH)
+        if entry.low is not None and value < entry.low:
+            raise SdoAbort(AbortCode.TOO_LOW)
+        hook = self.on_write.get(key)
+        if hook is not None:
+            hook(value)
+        self.values[key] = value

@@ -1,0 +1,104 @@
+"""Tensions of the pair of tendons by the elongation equilibrium of the full model, (3.31)-(3.54), any curvature.
+
+    EA (T_p0 (l + lambda) / EA -+ e) = T (l A(+-z x) + lambda),     e = r_M q_M - r_J q_J,     lambda = EA / k_s
+    T2 = T1 exp(+z x_a),     T4 = T3 exp(-z x_b),     A(rho) = mean over the length of exp(rho Theta(s) / Theta)
+
+z is the sign of motion while sliding. At standstill it lies between: it follows the tendon's displacement as far as
+the elasticity of half a tendon reaches (elastic, perfectly plastic), or effect `presliding_hysteresis` says how.
+Both tensions are >= 0: a tendon cannot push.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tsa_ctrl.plant.compiled import compiled
+from tsa_ctrl.plant.state import Presliding
+
+_ELASTIC, _MOTOR = int(Presliding.ELASTIC), int(Presliding.MOTOR)
+
+
+@compiled
+def mean_exponential(rho: float, curve: Any) -> tuple[float, float]:
+    """A(rho) and its derivative for a profile of (fraction of length, fraction of bending) points."""
+    value = slope = 0.0
+    for i in range(curve.shape[1] - 1):
+        width = curve[0, i + 1] - curve[0, i]
+        if width <= 0.0:
+            continue
+        a, d = curve[1, i], curve[1, i + 1] - curve[1, i]
+        g = rho * d
+        if abs(g) < 1e-3:
+            phi = 1.0 + g * (0.5 + g * (1.0 / 6.0 + g / 24.0))
+            dphi = 0.5 + g * (1.0 / 3.0 + g * (0.125 + g / 30.0))
+        else:
+            phi = (math.exp(g) - 1.0) / g
+            dphi = (math.exp(g) * (g - 1.0) + 1.0) / (g * g)
+        e = width * math.exp(rho * a)
+        value += e * phi
+        slope += e * (a * phi + d * dphi)
+    return value, slope
+
+
+@compiled
+def _direction(s: Any, p: Any, slip: Any, u: float, v: float) -> tuple[float, float, float]:
+    """z at the end of the sub-step and its derivatives by the displacements u, v of motor and joint pulley."""
+    if p.hysteresis == _ELASTIC:
+        slope = 0.5 / p.presliding
+        z = s.z + slope * (u - p.r_m * s.q_m + v - p.r_j * s.q_j)
+        if abs(z) >= 1.0:
+            return math.copysign(1.0, z), 0.0, 0.0
+        return z, slope, slope
+    motor = p.hysteresis == _MOTOR
+    radius = p.r_m if motor else p.r_j
+    moved = u / radius - s.q_m if motor else v / radius - s.q_j
+    z = slope = 0.0
+    if p.hysteresis_elements <= 1:
+        sign = math.copysign(1.0, moved)
+        decay = math.exp(-abs(moved) / p.hysteresis_distance)
+        z = sign + (s.z - sign) * decay
+        slope = (1.0 - sign * s.z) * decay / p.hysteresis_distance
+    else:
+        n = p.hysteresis_elements
+        for i in range(n):
+            distance = p.hysteresis_distance * (i + 1) / n
+            part = slip[i] + moved / distance
+            if abs(part) < 1.0:
+                slope += 1.0 / (distance * n)
+            z += min(1.0, max(-1.0, part)) / n
+    slope /= radius
+    return (z, slope, 0.0) if motor else (z, 0.0, slope)
+
+
+@compiled
+def full_tensions(s: Any, p: Any, slip: Any, curve: Any, x_a: float, x_b: float, u: float, v: float, f: Any) -> bool:
+    """Fill f[0:4] with T1..T4 and f[4:12] with their derivatives by u and v in turn; f[12] is z. Always settles."""
+    z, z_u, z_v = _direction(s, p, slip, u, v)
+    f[12] = z
+    stretch = p.stiffness * (u - v)
+    common = s.pretension * (p.length + p.series_length)
+    for tendon in range(2):
+        side = -1.0 if tendon == 0 else 1.0  # a shortens when b lengthens
+        x = x_a if tendon == 0 else x_b
+        rho = -side * x
+        force = common + side * stretch
+        place = 2 * tendon
+        torn = p.torn_a if tendon == 0 else p.torn_b
+        if force <= 0.0 or torn:
+            for i in range(2):
+                f[place + i] = f[4 + 2 * (place + i)] = f[5 + 2 * (place + i)] = 0.0
+            continue
+        mean, slope = mean_exponential(rho * z, curve)
+        length = p.length * mean + p.series_length
+        tension = force / length
+        by_z = -tension * p.length * slope * rho / length
+        by_e = side * p.stiffness / length
+        ratio = math.exp(rho * z)
+        f[place] = tension
+        f[place + 1] = tension * ratio
+        f[4 + 2 * place] = by_e + by_z * z_u
+        f[5 + 2 * place] = -by_e + by_z * z_v
+        f[6 + 2 * place] = ratio * (f[4 + 2 * place] + tension * rho * z_u)
+        f[7 + 2 * place] = ratio * (f[5 + 2 * place] + tension * rho * z_v)
+    return True

@@ -1,0 +1,114 @@
+"""Imposed motion of a joint: a table of angle and speed on a constant grid, interpolated by cubic Hermite pieces.
+
+Everything (sine, gait, CSV file) becomes such a table, so that the inner loop knows one kind of motion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.plant.settings import MotionSettings
+
+_GRID = 1e-3  # s
+_MAX_SAMPLES = 4_000_000  # of a motion file on the grid, over an hour
+
+# Knee flexion over one cycle of level walking: fraction of the cycle, degrees (typical values of the literature).
+_KNEE = (
+    (0.00, 5.0), (0.07, 12.0), (0.15, 18.0), (0.25, 14.0), (0.40, 5.0),
+    (0.50, 11.0), (0.60, 35.0), (0.72, 61.0), (0.85, 34.0), (0.95, 6.0),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Motion:
+    """`angle` in rad and `speed` in rad/s at multiples of `period_of_grid` s; `repeat`: the end meets the start."""
+
+    angle: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    grid: float
+    repeat: bool
+    ramp: float
+
+
+def build_motion(settings: MotionSettings) -> Motion:
+    """The motion that settings describe; raises UsageError for a file that cannot be used."""
+    if settings.kind == "still":
+        return _motion(np.full(2, settings.offset), np.zeros(2), _GRID, False, 0.0)
+    if settings.kind == "sine":
+        period = 1.0 / settings.frequency
+        t, grid = _cycle(period)
+        argument = 2.0 * math.pi * settings.frequency * t + settings.phase
+        angle = settings.offset + settings.amplitude * np.sin(argument)
+        speed = settings.amplitude * 2.0 * math.pi * settings.frequency * np.cos(argument)
+        return _motion(angle, speed, grid, True, settings.ramp)
+    if settings.kind == "gait":
+        points = np.array([*_KNEE, (1.0, _KNEE[0][1])])
+        spline = CubicSpline(points[:, 0] * settings.period, np.radians(points[:, 1]), bc_type="periodic")
+        t, grid = _cycle(settings.period)
+        return _motion(settings.scale * spline(t), settings.scale * spline(t, 1), grid, True, settings.ramp)
+    return _from_file(settings)
+
+
+def _cycle(period: float) -> tuple[NDArray[np.float64], float]:
+    """Sample times over one period, end included."""
+    count = max(8, math.ceil(period / _GRID))
+    return np.linspace(0.0, period, count + 1), period / count
+
+
+def _motion(angle: NDArray[np.float64], speed: NDArray[np.float64], grid: float, repeat: bool, ramp: float) -> Motion:
+    return Motion(np.ascontiguousarray(angle), np.ascontiguousarray(speed), grid, repeat, ramp)
+
+
+def _from_file(settings: MotionSettings) -> Motion:
+    t, columns = _read_csv(str(settings.file))
+    duration = t[-1] - t[0]
+    count = max(2, math.ceil(duration / _GRID))
+    if count > _MAX_SAMPLES:
+        raise UsageError(
+            f"{settings.file}: {duration:g} s are too long; give a motion of at most {_MAX_SAMPLES * _GRID:g} s"
+        )
+    if "omega_j" in columns:
+        spline = CubicHermiteSpline(t, columns["q_j"], columns["omega_j"])
+    else:
+        spline = CubicSpline(t, columns["q_j"])
+    grid = np.linspace(t[0], t[-1], count + 1)
+    angle, speed = settings.scale * spline(grid), settings.scale * spline(grid, 1)
+    return _motion(angle, speed, duration / count, settings.repeat, settings.ramp)
+
+
+def _read_csv(path: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    try:
+        data: NDArray[Any] = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(
+            f"{path}: cannot be read ({error.strerror or error}); give a CSV with columns t, q_j"
+        ) from None
+    except ValueError as error:
+        raise UsageError(f"{path}: not a table of numbers ({' '.join(str(error).split())[:120]})") from None
+    names = data.dtype.names or ()
+    for needed in ("t", "q_j"):
+        if needed not in names:
+            raise UsageError(f"{path}: column '{needed}' is missing, found {', '.join(names) or 'none'}; add it")
+    columns: dict[str, NDArray[np.float64]] = {
+        name: np.atleast_1d(np.asarray(data[name], dtype=np.float64))
+        for name in ("t", "q_j", "omega_j")
+        if name in names
+    }
+    t = columns.pop("t")
+    if t.size < 4:
+        raise UsageError(f"{path}: {t.size} rows; a motion needs at least 4")
+    for name, values in (("t", t), *columns.items()):
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise UsageError(f"{path}: column {name}, row {bad[0] + 2}: not a number; correct it")
+    back = np.flatnonzero(np.diff(t) <= 0.0)
+    if back.size:
+        raise UsageError(f"{path}: column t, row {back[0] + 3}: time does not rise; sort or clean the file")
+    return t, columns

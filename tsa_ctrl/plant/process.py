@@ -1,0 +1,84 @@
+"""The process `tsa plant`: open the bus, real-time rights if there are any, run until a signal."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+
+from tsa_ctrl.bus.pythoncan import PythonCan
+from tsa_ctrl.bus.seam import Bus
+from tsa_ctrl.bus.socketcan import SocketCan
+from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.record import Recorder
+from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
+
+
+def check(path: str | Path) -> PlantSettings:
+    """Read everything that a run would read, move nothing; raises UsageError."""
+    plant = load_plant(path)
+    for settings in plant.axis:
+        Axis(settings, plant.physics)
+    return plant
+
+
+def open_bus(settings: BusSettings) -> Bus:
+    """The bus of the configuration; raises BusError."""
+    if settings.interface == "socketcan":
+        return SocketCan(settings.channel, send_queue=128)
+    return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)
+
+
+def run(path: str | Path, record: str | None = None) -> None:
+    """Simulate until SIGTERM or SIGINT; says `ready` on stdout when every node has booted."""
+    plant = load_plant(path)
+    bus = open_bus(plant.bus)
+    try:
+        machine = Machine(plant, bus)
+        machine.recorder = Recorder(record, plant.physics.record_period) if record else None
+        _run(machine)
+    finally:
+        bus.close()
+
+
+def _run(machine: Machine) -> None:
+    stopping = False
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        nonlocal stopping
+        stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    policy = _real_time(machine.plant.physics.priority)
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    machine.start()
+    for unit in machine.axes:
+        nodes = ", ".join(f"{node.dictionary.texts[0x1008, 0]} {node.node_id}" for node in unit.nodes)
+        print(f"plant: axis {unit.axis.name} on {machine.bus.name}: {nodes}", flush=True)
+    print(f"plant: ready ({policy})", flush=True)
+    try:
+        machine.run(lambda: stopping)
+    finally:
+        if machine.recorder is not None:
+            machine.recorder.close()
+        counts = machine.counts
+        dropped = machine.bus.counters.dropped
+        skipped = f", {counts.skipped:.3f} s not followed" if counts.skipped else ""
+        print(f"plant: {counts.syncs} SYNC, {counts.frames} frames in, {dropped} dropped{skipped}", file=sys.stderr)
+
+
+def _real_time(priority: int) -> str:
+    """First-in-first-out scheduling where this user may; what is in force, in words."""
+    if priority > 0:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    in_force = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+    return f"SCHED_FIFO {priority}" if in_force == os.SCHED_FIFO else "no real-time scheduling"

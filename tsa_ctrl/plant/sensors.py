@@ -1,0 +1,100 @@
+"""Sensor nodes: a joint encoder (CiA 406) and a joint torque sensor (CiA 404)."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass
+
+from tsa_ctrl.plant.dictionary import Access, Entry, Type
+from tsa_ctrl.plant.node import Identity, Node, Send
+from tsa_ctrl.plant.pdo import INVALID, PdoDefault
+from tsa_ctrl.plant.readings import Readings
+from tsa_ctrl.plant.settings import EncoderSettings, TorqueSensorSettings
+
+ENCODER_DEVICE_TYPE = 0x00080196  # absolute rotary encoder, CiA 406
+TORQUE_SENSOR_DEVICE_TYPE = 0x00020194  # measuring device with analogue inputs, CiA 404
+SPEED_DIVIDER = 256  # counts/s per digit of 0x6030:1, an i16: coarse by nature
+
+
+@dataclass(slots=True)
+class EncoderFaults:
+    offset: float = 0.0  # rad, a jump
+    sign: int = 1
+
+
+class Encoder(Node):
+    """0x6004 position (u32, wraps), 0x6030:1 speed in counts/s / 256 (i16)."""
+
+    def __init__(self, settings: EncoderSettings, readings: Readings, send: Send) -> None:
+        self.settings = settings
+        self.readings = readings
+        self.faults = EncoderFaults()
+        assert settings.node_id is not None
+        node = settings.node_id
+        ro = Access.RO
+        entries = (
+            Entry(0x6000, 0, Type.U16),
+            Entry(0x6001, 0, Type.U32, ro, settings.counts_per_revolution),
+            Entry(0x6002, 0, Type.U32, ro, 0xFFFFFFFF),
+            Entry(0x6004, 0, Type.U32, ro, mappable=True),
+            Entry(0x6030, 0, Type.U8, Access.CONST, 1),
+            Entry(0x6030, 1, Type.I16, ro, mappable=True),
+            Entry(0x6031, 0, Type.U8, Access.CONST, 4),
+            Entry(0x6031, 1, Type.U8, ro, 0),
+            Entry(0x6031, 2, Type.U16, ro, 1),
+            Entry(0x6031, 3, Type.U16, ro, 1),  # multiplier
+            Entry(0x6031, 4, Type.U16, ro, SPEED_DIVIDER),
+            Entry(0x6501, 0, Type.U32, ro, settings.counts_per_revolution),
+        )
+        tpdos = (PdoDefault(0x180 + node, 1, ((0x6004, 0),)), PdoDefault(INVALID | 0x280 + node, 1, ()))
+        identity = Identity(ENCODER_DEVICE_TYPE, settings.name, settings.vendor, settings.product)
+        super().__init__(node, identity, entries, tpdos, (), send)
+
+    def sample(self) -> None:
+        settings, readings = self.settings, self.readings
+        scale = settings.sign * self.faults.sign * settings.counts_per_revolution / (2.0 * math.pi)
+        counts = math.floor((readings.joint_angle + self.faults.offset) * scale) + settings.zero
+        self.values[0x6004, 0] = counts & 0xFFFFFFFF
+        speed = round(readings.joint_speed * scale / SPEED_DIVIDER)
+        self.values[0x6030, 1] = max(-0x8000, min(0x7FFF, speed))
+
+
+@dataclass(slots=True)
+class TorqueSensorFaults:
+    stuck: bool = False
+
+
+class TorqueSensor(Node):
+    """0x9130:1 process value in digits of `resolution` N*m (i32), 0x9130:2 temperature in mK above 0 deg C (i32)."""
+
+    def __init__(self, settings: TorqueSensorSettings, readings: Readings, noise: random.Random, send: Send) -> None:
+        self.settings = settings
+        self.readings = readings
+        self.faults = TorqueSensorFaults()
+        self._noise = noise
+        assert settings.node_id is not None
+        node = settings.node_id
+        ro = Access.RO
+        entries = (
+            Entry(0x6131, 0, Type.U8, Access.CONST, 2),
+            Entry(0x6131, 1, Type.U32, ro, 0xFA560100),  # 10^-6 N*m
+            Entry(0x6131, 2, Type.U32, ro, 0xFD2D0000),  # 10^-3 deg C
+            Entry(0x9130, 0, Type.U8, Access.CONST, 2),
+            Entry(0x9130, 1, Type.I32, ro, mappable=True),
+            Entry(0x9130, 2, Type.I32, ro, mappable=True),
+        )
+        tpdos = (PdoDefault(0x180 + node, 1, ((0x9130, 1),)), PdoDefault(INVALID | 0x280 + node, 1, ()))
+        identity = Identity(TORQUE_SENSOR_DEVICE_TYPE, settings.name, settings.vendor, settings.product)
+        super().__init__(node, identity, entries, tpdos, (), send)
+
+    def sample(self) -> None:
+        if self.faults.stuck:
+            return
+        settings = self.settings
+        torque = settings.sign * self.readings.joint_torque + settings.offset
+        if settings.noise > 0.0:
+            torque += self._noise.gauss(0.0, settings.noise)
+        bound = 0x7FFFFFFF
+        self.values[0x9130, 1] = max(-bound, min(bound, round(torque / settings.resolution)))
+        self.values[0x9130, 2] = round(self.readings.temperature * 1e3)

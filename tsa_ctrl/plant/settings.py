@@ -1,0 +1,245 @@
+"""Settings of the simulated machine, `plant.toml`: strict, SI units; every default stands here once."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.catalogue import check_effects
+
+NodeId = Annotated[int, Meta(ge=1, le=127)]
+Positive = Annotated[float, Meta(gt=0.0)]
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
+Sign = Literal[1, -1]
+Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
+Counts = Annotated[int, Meta(ge=1, le=1 << 31)]
+
+
+class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Where the nodes are."""
+
+    interface: str = "socketcan"  # or any interface of python-can
+    channel: str = "vcan0"
+    bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that must be told
+    options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface
+
+
+class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    step: Annotated[float, Meta(gt=0.0, le=1e-4)] = 1e-4  # s, longest sub-step
+    record_period: Annotated[float, Meta(ge=1e-3, le=1.0)] = 1e-3  # s, between two rows of the record
+    seed: int = 1  # of all noise
+    priority: Annotated[int, Meta(ge=0, le=98)] = 60  # of SCHED_FIFO where this user may; 0: never
+    start: Literal["power_on", "first_enable"] = "power_on"  # when imposed motion and time-dependent effects begin
+
+
+class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """CiA 402 drive and its motor's electronics."""
+
+    node_id: NodeId | None = None  # default: 1 + place of the axis
+    name: str = "simulated drive"
+    vendor: Word = 0x00000F0F
+    product: Word = 0x0402
+    rated_torque: Positive = 1.0  # N*m of the motor
+    rated_torque_unit: Positive = 1e-3  # N*m per digit of 0x6076
+    gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
+    counts_per_revolution: Counts = 65536  # of the motor, 0x6064
+    velocity_exponent: Annotated[int, Meta(ge=-6, le=0)] = -3  # 0x606C in units of 10^exponent rpm
+    torque_sign: Sign = 1
+    position_sign: Sign = 1
+    torque_time_constant: NonNegative = 0.5e-3  # s, current loop
+    peak_torque: Positive = 3.0  # N*m at the motor, what the power stage can do
+    torque_noise: NonNegative = 2e-3  # N*m at the pulley, standard deviation of 0x6077
+    objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
+    absent: list[int] = []  # objects that this drive does not have, 0x60A9
+
+
+class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    inertia: NonNegative = 1e-4  # kg*m^2 at the motor pulley; 0: the torque acts on the tendons at once
+    damping: Positive = 1e-4  # N*m*s/rad
+
+
+class TendonSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """How the pair of tendons is simulated, and where the sheaths bend."""
+
+    kind: Literal["full", "distributed"] = "full"
+    curvature: Literal["uniform", "motor_end", "joint_end"] | list[tuple[float, float]] = "uniform"
+    elements: Annotated[int, Meta(ge=1, le=1000)] = 40  # per tendon, distributed
+    bristle_stiffness: NonNegative = 0.0  # N/m of one whole tendon on its liner, distributed; 0: rigid
+    presliding: NonNegative = 0.0  # m of tendon until sticking turns into sliding, full; 0: from the elasticity
+
+
+class JointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What the joint pulley drives. All loads but "imposed" move by the delivered torque."""
+
+    load: Literal["imposed", "free", "spring", "weight"] = "imposed"
+    inertia: Positive = 0.02  # kg*m^2
+    damping: NonNegative = 0.05  # N*m*s/rad
+    stiffness: NonNegative = 4.0  # N*m/rad, of the spring
+    rest_angle: float = 0.0  # rad, of the spring
+    weight_torque: NonNegative = 1.0  # N*m, m g l of the weight
+    weight_phase: float = 0.0  # rad: torque m g l sin(q + phase)
+    initial_angle: float = 0.0  # rad
+
+
+class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Imposed motion of the joint (load = "imposed")."""
+
+    kind: Literal["gait", "sine", "file", "still"] = "gait"
+    amplitude: float = 0.5  # rad, of the sine
+    frequency: Positive = 0.5  # Hz, of the sine
+    offset: float = 0.0  # rad, of the sine, or where it stands still
+    phase: float = 0.0  # rad, of the sine
+    period: Positive = 1.6  # s, of the gait cycle
+    scale: float = 1.0  # of the gait profile or of the file
+    file: str | None = None  # CSV with columns t, q_j and, if there, omega_j
+    repeat: bool = True  # of the file; else it stays at its end
+    ramp: NonNegative = 1.0  # s, the motion grows from standstill
+
+
+class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    present: bool = True
+    node_id: NodeId | None = None  # default: 32 + place of the axis
+    name: str = "simulated encoder"
+    vendor: Word = 0x00000F0F
+    product: Word = 0x0406
+    counts_per_revolution: Counts = 1 << 20
+    sign: Sign = 1
+    zero: Word = 0  # counts at q_j = 0
+
+
+class TorqueSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    present: bool = True
+    node_id: NodeId | None = None  # default: 64 + place of the axis
+    name: str = "simulated torque sensor"
+    vendor: Word = 0x00000F0F
+    product: Word = 0x0404
+    resolution: Positive = 1e-6  # N*m per digit of 0x9130:1
+    sign: Sign = 1
+    offset: float = 0.0  # N*m
+    noise: NonNegative = 5e-3  # N*m, standard deviation
+
+
+class PerturbationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Factors on the actuator file's values: the truth is not nominal."""
+
+    friction_coefficient: Factor = 1.0
+    pretension: Factor = 1.0
+    bending_angle: Factor = 1.0
+    axial_stiffness: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
+    motor_pulley_radius: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
+    joint_pulley_radius: Annotated[float, Meta(gt=0.0, le=10.0)] = 1.0
+
+
+class EnvironmentSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What changes around the sheaths while the plant runs; tables of [time in s, value], linear in between."""
+
+    bending: list[tuple[float, float]] = []  # factor on the bending angle; the path length follows (3.50)
+    temperature: list[tuple[float, float]] = []  # deg C; empty: 25
+
+
+class FaultSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One fault at a time after start; `name` and the rest as on the control socket."""
+
+    name: str
+    at: NonNegative = 0.0  # s after the plant's start
+    duration: NonNegative = 0.0  # s; 0: it stays
+    value: float | None = None  # depends on the fault
+
+
+class AxisSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One drive, joint and pair of tendon-sheaths."""
+
+    name: str
+    actuator: str = "actuator.toml"  # model file, relative to this file
+    perturbation: PerturbationSettings = PerturbationSettings()
+    tendon: TendonSettings = TendonSettings()
+    drive: DriveSettings = DriveSettings()
+    motor: MotorSettings = MotorSettings()
+    joint: JointSettings = JointSettings()
+    motion: MotionSettings = MotionSettings()
+    encoder: EncoderSettings = EncoderSettings()
+    torque_sensor: TorqueSensorSettings = TorqueSensorSettings()
+    environment: EnvironmentSettings = EnvironmentSettings()
+    effects: dict[str, dict[str, Any]] = {}
+    fault: list[FaultSettings] = []
+
+
+N = TypeVar("N", DriveSettings, EncoderSettings, TorqueSensorSettings)
+
+
+class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    bus: BusSettings = BusSettings()
+    physics: PhysicsSettings = PhysicsSettings()
+    axis: Annotated[list[AxisSettings], Meta(min_length=1, max_length=16)]
+
+
+def load_plant(path: str | Path) -> PlantSettings:
+    """Read and check `plant.toml`; nodes without an id get 1 + i, 32 + i and 64 + i. Raises UsageError."""
+    path = Path(path)
+    plant = settings.load(path, PlantSettings)
+    axes = [_completed(axis, place, path) for place, axis in enumerate(plant.axis)]
+    _check_unique(axes, path)
+    return msgspec.structs.replace(plant, axis=axes)
+
+
+def _completed(axis: AxisSettings, place: int, path: Path) -> AxisSettings:
+    where = f"{path}: axis '{axis.name}'"
+    if axis.motion.kind == "file" and axis.motion.file is None and axis.joint.load == "imposed":
+        raise UsageError(f'{where}: [axis.motion] kind = "file" without file; give a CSV with columns t, q_j')
+    _check_tables(axis, where)
+    return msgspec.structs.replace(
+        axis,
+        actuator=str(path.parent / axis.actuator),
+        motion=msgspec.structs.replace(axis.motion, file=axis.motion.file and str(path.parent / axis.motion.file)),
+        drive=_numbered(axis.drive, 1 + place),
+        encoder=_numbered(axis.encoder, 32 + place),
+        torque_sensor=_numbered(axis.torque_sensor, 64 + place),
+        effects=check_effects(axis.effects, where),
+    )
+
+
+def _numbered(node: N, node_id: int) -> N:
+    return node if node.node_id is not None else msgspec.structs.replace(node, node_id=node_id)
+
+
+def _check_tables(axis: AxisSettings, where: str) -> None:
+    for name in ("bending", "temperature"):
+        table = getattr(axis.environment, name)
+        if any(a[0] >= b[0] for a, b in itertools.pairwise(table)):
+            raise UsageError(f"{where}: [axis.environment] {name}: times must rise; sort the table")
+    if not isinstance(axis.tendon.curvature, str):
+        check_curvature(axis.tendon.curvature, f"{where}: [axis.tendon] curvature")
+
+
+def check_curvature(points: list[tuple[float, float]], where: str) -> None:
+    """A profile is [fraction of the length, fraction of the bending] from [0, .] to [1, 1], both never falling."""
+    rising = all(a[0] <= b[0] and a[1] <= b[1] for a, b in itertools.pairwise(points))
+    if len(points) < 2 or not rising or points[0][0] != 0.0 or points[0][1] < 0.0 or points[-1] != (1.0, 1.0):
+        raise UsageError(
+            f"{where} = {[list(point) for point in points]}; give points [fraction of length, fraction of bending] "
+            "that never fall, from [0.0, ...] to [1.0, 1.0]"
+        )
+
+
+def _check_unique(axes: list[AxisSettings], path: Path) -> None:
+    used: dict[int | None, str] = {}
+    names: set[str] = set()
+    for axis in axes:
+        if axis.name in names:
+            raise UsageError(f"{path}: two axes are called '{axis.name}'; give each a name of its own")
+        names.add(axis.name)
+        ids = [axis.drive.node_id, *(node.node_id for node in (axis.encoder, axis.torque_sensor) if node.present)]
+        for node_id in ids:
+            if node_id in used:
+                raise UsageError(
+                    f"{path}: axis '{axis.name}': node {node_id} is already {used[node_id]}; "
+                    "give each node an id of its own"
+                )
+            used[node_id] = f"a node of axis '{axis.name}'"

@@ -1,0 +1,149 @@
+"""Records that the compiled inner loop works on: parameters and state of one axis. SI units, angles in rad."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Load(IntEnum):
+    """What the joint drives."""
+
+    IMPOSED = 0
+    FREE = 1
+    SPRING = 2
+    WEIGHT = 3
+
+
+class Presliding(IntEnum):
+    """What the friction's direction follows while it builds up."""
+
+    ELASTIC = 0  # displacement of the tendon's middle, over the distance that its elasticity gives
+    MOTOR = 1  # effect presliding_hysteresis over the motor's angle
+    JOINT = 2  # effect presliding_hysteresis over the joint's angle
+
+
+MAX_ELEMENTS = 64  # Maxwell-slip elements of presliding_hysteresis
+DELAY_SAMPLES = 8192  # of the delivered torque, one per sub-step
+
+_F = np.float64
+_I = np.int64
+
+PARAMETERS = np.dtype(
+    [
+        # geometry and elasticity
+        ("r_m", _F),  # m
+        ("r_j", _F),  # m
+        ("stiffness", _F),  # E A, N
+        ("length", _F),  # l_us, m
+        ("series_length", _F),  # E A / k_s, m
+        ("pretension", _F),  # T_p0, N at the nominal bending angle
+        ("tendon_stiffness", _F),  # k_t, N/m
+        ("bending_arm", _F),  # p + d/2, m (3.50)
+        ("friction", _F),  # mu
+        ("theta", _F),  # rad
+        ("presliding", _F),  # m of tendon
+        ("distributed", _I),
+        ("elements", _I),
+        ("bristle", _F),  # N/m of one contact
+        # motor
+        ("motor_inertia", _F),  # kg*m^2
+        ("motor_damping", _F),  # N*m*s/rad
+        ("torque_lag", _F),  # s
+        ("peak_torque", _F),  # N*m
+        ("motor_coulomb", _F),  # N*m
+        ("torque_gain", _F),  # 1 + relative error
+        ("ripple", _F),  # N*m
+        ("ripple_cycles", _F),
+        ("ripple_phase", _F),
+        # joint and load
+        ("load", _I),
+        ("load_inertia", _F),  # kg*m^2
+        ("load_damping", _F),  # N*m*s/rad
+        ("load_stiffness", _F),  # N*m/rad
+        ("load_rest", _F),  # rad
+        ("weight", _F),  # N*m
+        ("weight_phase", _F),  # rad
+        # effects between the joint pulley and the load
+        ("viscous", _F),  # N*m*s/rad
+        ("viscous_difference", _F),  # N*m*s/rad
+        ("inertia", _F),  # kg*m^2
+        ("gravity", _F),  # N*m
+        ("gravity_phase", _F),  # rad
+        ("spring", _F),  # N*m/rad
+        ("spring_rest", _F),  # rad
+        ("offset", _F),  # N*m
+        ("load_friction", _F),
+        ("backlash", _F),  # rad
+        ("backlash_threshold", _F),  # rad: two encoder counts
+        # effects on friction and pretension
+        ("static_excess", _F),
+        ("stribeck_velocity", _F),  # rad/s
+        ("stribeck_shape", _F),
+        ("temperature_coefficient", _F),  # 1/K
+        ("reference_temperature", _F),  # deg C
+        ("tension_exponent", _F),
+        ("reference_tension", _F),  # N
+        ("asymmetry", _F),
+        ("bending_per_angle", _F),  # rad/rad
+        ("stiffening", _F),
+        ("relaxed", _F),
+        ("relaxation_time", _F),  # s
+        ("relaxation_start", _F),  # s
+        ("relaxation_logarithmic", _I),
+        ("hysteresis", _I),  # Presliding
+        ("hysteresis_distance", _F),  # rad
+        ("hysteresis_elements", _I),
+        # sensors
+        ("sensor_delay", _F),  # s
+        ("velocity_lag", _F),  # s
+        # faults
+        ("torn_a", _I),
+        ("torn_b", _I),
+        ("pretension_factor", _F),
+        # motion and environment
+        ("motion_grid", _F),  # s
+        ("motion_repeat", _I),
+        ("motion_ramp", _F),  # s
+        ("step", _F),  # s
+    ]
+)
+
+STATE = np.dtype(
+    [
+        ("t", _F),  # s
+        ("q_m", _F),
+        ("omega_m", _F),
+        ("q_j", _F),
+        ("omega_j", _F),
+        ("acceleration_j", _F),
+        ("torque_loop", _F),  # N*m, what the drive's current says
+        ("tau_m", _F),  # N*m, what acts on the motor pulley
+        ("t1", _F),
+        ("t2", _F),
+        ("t3", _F),
+        ("t4", _F),
+        ("tau_tendon", _F),  # N*m, r_J (T4 - T2)
+        ("tau_j", _F),  # N*m, delivered to the load
+        ("tau_sensed", _F),  # N*m, the same through the sensor's delay
+        ("z", _F),  # state of friction in the sheaths, -1 to 1
+        ("z_m", _F),  # of the motor's friction
+        ("z_j", _F),  # of the joint's load-dependent friction
+        ("direction", _F),  # of the joint, for backlash
+        ("extreme", _F),  # rad, farthest angle in this direction
+        ("reversal", _F),  # rad, angle at the last reversal
+        ("in_gap", _I),
+        ("q_lagged", _F),
+        ("omega_lagged", _F),
+        ("theta", _F),
+        ("temperature", _F),
+        ("pretension", _F),
+        ("speed_limited", _I),
+        ("started", _F),  # s, when the motion began; negative: not yet
+        ("ring_head", _I),
+        ("iterations", _I),
+        ("unsolved", _I),  # sub-steps whose solution did not converge
+        ("dissipated", _F),  # J, by friction along the tendons (distributed)
+    ]
+)
