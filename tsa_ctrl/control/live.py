@@ -13,6 +13,8 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.estimator import Fixed, toward
 from tsa_ctrl.control.recursive import Recursive
 
+_NONE: tuple[float | None, float | None] = (None, None)
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -20,8 +22,8 @@ class Parameter:
 
     name: str
     unit: str
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     rate: float  # unit/s; inf: at once
     doc: str
     part: Any
@@ -35,15 +37,15 @@ class Parameter:
 def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     """The live parameters of an axis, the same names for each; limits can be lowered, never raised.
 
-    Bounds of nan: the parameter belongs to another kind of estimator, or source of bending, than this axis has.
+    Without bounds: the parameter belongs to another kind of estimator, or source of bending, than this axis has.
     """
     law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
     fixed = isinstance(estimator, Fixed)
     angle, pretension = 2.0 * model.friction_angle, 2.0 * model.pretension  # no more than twice the model file's
-    angles = (0.0, angle) if fixed else (math.nan, math.nan)
-    tensions = (0.0, pretension) if fixed else (math.nan, math.nan)
-    use = (0.0, 1.0) if isinstance(estimator, Recursive) else (math.nan, math.nan)
-    bends = (math.nan, math.nan) if axis.bending.fixed else (0.0, 100.0)
+    angles = (0.0, angle) if fixed else _NONE
+    tensions = (0.0, pretension) if fixed else _NONE
+    use = (0.0, 1.0) if isinstance(estimator, Recursive) else _NONE
+    bends = _NONE if axis.bending.fixed else (0.0, 100.0)
     p, inf = Parameter, math.inf
     return (
         p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),
@@ -71,7 +73,7 @@ class Tuner:
     def set(self, index: int, value: float) -> None:
         """Ask for a value; it is kept inside the bounds, and nan is refused."""
         parameter = self.parameters[index]
-        if parameter.low <= value <= parameter.high:
+        if parameter.low is not None and parameter.high is not None and parameter.low <= value <= parameter.high:
             self._moving[index] = value
 
     def update(self) -> None:

@@ -47,12 +47,12 @@ AnyRequest = Status | Set | SetPointValue | Recover | Stop
 
 
 class Range(msgspec.Struct, frozen=True):
-    """One live parameter as the server knows it."""
+    """One live parameter as the server knows it; without bounds it cannot be set on this axis."""
 
     name: str
     unit: str
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     doc: str
 
 

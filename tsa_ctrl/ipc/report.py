@@ -48,7 +48,7 @@ def _axis(description: Description, index: int, row: tuple[float, ...]) -> dict[
     values["missed"] = int(row[AXIS.index("missed")])
     live = zip(description.parameters[index], row[len(AXIS) :], strict=True)
     parameters = {
-        known.name: {"value": _known(value), "low": _known(known.low), "high": _known(known.high), "unit": known.unit}
+        known.name: {"value": _known(value), "low": known.low, "high": known.high, "unit": known.unit}
         for known, value in live
     }
     return {"name": description.axes[index], **values, "parameters": parameters}

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import grp
-import math
 import os
 import selectors
 import signal
@@ -177,7 +176,7 @@ class Server:
         ranges = description.parameters[index]
         for number, known in enumerate(ranges):
             if known.name == parameter:
-                if math.isnan(known.low):
+                if known.low is None or known.high is None:
                     raise UsageError(f"'{parameter}' cannot be set with this axis' estimator; see estimator.kind")
                 _inside(parameter, value, known.low, known.high, known.unit)
                 before = self._mailbox.status()[1][index][number - len(ranges)]
