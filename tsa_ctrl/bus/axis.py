@@ -24,17 +24,18 @@ Handler = Callable[[bytes], int]
 class Inbox:
     """One TPDO: takes its first well-formed frame after a SYNC, counts the others."""
 
-    __slots__ = ("_length", "_store", "_unpack", "armed", "health")
+    __slots__ = ("_length", "_store", "_unpack", "armed", "awaited", "health")
 
     def __init__(self, layout: Pdo, health: NodeHealth, store: Callable[[tuple[Any, ...]], None]) -> None:
         self.health = health
-        self.armed = False
+        self.armed = False  # this cycle's answer has not come yet
+        self.awaited = 1  # 0 when a cycle does not wait for it any longer
         self._length = layout.length
         self._unpack = layout.struct.unpack
         self._store = store
 
     def receive(self, data: bytes) -> int:
-        """1 when the frame is this cycle's answer, else 0."""
+        """1 when the frame is an answer that this cycle waits for, else 0."""
         if len(data) != self._length:
             self.health.malformed += 1
             return 0
@@ -43,7 +44,7 @@ class Inbox:
             return 0
         self.armed = False
         self._store(self._unpack(data))
-        return 1
+        return self.awaited
 
     def stale(self, data: bytes) -> int:
         """Count a frame that waited before the SYNC."""

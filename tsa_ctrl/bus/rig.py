@@ -21,7 +21,7 @@ from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
-_AFTER_DEADLINE = 64  # frames still taken when the deadline has passed, because they came in time
+_WITHOUT_CLOCK = 64  # frames taken one after the other before the deadline is looked at
 _ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
 _NO_DATA = b""
@@ -73,6 +73,7 @@ class Rig:
         self._expected = len(self._inboxes)
         self._synced = -math.inf
         self._flooded_now = False
+        self._emptied = False
 
     def start(self) -> None:
         """Listen to the nodes of this rig only and forget what was received before; once, before the first cycle."""
@@ -82,48 +83,80 @@ class Rig:
         for axis in self.axes:
             axis.rearm(now)
 
-    def sync(self) -> bool:
-        """Begin a cycle: take what waited (emergencies, heartbeats; late answers are counted), then send SYNC."""
-        recv = self.bus.recv
-        frame = recv(0.0)
-        if frame is not None:
-            self._take_waiting(frame)
+    def wait(self, until: float) -> float:
+        """Sleep until `until` (monotonic s) and take what arrives meanwhile: emergencies, heartbeats, late answers.
+
+        In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC.
+        Returns the time now.
+        """
+        recv, clock = self.bus.recv, self._clock
+        spare = _MAX_WAITING
+        while spare > 0:
+            remaining = until - clock()
+            if remaining <= 0.0:
+                spare -= 1
+            frame = recv(remaining)
+            if frame is None:
+                if self.bus.fault is not None:  # then nothing is waited for
+                    time.sleep(max(0.0, until - clock()))
+                self._emptied = True
+                return clock()
+            self._take_stale(frame)
+        self._flooded_now = True
+        return clock()
+
+    def sync(self, now: float | None = None) -> bool:
+        """Begin a cycle at `now` (default: read the clock): take what waited, unless `wait` just did, then send SYNC.
+
+        False when the SYNC was dropped.
+        """
+        if not self._emptied:
+            self.wait(0.0)
+        self._emptied = False
         for inbox in self._inboxes:
             inbox.armed = True
-        self._synced = self._clock()
+        self._synced = self._clock() if now is None else now
         return self.bus.send(cia301.SYNC, _NO_DATA)
 
     def collect(self, deadline: float) -> float:
-        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the time now."""
+        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the time now.
+
+        The clock is read only before something is waited for: on some machines that costs as much as a frame.
+        """
         recv, receive, clock = self.bus.recv, self._receive, self._clock
         pending = 0 if self._flooded_now else self._expected
-        spare = _AFTER_DEADLINE
-        now = self._synced
-        while pending > 0:
-            remaining = deadline - now
-            if remaining <= 0.0:
-                spare -= 1
-                if spare < 0:
-                    break
-            frame = recv(remaining)
-            if frame is None:
-                break
-            now = clock()
+        spare = _WITHOUT_CLOCK
+        frame = recv(deadline - self._synced) if pending else None
+        while frame is not None:
             handler = receive.get(frame[0])
             if handler is not None:
                 pending -= handler(frame[1])
+                if pending <= 0:
+                    break
             else:
                 self._take_other(frame)
+            spare -= 1
+            frame = recv(0.0) if spare > 0 else None
+            if frame is None:
+                remaining = deadline - clock()
+                if remaining <= 0.0:
+                    break
+                frame = recv(remaining)
+                spare = _WITHOUT_CLOCK
         now = clock()
-        complete = pending == 0 and self._expected == len(self._inboxes) and not self._flooded_now
-        self._flooded_now = False
+        complete = pending <= 0 and self._expected == len(self._inboxes) and not self._flooded_now
+        if self._flooded_now:
+            self.flooded += 1
+            self._flooded_now = False
         fault = self.bus.fault
         for axis in self.axes:
             axis.settle(self._synced, now, complete)
             if fault is not None:
                 axis.image.bus_fault = fault
         if not complete:
-            self._expected = sum(inbox.health.misses <= _ABANDONED for inbox in self._inboxes)
+            for inbox in self._inboxes:
+                inbox.awaited = int(inbox.health.misses <= _ABANDONED)
+            self._expected = sum(inbox.awaited for inbox in self._inboxes)
         return now
 
     def heartbeat(self, now: float) -> None:
@@ -136,18 +169,12 @@ class Rig:
         """Send an NMT command to one node or to all."""
         return self.bus.send(cia301.NMT, cia301.nmt(command, node_id))
 
-    def _take_waiting(self, frame: Frame | None) -> None:
-        for _ in range(_MAX_WAITING):
-            if frame is None:
-                return
-            handler = self._stale.get(frame[0])
-            if handler is not None:
-                handler(frame[1])
-            else:
-                self._take_other(frame)
-            frame = self.bus.recv(0.0)
-        self.flooded += 1
-        self._flooded_now = True
+    def _take_stale(self, frame: Frame) -> None:
+        handler = self._stale.get(frame[0])
+        if handler is not None:
+            handler(frame[1])
+        else:
+            self._take_other(frame)
 
     def _take_other(self, frame: Frame) -> None:
         can_id, data = frame

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import select
 import socket
 import struct
 from collections.abc import Iterable
+from select import select
 
 from tsa_ctrl.bus.seam import BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
@@ -23,6 +23,7 @@ _IFF_UP = 0x1
 _TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
 _FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
 
+_NOTHING: list[int] = []
 _DROPPED = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK})
 _FAULTS = {
     errno.ENETDOWN: BusFault.INTERFACE_DOWN,
@@ -58,7 +59,8 @@ class SocketCan:
         self._buffer = bytearray(FRAME.size)
         self._send = self._socket.send
         self._recv_into = self._socket.recv_into
-        self._readable: tuple[list[int], list[int], list[int]] = ([self._fd], [], [])
+        self._readers = [self._fd]
+        self._more = False  # whether a frame may be waiting
 
     def _open(self, channel: str, send_queue: int) -> None:
         raw = self._socket
@@ -92,11 +94,21 @@ class SocketCan:
         return True
 
     def recv(self, timeout: float) -> Frame | None:
+        # Answers to a SYNC come in bursts: after a frame the next is tried for at once, after none it is waited for.
+        # select() waits with microseconds, poll() only with milliseconds.
         try:
-            if timeout > 0.0 and not select.select(*self._readable, timeout)[0]:  # microseconds; poll has milliseconds
-                return None
-            self._recv_into(self._buffer)
+            if self._more:
+                try:
+                    self._recv_into(self._buffer)
+                except BlockingIOError:
+                    self._more = False
+            if not self._more:
+                if timeout > 0.0 and not select(self._readers, _NOTHING, _NOTHING, timeout)[0]:
+                    return None
+                self._recv_into(self._buffer)
+                self._more = True
         except OSError as error:
+            self._more = False
             self._note(error)
             return None
         can_id, length, data = FRAME.unpack(self._buffer)
