@@ -210,6 +210,7 @@ class Node:
     def _sdo_request(self, data: bytes, now: float) -> None:
         if self.state is NmtState.STOPPED:
             return
+        self.sample()  # an SDO reads what is true now, not at the last SYNC
         answer = self.sdo.handle(data)
         if answer is not None:
             self._send(0x580 + self.node_id, answer)
