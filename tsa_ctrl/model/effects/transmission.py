@@ -67,6 +67,9 @@ class FourTensions:
         t1, t3 = transmission.motor_tensions(tau_m, pretension, r_m)
         if self.slack is not None:
             t1, t3 = self.slack.clip(functions, t1, t3)
+        if self.asymmetry is None and self.tension_dependence is None:
+            growth = functions.exp(sigma * x)
+            return transmission.torque_between(t1 * growth, t3 / growth, r_j)  # the exponential is what costs
         x_a, x_b = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
         if self.tension_dependence is not None:
             x_a = x_a * self.tension_dependence.factor(functions, t1)
