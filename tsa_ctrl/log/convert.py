@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import gzip
-import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.columns import BY_NAME
+from tsa_ctrl.log.csv_out import Codes, CsvFile, coded
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
 
@@ -22,7 +20,6 @@ ROWS = 16384  # written at once
 FORMATS = (".csv", ".csv.gz", ".parquet")
 
 Progress = Callable[[float], None]
-Codes = dict[str, dict[int, str]]
 Blocks = Iterator[NDArray[np.float64]]
 
 
@@ -140,36 +137,7 @@ def _path(log: Path, out: Path, axis: str | None) -> Path:
 def _open(path: Path, beside: Path, source: _Source) -> _Sink:
     if path.name.lower().endswith(".parquet"):
         return _Parquet(beside, source)
-    return _Csv(beside, source, compressed=path.name.lower().endswith(".gz"))
-
-
-def _as_text(values: NDArray[np.float64], names: dict[int, str]) -> list[str]:
-    """Codes as their names; one without a name stays a number."""
-    return ["" if v != v else names.get(int(v), f"{v:g}") for v in values.tolist()]
-
-
-class _Csv:
-    """Numbers as the shortest text that reads back to the same double; nan as an empty field."""
-
-    def __init__(self, path: Path, source: _Source, compressed: bool) -> None:
-        self._source = source
-        raw = gzip.GzipFile(path, "wb", compresslevel=4) if compressed else path.open("wb")
-        self._stream = io.TextIOWrapper(raw, encoding="utf-8", newline="")
-        self._stream.write(",".join(source.names) + "\n")
-
-    def write(self, block: NDArray[np.float64]) -> None:
-        columns = [self._column(name, block[:, i]) for i, name in enumerate(self._source.names)]
-        self._stream.write("".join([",".join(row) + "\n" for row in zip(*columns, strict=True)]))
-
-    def _column(self, name: str, values: NDArray[np.float64]) -> list[str]:
-        if name in self._source.codes:
-            return _as_text(values, self._source.codes[name])
-        if name in BY_NAME and BY_NAME[name].stepped:
-            return ["" if v != v else f"{v:.17g}" for v in values.tolist()]
-        return ["" if v != v else repr(v) for v in values.tolist()]
-
-    def close(self) -> None:
-        self._stream.close()
+    return CsvFile(beside, source.names, source.codes, compressed=path.name.lower().endswith(".gz"))
 
 
 class _Parquet:
@@ -195,7 +163,7 @@ class _Parquet:
 
     def _array(self, name: str, values: NDArray[np.float64]) -> Any:
         if name in self._source.codes:
-            return self._pa.array(_as_text(values, self._source.codes[name]))
+            return self._pa.array(coded(values, self._source.codes[name]))
         return self._pa.array(np.ascontiguousarray(values), from_pandas=True)
 
     def close(self) -> None:

@@ -1,0 +1,77 @@
+"""`tsa simulate`: predict the joint torque for a log and print the error."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import numpy as np
+
+
+@click.command(
+    "simulate",
+    epilog="Example: tsa simulate run.mcap --model config/actuator.toml --model extended.toml --picture run.png",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.argument("log", type=click.Path())
+@click.option(
+    "--model", "models", multiple=True, required=True, type=click.Path(), help="Actuator model file; repeatable."
+)
+@click.option("--out", type=click.Path(path_type=Path), help="CSV with t, tau_j, tau_j_sim, residual.")
+@click.option("--picture", type=click.Path(path_type=Path), help="PNG of measured against simulated torque.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
+def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path | None, as_json: bool) -> None:
+    """Predict the joint torque for LOG (CSV, CSV.gz, Parquet, MCAP or MCAP:AXIS) and print the error.
+
+    A model of kind rigid_drive predicts the motor torque instead. Where the log lacks the torque that is predicted,
+    there is no error to print.
+    """
+    from tsa_ctrl.identify.dataset import load_log
+    from tsa_ctrl.identify.simulate import labels, simulate_all, write_csv
+    from tsa_ctrl.model.parameters import load_model
+
+    loaded = [load_model(path) for path in models]
+    dataset = load_log(log)
+    simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
+    if out is not None:
+        write_csv(out, dataset, simulations)
+    if picture is not None:
+        from tsa_ctrl.identify.simulation_picture import draw
+
+        draw(picture, dataset, simulations)
+    if as_json:
+        result = {
+            "schema": 1,
+            "log": dataset.name,
+            "sha256": dataset.sha256,
+            "models": [simulation.as_dict() for simulation in simulations],
+            "notes": list(dataset.notes),
+        }
+        click.echo(json.dumps(result, allow_nan=False))
+        return
+    click.echo(f"{dataset.name}: {len(dataset)} samples at {dataset.rate:.6g} Hz, {dataset.seconds:.3f} s")
+    for note in dataset.notes:
+        click.echo(f"note: {note}")
+    for simulation in simulations:
+        if simulation.beyond_slack > 0.0:
+            remedy = "as [effects.tendon_slack] models" if simulation.slack_modelled else "outside the domain of (3.55)"
+            click.echo(
+                f"note: {simulation.beyond_slack:.1%} of the samples lie beyond abs(tau_m) = 2 T_p r_M, where one "
+                f"tendon is slack, {remedy} ({simulation.name})"
+            )
+    for path in (out, picture):
+        if path is not None:
+            click.echo(f"written: {path}")
+    for simulation in simulations:
+        if simulation.rms is None:
+            click.echo(f"predicted only: the log has no {simulation.quantity} ({simulation.name})")
+        else:
+            click.echo(f"RMS error: {_shown(simulation.rms)} N*m ({simulation.name})")
+
+
+def _shown(value: float) -> str:
+    """Four decimals, or three digits where that would hide a small value; never an exponent."""
+    return (
+        f"{value:.4f}" if value >= 0.01 else np.format_float_positional(value, precision=3, fractional=False, trim="0")
+    )

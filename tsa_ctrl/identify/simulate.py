@@ -1,0 +1,130 @@
+"""What a model predicts for a log, and how far that is from what was measured."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.admit import admit
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.log.csv_out import CsvFile
+from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.predict import beyond_slack, predict
+
+Array = NDArray[np.float64]
+
+ROWS = 16384  # written at once
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """The prediction of one model for one log, all samples, SI.
+
+    `quantity` is the column predicted: tau_j, or tau_m for a plain drive. `predicted` and `residual` (measured minus
+    predicted; None where the log has no such column) have shape (n,). `beyond_slack` is the fraction of samples at
+    which one tendon is slack; `slack_modelled` says that the model has an effect for it.
+    """
+
+    name: str
+    quantity: str
+    predicted: Array
+    residual: Array | None
+    beyond_slack: float
+    slack_modelled: bool
+
+    @property
+    def rms(self) -> float | None:
+        """Root mean square of the residual, N*m."""
+        return None if self.residual is None else float(np.sqrt(np.mean(self.residual**2)))
+
+    @property
+    def bias(self) -> float | None:
+        """Mean of the residual, N*m."""
+        return None if self.residual is None else float(np.mean(self.residual))
+
+    @property
+    def max_abs(self) -> float | None:
+        """Largest absolute residual, N*m."""
+        return None if self.residual is None else float(np.max(np.abs(self.residual)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """One entry of the JSON object."""
+        return {
+            "model": self.name,
+            "rms": self.rms,
+            "bias": self.bias,
+            "max_abs": self.max_abs,
+            "unit": "N*m",
+            "samples": len(self.predicted),
+            "beyond_slack": self.beyond_slack,
+            "quantity": self.quantity,
+        }
+
+
+def simulate(dataset: Dataset, model: Model, name: str = "model") -> Simulation:
+    """Predict with one model. Raises UsageError where the log lacks a column that it needs, or cannot be right."""
+    admit(dataset, model)
+    signals = dataset.signals()
+    predicted = predict(model, signals)
+    quantity = "tau_m" if isinstance(model, RigidDrive) else "tau_j"
+    residual = dataset[quantity] - predicted if quantity in dataset else None
+    if not np.isfinite(predicted).all():
+        row = int(np.argmin(np.isfinite(predicted)))
+        raise UsageError(
+            f"{name}: predicts no finite torque for {dataset.label} from t = {dataset['t'][row]:g} s on; its "
+            "parameters do not fit this log: check its effects"
+        )
+    slack_modelled = isinstance(model, TendonSheath) and "tendon_slack" in model.effects
+    return Simulation(name, quantity, predicted, residual, beyond_slack(model, signals), slack_modelled)
+
+
+def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[Simulation]:
+    """Several models side by side. Raises UsageError, also where they do not predict the same quantity."""
+    simulations = [simulate(dataset, model, name) for name, model in models]
+    for simulation in simulations[1:]:
+        if simulation.quantity != simulations[0].quantity:
+            raise UsageError(
+                f"{simulation.name} predicts {simulation.quantity}, {simulations[0].name} {simulations[0].quantity}; "
+                "simulate a plain drive and a tendon-sheath in two calls"
+            )
+    return simulations
+
+
+def labels(paths: Sequence[str]) -> list[str]:
+    """Short names for model files: the file's name, or the path as given where two files have one name."""
+    names = [Path(path).name for path in paths]
+    count = Counter(names)
+    return [name if count[name] == 1 else path for name, path in zip(names, paths, strict=True)]
+
+
+def write_csv(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
+    """Columns t, tau_j, tau_j_sim, residual (numbered for several models); what was not measured is left out."""
+    quantity = simulations[0].quantity
+    columns = {"t": dataset["t"]}
+    if quantity in dataset:
+        columns[quantity] = dataset[quantity]
+    numbers = [""] if len(simulations) == 1 else [f"_{i + 1}" for i in range(len(simulations))]
+    for number, simulation in zip(numbers, simulations, strict=True):
+        columns[f"{quantity}_sim{number}"] = simulation.predicted
+    for number, simulation in zip(numbers, simulations, strict=True):
+        if simulation.residual is not None:
+            columns[f"residual{number}"] = simulation.residual
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        with contextlib.closing(CsvFile(beside, list(columns), compressed=path.suffix == ".gz")) as file:
+            for start in range(0, len(dataset), ROWS):
+                file.write(np.column_stack([values[start : start + ROWS] for values in columns.values()]))
+        beside.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)

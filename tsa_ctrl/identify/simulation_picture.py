@@ -1,0 +1,114 @@
+"""Measured against simulated torque as a picture: over time, as a loop against the other end, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.simulate import Simulation
+
+Array = NDArray[np.float64]
+
+MEASURED = "#222222"
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # told apart by colour-blind eyes, too
+MOST_POINTS = 6000  # per line; more cannot be seen
+
+
+def draw(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
+    """Write the picture of `simulations` of one log as PNG (or what the ending says). Raises UsageError."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    quantity = simulations[0].quantity
+    other = "tau_m" if quantity == "tau_j" else ("omega_m" if "omega_m" in dataset else "omega_j")
+    figure, axes = pyplot.subplot_mosaic(
+        [["torque", "loop"], ["residual", "loop"]],
+        figsize=(12.0, 6.2),
+        width_ratios=(2.2, 1.0),
+        height_ratios=(2.0, 1.0),
+        layout="constrained",
+    )
+    try:
+        _draw_time(axes["torque"], axes["residual"], dataset, simulations)
+        _draw_loop(axes["loop"], dataset, simulations, other)
+        axes["residual"].sharex(axes["torque"])
+        axes["torque"].tick_params(labelbottom=False)
+        figure.suptitle(f"{_words(quantity)}, {dataset.name}")
+        try:
+            figure.savefig(path, dpi=130)
+        except ValueError:
+            raise UsageError(
+                f"{path}: no picture of that kind can be written; choose a name that ends with .png"
+            ) from None
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+    finally:
+        pyplot.close(figure)
+
+
+def _draw_time(torque: Any, residual: Any, dataset: Dataset, simulations: Sequence[Simulation]) -> None:
+    quantity = simulations[0].quantity
+    if quantity in dataset:
+        torque.plot(*_thinned(dataset["t"], dataset[quantity]), color=MEASURED, lw=1.4, label="measured")
+    for simulation, colour in zip(simulations, _colours(simulations), strict=True):
+        torque.plot(*_thinned(dataset["t"], simulation.predicted), color=colour, lw=1.2, label=simulation.name)
+        if simulation.residual is not None:
+            label = f"{simulation.name}: RMS {simulation.rms:.3g} N·m"
+            residual.plot(*_thinned(dataset["t"], simulation.residual), color=colour, lw=1.0, label=label)
+    torque.set_ylabel(f"{_symbol(quantity)} / N·m")
+    torque.legend(loc="upper right", framealpha=0.85)
+    residual.axhline(0.0, color=MEASURED, lw=0.6)
+    residual.set_ylabel("measured − simulated / N·m")
+    residual.set_xlabel("time / s")
+    if quantity in dataset:
+        residual.legend(loc="upper right", framealpha=0.85, fontsize="small")
+    else:
+        residual.text(0.5, 0.6, f"the log has no {quantity}", transform=residual.transAxes, ha="center")
+    for axis in (torque, residual):
+        axis.grid(alpha=0.25)
+        axis.margins(x=0.01)
+
+
+def _draw_loop(loop: Any, dataset: Dataset, simulations: Sequence[Simulation], other: str) -> None:
+    quantity = simulations[0].quantity
+    x = dataset[other]
+    step = max(1, len(x) // MOST_POINTS)
+    if quantity in dataset:
+        loop.plot(x[::step], dataset[quantity][::step], color=MEASURED, lw=0.8, label="measured")
+    for simulation, colour in zip(simulations, _colours(simulations), strict=True):
+        loop.plot(x[::step], simulation.predicted[::step], color=colour, lw=0.8, alpha=0.8, label=simulation.name)
+    loop.set_xlabel(f"{_symbol(other)} / {'N·m' if other == 'tau_m' else 'rad/s'}")
+    loop.set_ylabel(f"{_symbol(quantity)} / N·m")
+    loop.grid(alpha=0.25)
+
+
+def _thinned(t: Array, y: Array) -> tuple[Array, Array]:
+    """The same line with fewer points: smallest and largest value of each stretch, so that no peak is lost."""
+    stretch = len(y) // (MOST_POINTS // 2)
+    if stretch < 2:
+        return t, y
+    whole = len(y) // stretch * stretch
+    rows = y[:whole].reshape(-1, stretch)
+    first = np.arange(0, whole, stretch)
+    picks = np.sort(np.concatenate([first + rows.argmin(axis=1), first + rows.argmax(axis=1), [0, len(y) - 1]]))
+    return t[picks], y[picks]
+
+
+def _colours(simulations: Sequence[Simulation]) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(len(simulations))]
+
+
+def _symbol(column: str) -> str:
+    return {"tau_j": r"$\tau_J$", "tau_m": r"$\tau_M$", "omega_m": r"$\omega_M$", "omega_j": r"$\omega_J$"}[column]
+
+
+def _words(quantity: str) -> str:
+    return "Joint torque measured and simulated" if quantity == "tau_j" else "Motor torque measured and simulated"
