@@ -75,9 +75,15 @@ class Feedforward:
         return tuple(name for name in self._model.effects if name not in self._active)
 
     def domain_limit(self) -> float:
-        """Largest abs(tau_M) on the pulley, N*m, at which both tendons still pull; inf when the model knows slack."""
+        """Largest abs(tau_M), N*m, at which both tendons still pull either way; inf when the model knows slack.
+
+        It is a bound on the command, in the state of the last update: motor-side effects are accounted for.
+        """
         low, high = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
-        return min(-low, high)
+        for effect in reversed(self._stack.motor_torque):
+            low = effect.invert(SCALARS, low, self._state)
+            high = effect.invert(SCALARS, high, self._state)
+        return max(0.0, min(-low, high))
 
     def update(
         self,

@@ -139,14 +139,14 @@ class TendonSheath:
 
     def recalibrated(self, friction_angle: float | None = None, pretension: float | None = None) -> TendonSheath:
         """The same actuator with another x (through mu; Theta stays) and T_p0."""
-        changed = self
-        if friction_angle is not None:
-            if self.bending_angle == 0.0:
-                raise UsageError(f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change")
-            changed = dataclasses.replace(changed, friction_coefficient=friction_angle / self.bending_angle)
-        if pretension is not None:
-            changed = dataclasses.replace(changed, pretension=pretension)
-        return changed
+        if friction_angle is None:
+            mu = self.friction_coefficient
+        elif self.bending_angle > 0.0:
+            mu = friction_angle / self.bending_angle
+        else:
+            raise UsageError(f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change")
+        level = self.pretension if pretension is None else pretension
+        return dataclasses.replace(self, friction_coefficient=mu, pretension=level)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, Any]]) -> TendonSheath:
         """The same actuator with these effects instead of its own; validated against the catalogue."""
