@@ -25,7 +25,7 @@ from tsa_ctrl.bus.plan import Write, check_node_ids, drive_plan, encoder_plan, t
 from tsa_ctrl.bus.profile import DriveProfile
 from tsa_ctrl.bus.report import NodeReport, Report, Row
 from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.scale import drive_scale
+from tsa_ctrl.bus.scale import PER_MILLE, drive_scale
 from tsa_ctrl.bus.seam import Bus
 from tsa_ctrl.bus.session import ABSENT, SdoRefusedError, Session
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings
@@ -141,6 +141,8 @@ def write_all(session: Session, node_id: int, name: str, plan: Sequence[Write]) 
         try:
             before = session.read(node_id, entry)
             wanted = write.value | before & write.kept
+            if write.rated is not None:
+                wanted = write.value * session.read(node_id, write.rated) // PER_MILLE
             if before != wanted or write.entry is objects.MODE:
                 session.write(node_id, entry, wanted)
             after = session.read(node_id, entry)

@@ -29,6 +29,7 @@ class Write:
     value: int
     optional: bool = False  # a node that does not have it is fine
     kept: int = 0
+    rated: Object | None = None  # then `value` is per mille of what this object holds
     watchdog: bool = False  # makes the drive stop by itself when this computer does
 
 
@@ -57,7 +58,7 @@ def drive_plan(
         Write(objects.SYNC_COB_ID, SYNC, optional=True, kept=COB_ID_INVALID),
         Write(objects.HEARTBEAT_CONSUMER, consumer, optional=True, watchdog=True),
         Write(objects.CONNECTION_LOSS, _CONNECTION_LOSS[drive.connection_loss], optional=True),
-        *(Write(entry, value, optional=True) for entry, value in options if value is not None),
+        *(Write(entry, value, optional=True) for entry, value in options if value != "keep"),
         *pdo_writes(
             pdo.COMMAND,
             drive.node_id,
@@ -71,7 +72,7 @@ def drive_plan(
         *([] if si_code is None else [Write(objects.VELOCITY_UNIT, si_code, optional=True)]),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
-        Write(objects.MAX_TORQUE, scale.max_torque_digits),
+        _torque_clamp(profile, scale),
         Write(objects.MAX_MOTOR_SPEED, scale.max_speed_digits),
         *(
             Write(Object(extra.index, extra.subindex, Type[extra.type.upper()], extra.name), extra.value)
@@ -81,6 +82,15 @@ def drive_plan(
         Write(objects.MODE, Mode.CYCLIC_SYNC_TORQUE),
     ]
     return [write for write in plan if profile.has(write.entry)]
+
+
+def _torque_clamp(profile: DriveProfile, scale: DriveScale) -> Write:
+    clamp = profile.torque_clamp
+    if clamp is None:
+        return Write(objects.MAX_TORQUE, scale.max_torque_digits)
+    type_ = Type[clamp.type.upper()]
+    rated = Object(clamp.rated_index, clamp.rated_subindex, type_, f"{clamp.name} at rated torque")
+    return Write(Object(clamp.index, clamp.subindex, type_, clamp.name), scale.max_torque_digits, rated=rated)
 
 
 def encoder_plan(encoder: EncoderSettings) -> list[Write]:

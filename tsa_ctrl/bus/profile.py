@@ -72,23 +72,40 @@ class Units(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tru
     max_speed: VelocityUnit = VelocityUnit.RPM  # 0x6080
 
 
-class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Option codes 0x605A-0x605E and 0x1029:1 that let the motor go free; None leaves the drive's own."""
+Keep = Literal["keep"]
+IntegerType = Literal["i8", "i16", "i32", "u8", "u16", "u32"]
+Index = Annotated[int, Meta(ge=0x1000, le=0xFFFF)]
+Subindex = Annotated[int, Meta(ge=0, le=0xFF)]
 
-    quick_stop: int | None = 0  # 0: disable, the motor coasts
-    shutdown: int | None = 0
-    disable_operation: int | None = 0
-    halt: int | None = None
-    fault: int | None = 0
-    communication_error: Literal[0, 1, 2] | None = 0  # 0: pre-operational, 1: no change, 2: stopped
+
+class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Option codes 0x605A-0x605E and 0x1029:1; "keep" leaves the drive's own."""
+
+    quick_stop: int | Keep = 0  # 0: disable the drive, the motor coasts
+    shutdown: int | Keep = 0
+    disable_operation: int | Keep = 0
+    halt: int | Keep = "keep"
+    fault: int | Keep = 0
+    communication_error: int | Keep = 0  # 0: pre-operational, 1: no change, 2: stopped
+
+
+class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The object that limits torque on a drive without 0x6072; its value at rated torque is that of another object."""
+
+    index: Index
+    subindex: Subindex = 0
+    rated_index: Index
+    rated_subindex: Subindex = 0
+    type: IntegerType = "u32"
+    name: str = "torque clamp"
 
 
 class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """A vendor's own object that must have a certain value."""
 
-    index: Annotated[int, Meta(ge=0x1000, le=0xFFFF)]
-    subindex: Annotated[int, Meta(ge=0, le=0xFF)] = 0
-    type: Literal["i8", "i16", "i32", "u8", "u16", "u32"]
+    index: Index
+    subindex: Subindex = 0
+    type: IntegerType
     value: int
     name: str
 
@@ -101,7 +118,8 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     identity: Identity = Identity()
     units: Units = Units()
     reactions: Reactions = Reactions()
-    absent: list[str] = []  # names of optional objects that this drive does not have
+    absent: list[str] = []  # names (of the object table) of what this drive does not have
+    torque_clamp: TorqueClamp | None = None  # where there is no 0x6072
     reports_following: bool = True  # statusword bit 12 as in CiA 402
     rpdo_count: Annotated[int, Meta(ge=1, le=4)] = 4  # those that we do not use are switched off
     tpdo_count: Annotated[int, Meta(ge=2, le=4)] = 4
@@ -127,4 +145,6 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
             near = difflib.get_close_matches(absent, names, n=1)
             advice = f"did you mean '{near[0]}'?" if near else "use a name of the object table"
             raise UsageError(f"{path}: absent: unknown object '{absent}'; {advice}")
+    if not profile.has(objects.MAX_TORQUE) and profile.torque_clamp is None:
+        raise UsageError(f"{path}: no object limits the drive's torque; give [torque_clamp] for a drive without 0x6072")
     return profile
