@@ -29,7 +29,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    if item.get_closest_marker("vcan") and (lack := _lack_of_vcan()):
+    if item.get_closest_marker("vcan") and (lack := lack_of_vcan()):
         if os.environ.get("TSA_REQUIRE_VCAN") == "1":
             pytest.fail(lack, pytrace=False)
         pytest.skip(lack)
@@ -60,7 +60,7 @@ def data_dir() -> Path:
     return folder
 
 
-def _lack_of_vcan() -> str | None:
+def lack_of_vcan() -> str | None:
     """Why there is no vcan for this test; None when there is one."""
     name = os.environ.get("TSA_VCAN")
     if not name:

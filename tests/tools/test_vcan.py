@@ -1,0 +1,82 @@
+"""tools/vcan: the command's streams, signals and exit status are the caller's, however the interface came to be."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+VCAN = str(ROOT / "tools" / "vcan")
+NO_VCAN = 77
+
+
+def run(*command: str, stdin: bytes = b"", **environment: str) -> subprocess.CompletedProcess[bytes]:
+    done = subprocess.run([VCAN, *command], input=stdin, capture_output=True, env={**os.environ, **environment})
+    if done.returncode == NO_VCAN:
+        pytest.skip(done.stderr.decode().strip())
+    return done
+
+
+@pytest.mark.parametrize(
+    ("command", "environment", "status", "message"),
+    [
+        ([], {}, 2, "usage: tools/vcan COMMAND [ARGUMENT...]"),
+        (["--fast", "true"], {}, 2, "usage: tools/vcan COMMAND [ARGUMENT...]"),
+        (["no-such-command"], {}, 127, "no-such-command: no such command"),
+        (["true"], {"TSA_VCAN_TIMEOUT": "soon"}, 2, "TSA_VCAN_TIMEOUT=soon: a number of seconds"),
+        (["true"], {"TSA_VCAN_MEMORY": "64M"}, 2, "TSA_VCAN_MEMORY=64M: a size from 128M on"),
+        (["true"], {"TSA_VCAN": "lo"}, 2, "TSA_VCAN=lo: that is no vcan"),
+    ],
+)
+def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], status: int, message: str) -> None:
+    """A mistake in the call ends before anything is started, with a line that says what is allowed."""
+    done = run(*command, **environment)
+    assert done.returncode == status
+    assert done.stdout == b""
+    assert done.stderr.decode().startswith(f"tools/vcan: {message}")
+    assert done.stderr.count(b"\n") == 1
+
+
+def test_streams_and_exit_status_pass_through() -> None:
+    """Input, output and errors arrive byte for byte, more of them than any buffer on the way holds."""
+    data = random.Random(1).randbytes(300_000)
+    done = run("sh", "-c", "cat; printf 'to\\nerrors\\r\\n' >&2; exit 7", stdin=data, TSA_VCAN="")
+    assert done.returncode == 7
+    assert done.stdout == data
+    assert done.stderr.endswith(b"to\nerrors\r\n")
+
+
+def test_environment_folder_and_arguments_pass_through() -> None:
+    script = 'pwd; printf "%s|" "$@"; printf "%s" "$TSA_MARK"'
+    done = run("sh", "-c", script, "sh", "two words", "", "$x", TSA_MARK="a\nb'c", TSA_VCAN="")
+    assert done.stdout.decode() == f"{Path.cwd()}\ntwo words||$x|a\nb'c"
+
+
+def test_a_signal_reaches_the_command() -> None:
+    """SIGTERM to the tool is the command's to handle; its own exit status is passed on."""
+    script = "trap 'echo ended; exit 9' TERM; echo up; while :; do sleep 0.05; done"
+    environment = {**os.environ, "TSA_VCAN": ""}
+    with subprocess.Popen([VCAN, "sh", "-c", script], stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        if process.stdout.readline() == b"":
+            assert process.wait() == NO_VCAN
+            pytest.skip("no vcan to be had")
+        process.send_signal(signal.SIGTERM)
+        assert process.stdout.read() == b"ended\n"
+        assert process.wait() == 9
+
+
+@pytest.mark.vcan
+def test_an_existing_vcan_is_used(vcan: str) -> None:
+    assert run("sh", "-c", "printf %s $TSA_VCAN; exit 5").stdout == vcan.encode()
+
+
+@pytest.mark.vcan
+def test_the_time_out_ends_the_command() -> None:
+    assert run("sleep", "1000", TSA_VCAN_TIMEOUT="0.2").returncode == 124
