@@ -48,7 +48,7 @@ def maxwell_slip(displacement: Array, distance: float, elements: int, start: flo
 def within_gap(q: Array, gap: float, threshold: float) -> npt.NDArray[np.bool_]:
     """True where abs(q - q_r) < gap, q_r the angle at the last reversal by more than `threshold`.
 
-    A reversal is known only `threshold` later, and holds from the extreme on: what lies between is filled in.
+    A reversal is known only `threshold` later, and holds from after the extreme: what lies between is filled in.
     """
     inside = np.zeros(q.size, dtype=np.bool_)
     reversal = math.nan  # before the first reversal: nan compares false, the play is closed
@@ -65,7 +65,7 @@ def within_gap(q: Array, gap: float, threshold: float) -> npt.NDArray[np.bool_]:
             extreme, since = q[i], i
         elif -away * direction > threshold:
             reversal = extreme
-            for k in range(since, i):
+            for k in range(since + 1, i):
                 inside[k] = abs(q[k] - reversal) < gap
             direction = -direction
             extreme, since = q[i], i
