@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.plant.chain import build_chain, settle
 from tsa_ctrl.plant.mechanics import advance
 from tsa_ctrl.plant.motion import build_motion
 from tsa_ctrl.plant.readings import MotorCommand, Readings
@@ -55,14 +56,37 @@ class Axis:
         self._slip = np.zeros(MAX_ELEMENTS)
         profile = _profile(settings)
         self._curve = np.ascontiguousarray(np.array(profile, dtype=np.float64).T)
+        self._chains = self._build_chains()
         self._motion = np.ascontiguousarray(np.vstack((motion.angle, motion.speed)))
         self._bending = _table(settings.environment.bending)
         self._temperature = _table(settings.environment.temperature)
         self._rest(motion.angle[0] if settings.joint.load == "imposed" else settings.joint.initial_angle)
 
+    def _build_chains(self) -> NDArray[np.float64]:
+        """Both tendons element by element; a single element that nobody asks where the full model is chosen."""
+        p, tendon = self.parameters[0], self.settings.tendon
+        distributed = tendon.kind == "distributed"
+        bristle = tendon.bristle_stiffness
+        if p["hysteresis"] != Presliding.ELASTIC:
+            radius = p["r_m"] if p["hysteresis"] == Presliding.MOTOR else p["r_j"]
+            bristle = float(p["pretension"] * p["friction"] * p["theta"] / (p["hysteresis_distance"] * radius))
+        _set(self.parameters, distributed=int(distributed))
+        chain = build_chain(
+            self._curve,
+            tendon.elements if distributed else 1,
+            float(p["stiffness"]),
+            float(p["length"]),
+            float(p["series_length"]),
+            bristle,
+        )
+        return np.ascontiguousarray(np.stack((chain, chain)))
+
     def _rest(self, angle: float) -> None:
         """Everything at standstill, the tendons at their pretension, the motor where it balances them."""
         p = self.parameters[0]
+        for chain, side in zip(self._chains, (-1.0, 1.0), strict=True):
+            end = side * float(p["r_j"]) * angle
+            settle(chain, end, end, float(p["pretension"]))
         _set(
             self.state,
             q_j=angle,
@@ -89,6 +113,7 @@ class Axis:
             self._ring,
             self._slip,
             self._curve,
+            self._chains,
             self._motion,
             self._bending,
             self._temperature,

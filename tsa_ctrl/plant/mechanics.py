@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
 from tsa_ctrl.plant.compiled import compiled
 from tsa_ctrl.plant.full import full_tensions
 from tsa_ctrl.plant.state import DELAY_SAMPLES, Load, Presliding
@@ -35,6 +36,7 @@ def advance(
     ring: Any,
     slip: Any,
     curve: Any,
+    chains: Any,
     motion: Any,
     bending: Any,
     temperature: Any,
@@ -46,7 +48,7 @@ def advance(
     """Bring the state record s[0] to time `until` in equal sub-steps of at most p[0].step.
 
     ring (2, n): times and delivered torques; slip (n): Maxwell-slip elements; curve (2, n): profile of bending;
-    motion (2, n): angle and speed on the grid;
+    chains: distributed tendons, see `chain`; motion (2, n): angle and speed on the grid;
     bending, temperature (2, n): times and values; command: N*m at the motor pulley.
     """
     span = until - s[0].t
@@ -55,7 +57,7 @@ def advance(
     count = max(1, math.ceil(span / p[0].step - 1e-6))
     h = span / count
     for _ in range(count):
-        _step(s[0], p[0], ring, slip, curve, motion, bending, temperature, command, enabled, max_speed, h)
+        _step(s[0], p[0], ring, slip, curve, chains, motion, bending, temperature, command, enabled, max_speed, h)
 
 
 @compiled
@@ -201,6 +203,7 @@ def _step(
     ring: Any,
     slip: Any,
     curve: Any,
+    chains: Any,
     motion: Any,
     bending: Any,
     temperature: Any,
@@ -221,19 +224,24 @@ def _step(
     s.theta = p.theta * _table(bending, since_start, 1.0) + p.bending_per_angle * q_j
     s.pretension = _pretension(s, p, max(0.0, since_start))
     x = _friction_coefficient(s, p) * max(0.0, s.theta)
-    x_a = x * (1.0 + 0.5 * p.asymmetry) * _tension_factor(p, s.t1)
-    x_b = x * (1.0 - 0.5 * p.asymmetry) * _tension_factor(p, s.t3)
+    x_a, x_b = x * (1.0 + 0.5 * p.asymmetry), x * (1.0 - 0.5 * p.asymmetry)
+    if not p.distributed:  # there each contact has its own tension
+        x_a, x_b = x_a * _tension_factor(p, s.t1), x_b * _tension_factor(p, s.t3)
 
-    f = np.zeros(14)  # T1 T2 T3 T4, their derivatives by motor and joint displacement, z, unused
+    total = prepare_chains(p, s.pretension, s.theta, x_a, x_b, chains) if p.distributed else 0.0
+    f = np.zeros(13)  # T1 T2 T3 T4, their derivatives by motor and joint displacement, z
     q_m = q_m0 + h * s.omega_m
     inertia, damping = p.motor_inertia / (h * h), p.motor_damping / h
-    total = (p.load_inertia + p.inertia) / (h * h)
+    moving = (p.load_inertia + p.inertia) / (h * h)
     z_m, solved = s.z_m, False
     iteration = 0
     while iteration < _ITERATIONS and not solved:
         iteration += 1
         u, v = p.r_m * q_m, p.r_j * q_j
-        settled = full_tensions(s, p, slip, curve, x_a, x_b, u, v, f)
+        if p.distributed:
+            settled = chain_tensions(p, total, chains, u, v, f)
+        else:
+            settled = full_tensions(s, p, slip, curve, x_a, x_b, u, v, f)
         dz_m = 0.0
         if p.motor_coulomb > 0.0:
             z_m = s.z_m + (q_m - q_m0) / _MICRO
@@ -254,10 +262,10 @@ def _step(
         if s.in_gap:
             share = 0.0
         take, slope = _load_torque(p, q_j, omega)
-        residual_j = total * (q_j - q_j0 - h * omega_j0) + take + _joint_losses(p, q_j, omega, 0.0) - share * tendon
+        residual_j = moving * (q_j - q_j0 - h * omega_j0) + take + _joint_losses(p, q_j, omega, 0.0) - share * tendon
         m_j = p.r_m * p.r_j * (f[9] - f[5])
         j_m = -share * p.r_j * p.r_m * (f[10] - f[6])
-        j_j = total + slope + (p.load_damping + p.viscous + math.copysign(p.viscous_difference, omega)) / h
+        j_j = moving + slope + (p.load_damping + p.viscous + math.copysign(p.viscous_difference, omega)) / h
         j_j += p.gravity * math.cos(q_j + p.gravity_phase) + p.spring - share * p.r_j * p.r_j * (f[11] - f[7])
         solved = settled and abs(residual_m) < _TOLERANCE and abs(residual_j) < _TOLERANCE
         if not solved:
@@ -277,7 +285,10 @@ def _step(
         s.acceleration_j = (s.omega_j - omega_j0) / h
     s.q_j = q_j
     s.z = f[12]
-    if p.hysteresis != _ELASTIC and p.hysteresis_elements > 1:
+    if p.distributed:
+        taken, s.z = commit_chains(chains)
+        s.dissipated += taken
+    elif p.hysteresis != _ELASTIC and p.hysteresis_elements > 1:
         moved = q_m - q_m0 if p.hysteresis == _MOTOR else q_j - q_j0
         for i in range(p.hysteresis_elements):
             distance = p.hysteresis_distance * (i + 1) / p.hysteresis_elements

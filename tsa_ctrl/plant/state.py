@@ -45,8 +45,6 @@ PARAMETERS = np.dtype(
         ("theta", _F),  # rad
         ("presliding", _F),  # m of tendon
         ("distributed", _I),
-        ("elements", _I),
-        ("bristle", _F),  # N/m of one contact
         # motor
         ("motor_inertia", _F),  # kg*m^2
         ("motor_damping", _F),  # N*m*s/rad

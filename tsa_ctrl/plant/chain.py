@@ -1,0 +1,303 @@
+"""A tendon in its sheath as a chain: springs between contacts that stick or slide by Coulomb (capstan) friction.
+
+Contact i stands for the bend of element i. It is pulled to the motor by T_{i-1}, to the joint by T_i, and held by
+
+    F_i = clip(F_i,old + k_b (y_i - y_i,old), -B_i, B_i),     B_i = tanh(x_i / 2) (T_{i-1} + T_i)
+
+so that at a bound T_{i-1} / T_i = exp(+-x_i), exactly the capstan. Strings have no mass: every sub-step is an
+equilibrium T_{i-1} - T_i = F_i of all contacts, found by Newton's method on the set of sticking and sliding contacts
+(each step one tridiagonal system, an M-matrix). Slip fronts travel along the chain by themselves. y counts to the
+motor. The return to the bound is always along F, so friction never creates energy; what it takes is summed.
+
+With capstan friction a tendon is slack everywhere or nowhere: where T is 0 the neighbours cannot hold any.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.plant.compiled import compiled
+
+RIGID = 1e9  # N/m, contact without bristle
+_MIN_LENGTH = 1e-4  # of the tendon, shortest spring: a bend at the very end of a sheath has nothing in between
+_EXTRA_ITERATIONS = 40  # beyond one per element: a slip front passes one or more elements per iteration
+_TOLERANCE = 1e-6  # N, between a trial force and its bound; above the rounding of RIGID times a place
+_MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
+
+
+class Row(IntEnum):
+    """Rows of a chain, an array of shape (rows, contacts + 1); there is one spring more than contacts."""
+
+    STIFFNESS = 0  # of springs, N/m
+    LENGTH_SHARE = 1  # of springs, 1
+    BEND_SHARE = 2  # of springs, 1: path length that bending adds
+    BEND = 3  # of contacts, 1: share of the bending angle
+    BRISTLE = 4  # of contacts, N/m
+    PRELOAD = 5  # of springs, m: elongation at equal ends
+    PLACE_OLD = 6  # of contacts, m
+    FORCE_OLD = 7  # of contacts, N
+    PLACE = 8
+    FORCE = 9
+    TENSION = 10  # of springs, N
+    MODE = 11  # of contacts: 0 sticks, +1 slides to the motor, -1 to the joint
+    GRIP = 12  # of contacts, tanh(x_i / 2); then x of the whole tendon
+    UPPER = 13  # of the elimination
+    RIGHT = 14
+    BY_MOTOR = 15
+
+
+_STIFFNESS, _LENGTH_SHARE, _BEND_SHARE = int(Row.STIFFNESS), int(Row.LENGTH_SHARE), int(Row.BEND_SHARE)
+_BEND, _BRISTLE, _PRELOAD = int(Row.BEND), int(Row.BRISTLE), int(Row.PRELOAD)
+_PLACE_OLD, _FORCE_OLD, _PLACE, _FORCE = int(Row.PLACE_OLD), int(Row.FORCE_OLD), int(Row.PLACE), int(Row.FORCE)
+_TENSION, _MODE, _GRIP = int(Row.TENSION), int(Row.MODE), int(Row.GRIP)
+_UPPER, _RIGHT, _BY_MOTOR = int(Row.UPPER), int(Row.RIGHT), int(Row.BY_MOTOR)
+
+
+def build_chain(
+    curve: NDArray[np.float64], elements: int, stiffness: float, length: float, series_length: float, bristle: float
+) -> NDArray[np.float64]:
+    """Chain of one tendon at rest, shape (rows, elements + 1).
+
+    curve (2, n): fraction of length, fraction of bending; stiffness E A in N; length, series_length (E A / k_s) in m;
+    bristle: N/m of the whole tendon on its liner, 0 for rigid.
+    """
+    chain = np.zeros((len(Row), elements + 1))
+    edges = np.linspace(0.0, 1.0, elements + 1)
+    bends = np.array([_bending(curve, a, b, last=b == 1.0) for a, b in itertools.pairwise(edges)])
+    chain[Row.BEND, :elements] = [upper - lower for lower, upper in bends]
+    places = np.array([_place(curve, 0.5 * (a + b), e) for (a, b), e in zip(bends, edges[:-1], strict=True)])
+    lengths = np.diff(np.concatenate(([0.0], places, [1.0]))) * length
+    lengths[0] += series_length
+    lengths = np.maximum(lengths, _MIN_LENGTH * length)
+    lengths *= (length + series_length) / lengths.sum()
+    chain[Row.STIFFNESS] = stiffness / lengths
+    chain[Row.LENGTH_SHARE] = lengths / (length + series_length)
+    half = 0.5 * chain[Row.BEND, :elements]
+    chain[Row.BEND_SHARE, :elements] += half
+    chain[Row.BEND_SHARE, 1:] += half
+    chain[Row.BRISTLE, :elements] = bristle * chain[Row.BEND, :elements]
+    if bristle <= 0.0:
+        chain[Row.BRISTLE, :elements] = np.where(chain[Row.BEND, :elements] > 0.0, RIGID, 0.0)
+    return chain
+
+
+def _bending(curve: NDArray[np.float64], start: float, end: float, last: bool) -> tuple[float, float]:
+    """Bending up to the two ends of an element; a point bend on a border belongs to the element that it begins."""
+
+    def before(place: float) -> float:
+        i = int(np.searchsorted(curve[0], place, side="left"))
+        if i == 0:
+            return 0.0
+        a, b = i - 1, min(i, curve.shape[1] - 1)
+        width = curve[0, b] - curve[0, a]
+        return float(curve[1, a] + (curve[1, b] - curve[1, a]) * ((place - curve[0, a]) / width if width > 0 else 1.0))
+
+    return before(start), 1.0 if last else before(end)
+
+
+def _place(curve: NDArray[np.float64], bending: float, otherwise: float) -> float:
+    """Where along the length this much of the bending is reached."""
+    i = int(np.searchsorted(curve[1], bending, side="left"))
+    if i == 0:
+        return max(otherwise, float(curve[0, 0]))
+    a, b = i - 1, i
+    rise = curve[1, b] - curve[1, a]
+    place = curve[0, a] + (curve[0, b] - curve[0, a]) * ((bending - curve[1, a]) / rise if rise > 0.0 else 1.0)
+    return max(otherwise, float(place))
+
+
+def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, pretension: float) -> None:
+    """Everything at one tension without friction; the ends where they are, m."""
+    count = chain.shape[1] - 1
+    share = np.cumsum(chain[Row.LENGTH_SHARE])[:count]
+    chain[Row.PLACE_OLD, :count] = chain[Row.PLACE, :count] = motor_end + share * (joint_end - motor_end)
+    chain[Row.TENSION] = pretension
+
+
+@compiled
+def prepare_chains(p: Any, pretension: float, theta: float, x_a: float, x_b: float, chains: Any) -> float:
+    """Bending, pretension and friction of this sub-step into chains (2, rows, contacts + 1).
+
+    Returns the elongation in m that both tendons have when motor and joint stand equal. Bending lengthens the path
+    where it is (3.50), the rest of the pretension is spread along the tendon.
+    """
+    bend = p.bending_arm * (theta - p.theta)
+    total = pretension * (p.length + p.series_length) / p.stiffness
+    rest = total - bend
+    for tendon in range(2):
+        chain = chains[tendon]
+        n = chain.shape[1] - 1
+        x = x_a if tendon == 0 else x_b
+        for i in range(n + 1):
+            chain[_PRELOAD, i] = rest * chain[_LENGTH_SHARE, i] + bend * chain[_BEND_SHARE, i]
+        if p.tension_exponent != 0.0:
+            for i in range(n):
+                ratio = 0.5 * (chain[_TENSION, i] + chain[_TENSION, i + 1]) / p.reference_tension
+                local = max(ratio, _MIN_TENSION) ** (-p.tension_exponent)
+                chain[_GRIP, i] = math.tanh(0.5 * x * local * chain[_BEND, i])
+        elif x != chain[_GRIP, n]:
+            chain[_GRIP, n] = x
+            for i in range(n):
+                chain[_GRIP, i] = math.tanh(0.5 * x * chain[_BEND, i])
+    return float(total)
+
+
+@compiled
+def chain_tensions(p: Any, total: float, chains: Any, u: float, v: float, f: Any) -> bool:
+    """Fill f[0:4] with T1..T4 and f[4:12] with their derivatives by u and v in turn.
+
+    total: from `prepare_chains`; u, v: displacements in m of motor and joint pulley. Returns whether the set of
+    sticking and sliding contacts was found.
+    """
+    settled = True
+    for tendon in range(2):
+        side = -1.0 if tendon == 0 else 1.0
+        chain = chains[tendon]
+        place = 2 * tendon
+        torn = p.torn_a if tendon == 0 else p.torn_b
+        if torn or total + side * (u - v) <= 0.0:
+            _slacken(chain, side * u, side * v)
+            for i in range(2):
+                f[place + i] = f[4 + 2 * (place + i)] = f[5 + 2 * (place + i)] = 0.0
+            continue
+        settled = _equilibrium(chain, side * u, side * v, place, side, f) and settled
+    return settled
+
+
+@compiled
+def _slacken(chain: Any, motor_end: float, joint_end: float) -> None:
+    """No tension anywhere; the lack of elongation is spread along the tendon."""
+    n = chain.shape[1] - 1
+    lack = motor_end - joint_end
+    for i in range(n + 1):
+        lack += chain[_PRELOAD, i]
+    place = motor_end
+    for i in range(n + 1):
+        chain[_TENSION, i] = 0.0
+        if i < n:
+            place += chain[_PRELOAD, i] - lack * chain[_LENGTH_SHARE, i]
+            chain[_PLACE, i] = place
+            chain[_FORCE, i] = 0.0
+            chain[_MODE, i] = 0.0
+
+
+@compiled
+def _equilibrium(chain: Any, motor_end: float, joint_end: float, place: int, side: float, f: Any) -> bool:
+    """Tensions at the ends and their derivatives into f; whether the modes of all contacts were found."""
+    n = chain.shape[1] - 1
+    settled, iteration = False, 0
+    first_by_motor = last_by_motor = first_by_joint = last_by_joint = 0.0
+    while not settled and iteration < n + _EXTRA_ITERATIONS:
+        iteration += 1
+        first_by_motor, last_by_motor, first_by_joint, last_by_joint = _solve(chain, motor_end, joint_end)
+        settled = _sort(chain, motor_end, joint_end)
+    k0, kn = chain[_STIFFNESS, 0], chain[_STIFFNESS, n]
+    f[place], f[place + 1] = chain[_TENSION, 0], chain[_TENSION, n]
+    f[4 + 2 * place] = side * k0 * (1.0 - first_by_motor)
+    f[5 + 2 * place] = -side * k0 * first_by_joint
+    f[6 + 2 * place] = side * kn * last_by_motor
+    f[7 + 2 * place] = side * kn * (last_by_joint - 1.0)
+    return settled
+
+
+@compiled
+def _solve(chain: Any, motor_end: float, joint_end: float) -> tuple[float, float, float, float]:
+    """Places of all contacts for the present modes, by Thomas's elimination.
+
+    Returns the derivatives of the first and the last place by motor_end, then of both by joint_end.
+    """
+    n = chain.shape[1] - 1
+    upper = right = by_motor = by_joint = 0.0
+    for i in range(n):
+        ka, kb = chain[_STIFFNESS, i], chain[_STIFFNESS, i + 1]
+        mode = chain[_MODE, i]
+        if mode == 0.0:
+            bristle = chain[_BRISTLE, i]
+            a, c = ka, kb
+            b = -(ka + kb + bristle)
+            d = chain[_FORCE_OLD, i] - bristle * chain[_PLACE_OLD, i]
+        else:
+            grip = mode * chain[_GRIP, i]
+            a, c = ka * (1.0 - grip), kb * (1.0 + grip)
+            b = -(a + c)
+            d = 0.0
+        d += c * chain[_PRELOAD, i + 1] - a * chain[_PRELOAD, i]
+        e = 0.0
+        if i == 0:
+            d -= a * motor_end
+            e, a = -a, 0.0
+        if i == n - 1:
+            d -= c * joint_end
+            by_joint, c = -c, 0.0
+        pivot = 1.0 / (b - a * upper)
+        right = (d - a * right) * pivot
+        by_motor = (e - a * by_motor) * pivot
+        by_joint *= pivot
+        upper = c * pivot
+        chain[_UPPER, i], chain[_RIGHT, i], chain[_BY_MOTOR, i] = upper, right, by_motor
+    chain[_PLACE, n - 1] = right
+    last_by_motor, last_by_joint = by_motor, by_joint
+    for i in range(n - 2, -1, -1):
+        upper = chain[_UPPER, i]
+        chain[_PLACE, i] = chain[_RIGHT, i] - upper * chain[_PLACE, i + 1]
+        by_motor = chain[_BY_MOTOR, i] - upper * by_motor
+        by_joint *= -upper
+    return by_motor, last_by_motor, by_joint, last_by_joint
+
+
+@compiled
+def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
+    """Tensions and friction forces at the places found; correct the modes. True when none had to change."""
+    n = chain.shape[1] - 1
+    left = motor_end
+    for i in range(n + 1):
+        right = chain[_PLACE, i] if i < n else joint_end
+        chain[_TENSION, i] = chain[_STIFFNESS, i] * (left - right + chain[_PRELOAD, i])
+        left = right
+    settled = True
+    for i in range(n):
+        bound = chain[_GRIP, i] * max(0.0, chain[_TENSION, i] + chain[_TENSION, i + 1])
+        trial = chain[_FORCE_OLD, i] + chain[_BRISTLE, i] * (chain[_PLACE, i] - chain[_PLACE_OLD, i])
+        mode = chain[_MODE, i]
+        if mode == 0.0:
+            if trial > bound + _TOLERANCE:
+                chain[_MODE, i], settled = 1.0, False
+            elif trial < -bound - _TOLERANCE:
+                chain[_MODE, i], settled = -1.0, False
+            else:
+                chain[_FORCE, i] = trial
+        elif mode * trial < bound - _TOLERANCE:
+            chain[_MODE, i], settled = 0.0, False
+        else:
+            chain[_FORCE, i] = mode * bound
+    return settled
+
+
+@compiled
+def commit_chains(chains: Any) -> tuple[float, float]:
+    """Make the solution the state that the next sub-step starts from.
+
+    Returns the energy in J that friction took, and how much of the friction is used, from -1 to 1: the mean over the
+    bending of both tendons, positive while they slide with a joint that moves forward.
+    """
+    taken = used = 0.0
+    for tendon in range(chains.shape[0]):
+        chain = chains[tendon]
+        side = -0.5 if tendon == 0 else 0.5
+        for i in range(chain.shape[1] - 1):
+            force, moved = chain[_FORCE, i], chain[_PLACE, i] - chain[_PLACE_OLD, i]
+            if chain[_BRISTLE, i] > 0.0:
+                moved -= (force - chain[_FORCE_OLD, i]) / chain[_BRISTLE, i]
+            taken += force * moved
+            chain[_PLACE_OLD, i] = chain[_PLACE, i]
+            chain[_FORCE_OLD, i] = force
+            bound = chain[_GRIP, i] * (chain[_TENSION, i] + chain[_TENSION, i + 1])
+            if bound > 0.0:
+                used += side * chain[_BEND, i] * force / bound
+    return taken, used
