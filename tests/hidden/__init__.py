@@ -1,13 +1,16 @@
 """Measured-like logs with hidden effects, built without the package under test.
 
-from hidden import case
+from tests.hidden import case
 c = case("single", "stribeck_friction", seed=3)
 c.logs[0].columns["tau_j"], c.model, c.truth.effects
 """
 
-from .cases import Case, Truth
+if __name__ != "tests.hidden":  # compiled functions are kept under this name
+    raise ImportError("import this package as tests.hidden, from the project's folder")
+
 from .bench import HiddenLog
-from .families import case, make_cases
+from .cases import Case, Truth
+from .families import FAMILIES, case, make_cases
 from .strength import NAMES
 
-__all__ = ["NAMES", "Case", "HiddenLog", "Truth", "case", "make_cases"]
+__all__ = ["FAMILIES", "NAMES", "Case", "HiddenLog", "Truth", "case", "make_cases"]

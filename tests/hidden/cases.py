@@ -42,6 +42,7 @@ class Case:
     model: str  # text of an actuator model file
     truth: Truth
     experiment: Case | None = None  # logs of the same rig that part the twins
+    bench: Bench | None = field(default=None, repr=False)  # for who marks: what made the logs
 
     @property
     def key(self) -> str:
@@ -100,9 +101,9 @@ POOR = ("slow_sine", "one_way", "constant_speed", "free", "small", "one_load")
 
 
 def none_case(name: str, seed: int, short: bool = False) -> Case:
-    """No effect: wrong nominal numbers and noise. `name`: "rich", "plain" or a poor excitation."""
+    """No effect: wrong nominal numbers and noise. `name`: "rich...", "plain" or a poor excitation."""
     rng = generator("none", name, seed)
-    if name == "rich":
+    if name.startswith("rich"):
         recipe = Recipe(bending=str(rng.choice(["fixed", "fixed", "varied"])), sign_noise=8.0)
     elif name == "plain":
         recipe = Recipe(
@@ -137,6 +138,14 @@ def single_case(name: str, seed: int, short: bool = False) -> Case:
         if case.truth.size >= np.hypot(case.truth.noise, case.truth.sign_noise):
             return case
     raise RuntimeError(f"no case of {name} for seed {seed}")
+
+
+def timing_case(name: str, seed: int, short: bool = False) -> Case:
+    """One effect in one log of 60 s at 1 kHz."""
+    rng = generator("timing", name, seed)
+    bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), seconds=(60.0, 60.0), rate=1000, runs=1, short=short))
+    parameters, reached = _strong(rng, name, bench, 0.04 * bench.scale)
+    return finish(rng, "timing", name, seed, bench, {name: parameters}, reached / 3.0, "rich")
 
 
 def pair_case(name: str, seed: int, short: bool = False) -> Case:
@@ -254,7 +263,7 @@ def finish(
         },
     )
     model = model_file(bench.nominal, state_uncertainty=bool(rng.random() < 0.3))
-    return Case(family, name, seed, logs, model, truth)
+    return Case(family, name, seed, logs, model, truth, bench=bench)
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

@@ -55,7 +55,7 @@ def draw_rig(rng: np.random.Generator, x_range: tuple[float, float] = (0.12, 0.9
         axial_stiffness=_log_uniform(rng, 8e3, 9e4),
         length=rng.uniform(0.4, 2.0),
         diameter=rng.uniform(0.4e-3, 1.2e-3),
-        contact_offset=float(rng.choice([0.0, rng.uniform(0.1e-3, 0.6e-3)])),
+        contact_offset=rng.uniform(0.1e-3, 0.6e-3) if rng.random() < 0.5 else 0.0,
         mu=rng.uniform(*x_range) / bending,
         bending=bending,
         pretension=_log_uniform(rng, 15.0, 150.0),
@@ -65,8 +65,8 @@ def draw_rig(rng: np.random.Generator, x_range: tuple[float, float] = (0.12, 0.9
 
 def draw_nominal(rng: np.random.Generator, rig: Rig) -> Rig:
     """What the rig's papers say: friction and pretension wrong by up to 20 % each, the rest right."""
-    wrong = rng.uniform(-0.2, 0.2, 2)
-    return replace(rig, mu=rig.mu / (1.0 + wrong[0]), pretension=rig.pretension / (1.0 + wrong[1]))
+    x_error, tension_error = rng.uniform(-0.2, 0.2), rng.uniform(-0.2, 0.2)
+    return replace(rig, mu=rig.mu / (1.0 + x_error), pretension=rig.pretension / (1.0 + tension_error))
 
 
 def model_file(nominal: Rig, state_uncertainty: bool = False) -> str:

@@ -1,0 +1,182 @@
+"""Marks for a diagnosis, by what was hidden; and the table that counts them beside the targets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from .cases import Case, Truth
+
+MOST_ALTERNATIVES = 2
+WHOLE = ("cycles_per_revolution", "elements")  # parameters without an interval
+
+
+@dataclass
+class Mark:
+    """How one diagnosis did. None where a question does not apply to the family."""
+
+    named: bool = False  # something is listed as a cause
+    unique: bool | None = None  # the truth alone, without alternatives
+    within: bool | None = None  # one cause, the truth among it and at most two alternatives
+    wrong: bool = False  # a confident name that is not the truth
+    both: bool | None = None  # pairs: both names and nothing else
+    both_within: bool | None = None
+    flagged: bool | None = None  # outside: unexplained or partly explained
+    falsely_explained: bool | None = None
+    grouped: bool | None = None  # confounded: a group with truth and twin (or what the case allows), not one name
+    advised: bool | None = None  # confounded: an experiment is named
+    resolved: bool | None = None  # confounded: the experiment's log names the truth alone
+    covered: dict[str, bool] = field(default_factory=dict)  # parameter: its interval holds the truth
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def mark(case: Case, report: dict[str, Any], experiment: dict[str, Any] | None = None) -> Mark:
+    """Mark the report (the contents of diagnosis.json) on a case, and the one on its experiment."""
+    causes = report["causes"]
+    truth = set(case.truth.effects)
+    out = Mark(named=bool(causes))
+    out.wrong = any(not cause["alternatives"] and cause["effect"] not in truth for cause in causes)
+    if case.family == "confounded":
+        _mark_confounded(out, case, report, experiment)
+        out.wrong = any(not cause["alternatives"] for cause in causes) and not out.grouped
+    elif case.truth.outside:
+        out.flagged = report["verdict"] in ("unexplained", "partly_explained")
+        out.falsely_explained = report["verdict"] == "explained"
+    elif len(truth) == 1:
+        out.unique = is_unique(causes, truth)
+        out.within = len(causes) == 1 and _holds(causes[0], truth)
+        if out.unique:
+            out.covered = _covered(causes[0], case.truth)
+    elif len(truth) == 2:
+        out.both = {cause["effect"] for cause in causes} == truth and len(causes) == 2
+        first, second = truth
+        out.both_within = len(causes) == 2 and any(
+            _holds(a, {first}) and _holds(b, {second}) for a, b in (causes, causes[::-1])
+        )
+    if not truth and not case.truth.outside:
+        out.covered = _base_covered(report["parameter_errors"], case.truth.numbers)
+    return out
+
+
+def is_unique(causes: list[dict[str, Any]], truth: set[str]) -> bool:
+    return len(causes) == 1 and causes[0]["effect"] in truth and not causes[0]["alternatives"]
+
+
+def _holds(cause: dict[str, Any], truth: set[str]) -> bool:
+    alternatives = cause["alternatives"]
+    return len(alternatives) <= MOST_ALTERNATIVES and bool(truth & {cause["effect"], *alternatives})
+
+
+def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: dict[str, Any] | None) -> None:
+    causes, truth, twins = report["causes"], set(case.truth.effects), set(case.truth.twins)
+    group = any(
+        truth <= {cause["effect"], *cause["alternatives"]}
+        and (twins - truth) & {cause["effect"], *cause["alternatives"]}
+        for cause in causes
+    )
+    absorbed = "parameter_error" in twins
+    out.grouped = group or report["verdict"] == "insufficient"
+    if absorbed:  # recalibration takes it up: to find nothing is right
+        out.grouped = out.grouped or report["verdict"] == "consistent"
+    if not case.truth.exact:
+        out.grouped = out.grouped or is_unique(causes, truth)
+    out.advised = bool(report["experiment"])
+    if experiment is not None:
+        out.resolved = is_unique(experiment["causes"], truth)
+
+
+def _covered(cause: dict[str, Any], truth: Truth) -> dict[str, bool]:
+    """Which intervals hold the hidden parameter; only where the same law was fitted."""
+    hidden = truth.effects[cause["effect"]]
+    found = cause["parameters"]
+    for key in ("law", "curvature_profile", *WHOLE):
+        value = found.get(key)
+        value = value["value"] if isinstance(value, dict) else value
+        if value is not None and key in hidden and value != hidden[key]:
+            return {}
+    out = {}
+    for key, value in hidden.items():
+        quantity = found.get(key)
+        if isinstance(value, str) or key in WHOLE or not isinstance(quantity, dict) or quantity.get("low") is None:
+            continue
+        if quantity["low"] == quantity["high"]:
+            continue
+        turns = (-2.0 * np.pi, 0.0, 2.0 * np.pi) if key == "phase" else (0.0,)
+        out[f"{cause['effect']}.{key}"] = any(quantity["low"] <= value + turn <= quantity["high"] for turn in turns)
+    return out
+
+
+def _base_covered(errors: dict[str, Any], numbers: dict[str, float]) -> dict[str, bool]:
+    out = {}
+    for key, quantity in errors.items():
+        if key in numbers and quantity.get("low") is not None and quantity["low"] < quantity["high"]:
+            out[key] = bool(quantity["low"] <= numbers[key] <= quantity["high"])
+    return out
+
+
+def interval(count: int, total: int, level: float = 0.95) -> tuple[float, float]:
+    """Clopper-Pearson: the binomial shares that `count` of `total` does not contradict."""
+    if total == 0:
+        return 0.0, 1.0
+    tail = 0.5 * (1.0 - level)
+    low = 0.0 if count == 0 else float(beta.ppf(tail, count, total - count + 1))
+    high = 1.0 if count == total else float(beta.ppf(1.0 - tail, count + 1, total - count))
+    return low, high
+
+
+@dataclass(frozen=True)
+class Target:
+    """One line of the table: which results count, when one succeeds, and the wanted share."""
+
+    text: str
+    family: str
+    success: Callable[[dict[str, Any]], bool | None]
+    share: float
+    at_most: bool = False
+
+
+def _key(name: str) -> Callable[[dict[str, Any]], bool | None]:
+    return lambda result: result["mark"][name]
+
+
+TARGETS = (
+    Target("no effect: something named", "none", _key("named"), 0.01, at_most=True),
+    Target("single effect: named uniquely", "single", _key("unique"), 0.95),
+    Target("single effect: within effect and two alternatives", "single", _key("within"), 0.99),
+    Target("single effect: confidently wrong", "single", _key("wrong"), 0.01, at_most=True),
+    Target("two effects: both named, nothing else", "pair", _key("both"), 0.90),
+    Target("outside the catalogue: noticed", "outside", _key("flagged"), 0.80),
+    Target("outside the catalogue: falsely explained", "outside", _key("falsely_explained"), 0.05, at_most=True),
+    Target("exactly confounded: a group, not a name", "confounded", _key("grouped"), 1.00),
+    Target("exactly confounded: an experiment is named", "confounded", _key("advised"), 1.00),
+    Target("exactly confounded: resolved by the experiment", "confounded", _key("resolved"), 0.90),
+    Target("plain drive, no effect: something named", "rigid_none", _key("named"), 0.01, at_most=True),
+    Target("plain drive, one effect: named uniquely", "rigid", _key("unique"), 0.95),
+)
+
+FURTHER = (
+    Target(
+        "no effect: a verdict but consistent or insufficient", "none", lambda r: r["verdict"] not in QUIET, 0.05, True
+    ),
+    Target("two effects: both within two alternatives", "pair", _key("both_within"), 0.90),
+    Target("outside the catalogue: a confident name", "outside", _key("wrong"), 0.05, at_most=True),
+    Target("exactly confounded: a confident name", "confounded", _key("wrong"), 0.0, at_most=True),
+)
+QUIET = ("consistent", "insufficient")
+
+
+def family_of(result: dict[str, Any]) -> str:
+    return "rigid_none" if (result["family"], result["name"]) == ("rigid", "none") else str(result["family"])
+
+
+def counted(target: Target, results: Iterable[dict[str, Any]]) -> tuple[int, int]:
+    """Successes and trials of one line."""
+    answers = [target.success(r) for r in results if family_of(r) == target.family and not r.get("error")]
+    answers = [answer for answer in answers if answer is not None]
+    return sum(bool(answer) for answer in answers), len(answers)

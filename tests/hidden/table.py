@@ -1,0 +1,150 @@
+"""The table of targets: counts with binomial intervals, naive strategies beside them, wrong answers to look into."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom
+
+from .score import FURTHER, TARGETS, Target, counted, interval
+
+STRATEGIES = ("bic", "validation", "lasso", "stlsq")
+SIGNIFICANT = 0.02  # a gate with few cases fails only where chance does not explain it
+
+Result = dict[str, Any]
+
+
+def print_table(results: Sequence[Result], timings: Sequence[float] = ()) -> None:
+    """Everything the benchmark has to say, on stdout."""
+    heads = ("target", "found", "95 % interval", *STRATEGIES)
+    print(f"{'':52s}" + "".join(f"{head:>16s}" for head in heads[:3]) + "".join(f"{head:>12s}" for head in heads[3:]))
+    for target in (*TARGETS, *FURTHER):
+        _line(target, results)
+    _gains(results)
+    _coverage(results)
+    _per_name(results)
+    if timings:
+        print(f"\n60 s at 1 kHz: {', '.join(f'{t:.1f} s' for t in timings)} (target: < 10 s)")
+    seconds = [r["seconds"] for r in results if r.get("seconds") is not None]
+    if seconds:
+        print(f"seconds per diagnosis: median {np.median(seconds):.1f}, longest {max(seconds):.1f}")
+    _wrong(results)
+
+
+def failed(results: Sequence[Result]) -> list[str]:
+    """Targets that these results miss by more than chance."""
+    out = []
+    for target in TARGETS:
+        count, total = counted(target, results)
+        if target.at_most:
+            missed = count > 0 and binom.sf(count - 1, total, target.share) < SIGNIFICANT
+        else:
+            missed = total > 0 and binom.cdf(count, total, target.share) < SIGNIFICANT
+        if missed:
+            out.append(target.text)
+            print(f"FAILED {target.text}: {count} of {total}")
+    return out
+
+
+def _line(target: Target, results: Sequence[Result]) -> None:
+    count, total = counted(target, results)
+    if total == 0:
+        return
+    low, high = interval(count, total)
+    met = count / total <= target.share if target.at_most else count / total >= target.share
+    wanted = f"{'<=' if target.at_most else '>='} {target.share:.0%}"
+    print(
+        f"{target.text:52s}{wanted:>16s}{f'{count}/{total} {count / total:.1%}':>16s}"
+        f"{f'{low:.1%}-{high:.1%}':>16s}" + "".join(f"{_naive(target, results, s):>12s}" for s in STRATEGIES),
+        "" if met else "  MISSED",
+    )
+
+
+def _naive(target: Target, results: Sequence[Result], strategy: str) -> str:
+    theirs = []
+    for result in results:
+        if "naive" not in result:
+            continue
+        found = result["naive"][strategy]
+        verdict = "explained" if found["named"] else "consistent"
+        theirs.append({**result, "mark": found, "verdict": verdict, "error": ""})
+    count, total = counted(target, theirs)
+    return f"{count / total:.1%}" if total else "-"
+
+
+def _gains(results: Sequence[Result]) -> None:
+    right = [r for r in results if r["family"] == "single" and r["mark"]["unique"]]
+    for key, text in (
+        ("gain", "gain on held-out data, as reported"),
+        ("fresh_gain", "gain on a fresh motion, noise-free"),
+    ):
+        values = [r[key] for r in right if r.get(key) is not None]
+        if values:
+            print(
+                f"{text:52s}{'>= 0.97, 0.90':>16s}  median {np.median(values):.3f}, tenth percentile "
+                f"{np.quantile(values, 0.1):.3f}, worst {min(values):.3f} of {len(values)}"
+            )
+
+
+def _coverage(results: Sequence[Result]) -> None:
+    groups: dict[str, list[bool]] = {}
+    for result in results:
+        for parameter, inside in result["mark"]["covered"].items():
+            groups.setdefault(parameter, []).append(inside)
+    for text, chosen in (
+        ("95 % intervals of effect parameters cover", [g for name, g in groups.items() if "." in name]),
+        ("95 % intervals of the base model cover", [g for name, g in groups.items() if "." not in name]),
+    ):
+        inside = [answer for group in chosen for answer in group]
+        if inside:
+            low, high = interval(sum(inside), len(inside))
+            share = f"{sum(inside)}/{len(inside)} {np.mean(inside):.1%}"
+            print(f"{text:52s}{'93-97 %':>16s}{share:>16s}{f'{low:.1%}-{high:.1%}':>16s}")
+    poor = {name: group for name, group in groups.items() if len(group) >= 5 and np.mean(group) < 0.85}
+    for name, group in sorted(poor.items(), key=lambda item: float(np.mean(item[1]))):
+        print(f"    {name}: {sum(group)}/{len(group)}")
+
+
+def _per_name(results: Sequence[Result]) -> None:
+    """Each effect, kind and row by itself."""
+    keys = {"single": "unique", "outside": "flagged", "confounded": "grouped", "rigid": "unique", "none": "named"}
+    for family, key in keys.items():
+        names = sorted({r["name"] for r in results if r["family"] == family})
+        if not names:
+            continue
+        print(f"\n{family} ({key}):")
+        for name in names:
+            marks = [r["mark"] for r in results if (r["family"], r["name"]) == (family, name)]
+            hits = [m[key] for m in marks if m[key] is not None]
+            more = f", within {sum(bool(m['within']) for m in marks)}" if family in ("single", "rigid") else ""
+            more += f", resolved {sum(bool(m['resolved']) for m in marks)}" if family == "confounded" else ""
+            if hits:
+                print(f"    {name:34s} {sum(hits)}/{len(hits)}{more}, wrong {sum(m['wrong'] for m in marks)}")
+
+
+def _wrong(results: Sequence[Result], most: int = 60) -> None:
+    """What was hidden and what was said instead; family, name and seed make the case again."""
+    lines = []
+    for r in results:
+        m = r["mark"]
+        good = {
+            "none": not m["named"],
+            "single": m["unique"],
+            "pair": m["both"],
+            "outside": m["flagged"],
+            "confounded": m["grouped"] and m["advised"] and m["resolved"] is not False,
+            "rigid": m["unique"] if r["name"] != "none" else not m["named"],
+        }[r["family"]]
+        if good and not (m["wrong"] and r["family"] not in ("outside",)):
+            continue
+        said = "; ".join(effect + (f" or {', '.join(others)}" if others else "") for effect, others, *_ in r["causes"])
+        lines.append(
+            f"    {r['family']}/{r['name']}/{r['seed']} (size/noise {r['ratio']:.1f}): hidden "
+            f"{' + '.join(r['effects']) or 'nothing of the catalogue'}; said {r['verdict']}: {said or 'nothing'}"
+            + (f"; experiment said {r['experiment_causes']}" if r.get("experiment_causes") is not None else "")
+        )
+    if lines:
+        print(f"\nnot as wanted ({len(lines)}):")
+        print("\n".join(lines[:most]))
