@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import json
 import mmap
+import struct
 import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 from numpy.typing import NDArray
@@ -24,6 +26,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, MAGIC, SCHEMA_NAME
 from tsa_ctrl.log.table import Table
 
+_DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage
 _PREFIX = 9  # bytes of opcode and length before the content of a record
 _HEAD = np.dtype(
     [
@@ -59,16 +62,10 @@ class LogFile:
             magic = stream.read(len(MAGIC))
         if magic != MAGIC:
             raise UsageError(f"{path}: is {'no MCAP file' if magic else 'empty'}; give a log that the daemon wrote")
-        for opcode, content in self._records():
-            if opcode == Opcode.SCHEMA:
-                self._take_schema(Schema.read(_stream(content)))
-            elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(_stream(content))
-                self._channels[channel.id] = channel.metadata.get("axis", channel.topic.strip("/"))
-            elif opcode == Opcode.METADATA:
-                self._take_metadata(Metadata.read(_stream(content)))
-            elif opcode in (Opcode.CHUNK, Opcode.DATA_END):
-                break
+        try:
+            self._read_head()
+        except _DAMAGED as error:
+            raise UsageError(f"{path}: its head is damaged ({error}); give another copy") from None
         self.axes = list(self._channels.values())
         if not self.fields or not self.axes:
             raise UsageError(f"{path}: holds no axis (cut off at its head, or not from this package); give another log")
@@ -119,6 +116,18 @@ class LogFile:
                 if opcode == Opcode.FOOTER:
                     return
 
+    def _read_head(self) -> None:
+        for opcode, content in self._records():
+            if opcode == Opcode.SCHEMA:
+                self._take_schema(Schema.read(_stream(content)))
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(_stream(content))
+                self._channels[channel.id] = channel.metadata.get("axis", channel.topic.strip("/"))
+            elif opcode == Opcode.METADATA:
+                self._take_metadata(Metadata.read(_stream(content)))
+            elif opcode in (Opcode.CHUNK, Opcode.DATA_END):
+                return
+
     def _take_schema(self, schema: Schema) -> None:
         if schema.name != SCHEMA_NAME:
             raise UsageError(
@@ -159,9 +168,9 @@ def _stream(content: bytes) -> ReadDataStream:
 
 def _unpacked(content: bytes) -> bytes | None:
     """The messages of a chunk; None where they are damaged."""
-    chunk = Chunk.read(_stream(content))
     try:
+        chunk = Chunk.read(_stream(content))
         data: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
-    except zstandard.ZstdError:
+    except (*_DAMAGED, zstandard.ZstdError):
         return None
     return data if zlib.crc32(data) == chunk.uncompressed_crc else None

@@ -1,0 +1,58 @@
+"""Small logs to test with."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.record import FIELD_NAMES, FIELDS
+
+HEADER = LogHeader(
+    axes=("hip", "knee"),
+    rate=1000.0,
+    files={"controller.toml": "rate = 1000\n"},
+    codes={"state": {3: "operation_enabled", 8: "fault"}},
+    started=1.7e9,
+)
+
+
+def records(count: int, first: int = 0, **columns: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """`count` records at 1 kHz, shape (count, fields), nan but for t, cycle, state and `columns`."""
+    block = np.full((count, len(FIELDS)), np.nan)
+    number = np.arange(first, first + count)
+    for name, values in {"t": number * 1e-3, "cycle": number, "state": 3.0, **columns}.items():
+        block[:, FIELD_NAMES.index(name)] = values
+    return block
+
+
+def motion(count: int) -> dict[str, NDArray[np.float64]]:
+    """Signals of a turning joint, as a log has them."""
+    t = np.arange(count) * 1e-3
+    return {"tau_m": 0.8 * np.cos(5.0 * t), "tau_j": np.cos(5.0 * t), "omega_j": np.sin(5.0 * t)}
+
+
+def write_log(path: Path, chunks: int = 4, per_chunk: int = 100, header: LogHeader = HEADER) -> None:
+    """A whole log: every axis has the same records but for tau_m, which is the axis' number."""
+    file = McapFile(path, header)
+    for chunk in range(chunks):
+        blocks = [
+            records(per_chunk, chunk * per_chunk, tau_m=float(axis), omega_j=1.0) for axis in range(len(header.axes))
+        ]
+        file.write(blocks)
+    file.finish()
+
+
+def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:
+    """Poll until `condition` holds; False after `seconds`."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.01)
+    return False

@@ -1,0 +1,137 @@
+"""CSV files of any shape to columns, and one line about each that is not one."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log import csv_table
+from tsa_ctrl.log.csv_table import read_csv
+
+PLAIN = "t,tau_m\n0,1.5\n0.001,-2.5\n"
+
+
+def written(tmp_path: Path, content: str | bytes, name: str = "x.csv") -> Path:
+    path = tmp_path / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        PLAIN,
+        PLAIN.rstrip("\n"),
+        PLAIN.replace("\n", "\r\n"),
+        PLAIN.replace(",", ";"),
+        PLAIN.replace(",", "\t"),
+        PLAIN.replace(",", " , "),
+        "\ufeff" + PLAIN,
+        "# recorded on a bench\n#\n" + PLAIN,
+        PLAIN + "\n\n  \n",
+        PLAIN.replace("t,tau_m", '"t","tau_m"').replace("1.5", '"1.5"'),
+        PLAIN.replace("0.001", "1E-3").replace("-2.5", "-25e-1"),
+    ],
+    ids=[
+        "plain",
+        "no last end",
+        "windows",
+        "semicolon",
+        "tab",
+        "spaces",
+        "bom",
+        "comments",
+        "blank end",
+        "quotes",
+        "powers",
+    ],
+)
+def test_every_way_to_write_the_same_table_reads_the_same(tmp_path: Path, content: str) -> None:
+    columns, _, _ = read_csv(written(tmp_path, content))
+    assert {name: values.tolist() for name, values in columns.items()} == {"t": [0.0, 0.001], "tau_m": [1.5, -2.5]}
+
+
+def test_compressed_files_read_the_same(tmp_path: Path) -> None:
+    columns, _, _ = read_csv(written(tmp_path, gzip.compress(PLAIN.encode()), "x.csv.gz"))
+    assert columns["tau_m"].tolist() == [1.5, -2.5]
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "is empty"),
+        (b" \n\n", "is empty"),
+        (b"\x00\x01\x02", "is not text"),
+        (PLAIN.encode("utf-16"), "is UTF-16"),
+        (PLAIN.replace("\n", "\r").encode(), "lone carriage return"),
+        (b"t,\xe4\xf6\n1,2\n", "line 1 is not UTF-8"),
+        (b"0,1\n2,3\n", "line 1 holds numbers where the header is expected"),
+        (b"t,tau_m,t\n0,1,2\n", "column t stands twice"),
+        (b"t,tau_m\n0,1\n2\n", "row 2 (line 3) has 1 fields where the header has 2"),
+        (b"t,tau_m\n0,1\n2,3,4\n", "row 2 (line 3) has 3 fields"),
+        (b"t,tau_m\n0,1,1,5\n", "a decimal comma"),
+        (b"t;tau_m\n0,5;1,5\n", "found '0,5' where a number is needed (a decimal comma"),
+        (b"t,tau_m\n0,1\n\n2,3\n", "row 2 (line 3) is empty"),
+        (b"# x\nt,tau_m\n0,1\n1,oops\n", "column tau_m, row 2 (line 4): found 'oops'"),
+        (b"t,tau_m\n0,1_000\n", "found '1_000'"),
+    ],
+)
+def test_what_is_no_table_of_numbers_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+    path = written(tmp_path, content)
+    with pytest.raises(UsageError) as error:
+        read_csv(path, ("t", "tau_m"))
+    assert said in str(error.value)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kept", [30, -4], ids=["cut", "without its end"])
+def test_a_damaged_compressed_file_is_one_line(tmp_path: Path, kept: int) -> None:
+    with pytest.raises(UsageError, match="compressed file ends early"):
+        read_csv(written(tmp_path, gzip.compress(PLAIN.encode() * 20)[:kept], "x.csv.gz"))
+
+
+def test_plain_text_named_gz_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="compressed file is damaged"):
+        read_csv(written(tmp_path, PLAIN, "x.csv.gz"))
+
+
+def test_text_in_a_column_that_nobody_asked_for_is_left_out(tmp_path: Path) -> None:
+    columns, left_out, _ = read_csv(written(tmp_path, 't,note\n0,"hello, you"\n1,\n'))
+    assert (list(columns), left_out) == (["t"], ["note"])
+
+
+def test_text_in_a_signal_is_an_error_even_when_all_columns_are_read(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="column tau_m, row 1"):
+        read_csv(written(tmp_path, "t,tau_m\n0,high\n"))
+
+
+def test_an_empty_field_is_nan(tmp_path: Path) -> None:
+    columns, _, _ = read_csv(written(tmp_path, "t,tau_m\n0,\n1,2\n"))
+    assert np.isnan(columns["tau_m"][0])
+
+
+@given(
+    table=hnp.arrays(np.float64, st.tuples(st.integers(1, 40), st.integers(1, 4)), elements=st.floats(allow_nan=False)),
+    block=st.integers(1, 300),
+)
+def test_the_size_of_the_blocks_read_does_not_show(
+    tmp_path_factory: pytest.TempPathFactory, table: np.ndarray, block: int
+) -> None:
+    names = ["a", "b", "c", "d"][: table.shape[1]]
+    text = ",".join(names) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in table.tolist())
+    path = written(tmp_path_factory.mktemp("csv"), text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(csv_table, "BLOCK", max(block, len(names) * 2 + 2))
+        patch.setattr(csv_table, "ROWS", 7)
+        patch.setattr(csv_table, "ODD", 5)
+        columns, _, _ = read_csv(path)
+    for i, name in enumerate(names):
+        np.testing.assert_array_equal(columns[name], table[:, i])

@@ -1,0 +1,171 @@
+"""Logs read back: whole, cut off, damaged, and by the format's own library."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from tests.log.logs import HEADER, records, write_log
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.reader import LogFile, read_axis
+from tsa_ctrl.log.record import FIELD_NAMES
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    write_log(path)
+    return path
+
+
+def test_the_head_comes_back(log: Path) -> None:
+    file = LogFile(log)
+    assert file.axes == ["hip", "knee"]
+    assert file.fields == list(FIELD_NAMES)
+    assert file.codes == HEADER.codes
+    assert file.files == HEADER.files
+    assert file.about["rate"] == 1000.0
+
+
+def test_all_records_of_an_axis_come_back(log: Path) -> None:
+    columns = LogFile(log).columns("knee", ["t", "tau_m", "tau_j"])
+    assert columns["t"].tolist() == [i * 1e-3 for i in range(400)]
+    assert set(columns["tau_m"].tolist()) == {1.0}
+    assert np.isnan(columns["tau_j"]).all()
+
+
+def test_a_whole_log_is_complete(log: Path) -> None:
+    file = LogFile(log)
+    file.columns("hip", ["t"])
+    assert (file.complete, file.damaged) == (True, 0)
+
+
+def test_a_table_of_an_axis_has_no_empty_columns(log: Path) -> None:
+    assert list(read_axis(log, "hip").columns) == ["t", "tau_m", "omega_j", "cycle", "state"]
+
+
+@given(kept=st.floats(0.0, 1.0))
+@settings(max_examples=60)
+def test_a_log_cut_at_any_byte_reads_up_to_its_last_whole_chunk(
+    log: Path, tmp_path_factory: pytest.TempPathFactory, kept: float
+) -> None:
+    data = log.read_bytes()
+    cut = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    cut.write_bytes(data[: int(kept * len(data))])
+    try:
+        t = LogFile(cut).columns("hip", ["t"])["t"]
+    except UsageError:
+        return  # cut off within its head
+    assert len(t) % 100 == 0
+    np.testing.assert_array_equal(t, np.arange(len(t)) * 1e-3)
+
+
+def test_a_cut_log_is_not_complete(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[:-200])
+    file = LogFile(cut)
+    file.columns("hip", ["t"])
+    assert file.complete is False
+
+
+@given(where=st.floats(0.5, 0.95), bit=st.integers(0, 7))
+@settings(max_examples=60)
+def test_a_flipped_bit_never_gives_wrong_numbers(
+    log: Path, tmp_path_factory: pytest.TempPathFactory, where: float, bit: int
+) -> None:
+    data = bytearray(log.read_bytes())
+    start = data.index(b"zstd")
+    end = data.rindex(b"zstd", 0, int(0.9 * len(data)))
+    data[start + 12 + int((where - 0.5) / 0.45 * (end - start - 12))] ^= 1 << bit
+    bad = tmp_path_factory.mktemp("bad") / "bad.mcap"
+    bad.write_bytes(data)
+    try:
+        columns = LogFile(bad).columns("knee", ["t", "tau_m"])
+    except UsageError:
+        return
+    assert set(np.rint(columns["t"] * 1e3).astype(int).tolist()) <= set(range(400))
+    assert set(columns["tau_m"].tolist()) <= {1.0}
+
+
+def test_the_library_of_the_format_reads_every_message(log: Path) -> None:
+    with log.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == 800
+        messages = [(channel.topic, message) for _, channel, message in reader.iter_messages()]
+    assert len(messages) == 800
+    topic, message = messages[0]
+    assert topic in ("/hip", "/knee")
+    assert message.data[:4] == b"\x00\x01\x00\x00"
+    assert struct.unpack_from("<d", message.data, 4) == (0.0,)
+    assert messages[-1][1].log_time == 1_700_000_000_399_000_000
+
+
+def test_the_library_of_the_format_finds_a_stretch_by_its_index(log: Path) -> None:
+    with log.open("rb") as stream:
+        reader = make_reader(stream)
+        found = list(
+            reader.iter_messages(
+                topics="/hip", starting_at=1_700_000_000_150_000_000, ending_before=1_700_000_000_160_000_000
+            )
+        )
+    assert len(found) == 10
+
+
+def test_a_record_without_a_time_is_kept(tmp_path: Path) -> None:
+    file = McapFile(tmp_path / "x.mcap", HEADER)
+    file.write([records(3, t=np.nan), records(0)])
+    file.finish()
+    assert len(LogFile(tmp_path / "x.mcap").columns("hip", ["cycle"])["cycle"]) == 3
+
+
+@given(where=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
+@settings(max_examples=200)
+def test_a_flipped_bit_anywhere_is_at_most_one_line(
+    log: Path, tmp_path_factory: pytest.TempPathFactory, where: float, bit: int
+) -> None:
+    data = bytearray(log.read_bytes())
+    data[int(where * len(data))] ^= 1 << bit
+    bad = tmp_path_factory.mktemp("bad") / "bad.mcap"
+    bad.write_bytes(data)
+    with contextlib.suppress(UsageError):
+        read_axis(bad, "hip")
+
+
+@pytest.mark.parametrize(
+    ("axis", "said"),
+    [(None, "holds the axes hip, knee; name one as"), ("elbow", "holds no axis 'elbow'; it holds hip, knee")],
+)
+def test_several_axes_want_a_name(log: Path, axis: str | None, said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        read_axis(log, axis)
+
+
+@pytest.mark.parametrize(("content", "said"), [(b"", "is empty"), (b"t,tau_m\n", "is no MCAP file")])
+def test_what_is_no_log_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(UsageError, match=said):
+        LogFile(path)
+
+
+def test_a_log_of_another_program_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    writer = Writer(str(path), use_chunking=False)
+    writer.start()
+    schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+    writer.register_channel("/chatter", "cdr", schema)
+    writer.finish()
+    with pytest.raises(UsageError, match="holds 'std_msgs/msg/String' messages"):
+        LogFile(path)

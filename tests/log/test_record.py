@@ -1,0 +1,126 @@
+"""The ring between the real-time process and its readers."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsa_ctrl.log.record import FIELD_NAMES, FIELDS, RingReader, RingWriter
+
+BLANK = (math.nan,) * (len(FIELDS) - 1)
+
+
+def record(number: float) -> tuple[float, ...]:
+    return (number, *BLANK)
+
+
+@pytest.fixture
+def ring() -> Iterator[RingWriter]:
+    writer = RingWriter(axes=2, slots=16)
+    yield writer
+    writer.close()
+
+
+def test_the_record_begins_with_time_and_has_each_field_once() -> None:
+    assert FIELD_NAMES[0] == "t"
+    assert len(set(FIELD_NAMES)) == len(FIELDS)
+
+
+def test_records_come_out_in_order_and_once(ring: RingWriter) -> None:
+    reader = RingReader(ring.fd)
+    for number in range(5):
+        ring.push(0, record(number))
+    assert reader.read(0)[:, 0].tolist() == [0, 1, 2, 3, 4]
+    assert len(reader.read(0)) == 0
+
+
+def test_axes_do_not_mix(ring: RingWriter) -> None:
+    reader = RingReader(ring.fd)
+    ring.push(0, record(1.0))
+    ring.push(1, record(2.0))
+    assert (reader.read(0)[0, 0], reader.read(1)[0, 0]) == (1.0, 2.0)
+
+
+def test_two_readers_have_positions_of_their_own(ring: RingWriter) -> None:
+    first, second = RingReader(ring.fd), RingReader(ring.fd)
+    ring.push(0, record(1.0))
+    assert len(first.read(0)) == 1
+    assert len(second.read(0)) == 1
+
+
+def test_a_reader_may_start_from_now(ring: RingWriter) -> None:
+    ring.push(0, record(1.0))
+    reader = RingReader(ring.fd, from_start=False)
+    ring.push(0, record(2.0))
+    assert reader.read(0)[:, 0].tolist() == [2.0]
+
+
+@given(st.lists(st.integers(0, 40), max_size=12))
+def test_what_was_read_and_what_was_lost_is_what_was_pushed(bursts: list[int]) -> None:
+    writer = RingWriter(axes=1, slots=16)
+    reader = RingReader(writer.fd)
+    seen: list[float] = []
+    number = 0
+    for burst in bursts:
+        for _ in range(burst):
+            writer.push(0, record(number))
+            number += 1
+        block = reader.read(0)[:, 0].tolist()
+        assert block == [float(i) for i in range(number - len(block), number)]
+        seen += block
+    assert len(seen) + reader.lost == number
+    assert seen == sorted(set(seen))
+    reader.close()
+    writer.close()
+
+
+def test_latest_names_the_fields_of_the_newest_record(ring: RingWriter) -> None:
+    reader = RingReader(ring.fd)
+    assert reader.latest(0) is None
+    for number in range(40):
+        ring.push(0, record(number))
+    latest = reader.latest(0)
+    assert latest is not None
+    assert latest["t"] == 39.0
+    assert math.isnan(latest["tau_j"])
+
+
+def test_another_process_reads_through_the_descriptor(ring: RingWriter) -> None:
+    ring.push(1, record(42.0))
+    code = f"from tsa_ctrl.log.record import RingReader; print(RingReader({ring.fd}).latest(1)['t'])"
+    done = subprocess.run([sys.executable, "-c", code], pass_fds=[ring.fd], capture_output=True, text=True, check=True)
+    assert (done.stdout.strip(), done.stderr) == ("42.0", "")
+
+
+def test_the_memory_outlives_the_writer_for_who_still_reads() -> None:
+    own = RingWriter(axes=1, slots=4)
+    reader = RingReader(own.fd)
+    own.push(0, record(7.0))
+    own.close()
+    assert reader.read(0)[0, 0] == 7.0
+
+
+def test_a_record_of_the_wrong_length_is_refused(ring: RingWriter) -> None:
+    with pytest.raises(Exception, match="pack_into expected"):
+        ring.push(0, (1.0, 2.0))
+
+
+def test_a_descriptor_of_something_else_is_no_ring() -> None:
+    fd = os.memfd_create("other")
+    os.ftruncate(fd, 8192)
+    with pytest.raises(ValueError, match="not a ring"):
+        RingReader(fd)
+    os.close(fd)
+
+
+@pytest.mark.parametrize(("axes", "slots"), [(0, 16), (1, 3), (1, 0), (10_000, 16)])
+def test_absurd_sizes_are_refused(axes: int, slots: int) -> None:
+    with pytest.raises(ValueError, match="need 1 to"):
+        RingWriter(axes, slots)

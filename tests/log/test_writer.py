@@ -1,0 +1,224 @@
+"""The log writer: what reaches the file, and what happens when it, its disk or its owner fails."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.log.logs import HEADER, records, wait_for
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log import writer as writer_module
+from tsa_ctrl.log.process import LogProcess, new_log_path
+from tsa_ctrl.log.reader import LogFile
+from tsa_ctrl.log.record import LogHealth, RingReader, RingWriter, WriterState
+from tsa_ctrl.log.writer import LogWriter
+
+
+@pytest.fixture
+def ring() -> Iterator[RingWriter]:
+    ring = RingWriter(axes=2, slots=1024)
+    yield ring
+    ring.close()
+
+
+def push(ring: RingWriter, count: int, first: int = 0) -> None:
+    for row in records(count, first).tolist():
+        ring.push(0, tuple(row))
+        ring.push(1, tuple(row))
+
+
+def times(path: Path, axis: str = "hip") -> list[int]:
+    return [round(1e3 * t) for t in LogFile(path).columns(axis, ["t"])["t"].tolist()]
+
+
+class FullDisk:
+    """A file that takes `space` more bytes and then none, until it is given more."""
+
+    def __init__(self, file: Any, space: int) -> None:
+        self._file = file
+        self.space = space
+
+    def write(self, data: Any) -> int:
+        if self.space <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        done: int = self._file.write(bytes(data[: self.space]))
+        self.space -= done
+        return done
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+def test_records_are_on_disk_before_the_log_is_ended(ring: RingWriter, tmp_path: Path) -> None:
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "x.mcap", HEADER)
+    push(ring, 10)
+    writer.step(0.0)
+    assert times(tmp_path / "x.mcap") == list(range(10))
+
+
+def test_chunks_come_at_least_twice_a_second(ring: RingWriter, tmp_path: Path) -> None:
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "x.mcap", HEADER)
+    for step in range(40):
+        push(ring, 50, 50 * step)
+        writer.step(0.05 * step)
+        assert 50 * (step + 1) - len(times(tmp_path / "x.mcap")) <= 500
+
+
+def test_a_folder_that_is_gone_is_said_and_costs_nothing_once_it_is_back(ring: RingWriter, tmp_path: Path) -> None:
+    path = tmp_path / "gone" / "x.mcap"
+    writer = LogWriter(RingReader(ring.fd), path, HEADER)
+    push(ring, 10)
+    writer.step(0.0)
+    health = LogHealth(ring)
+    assert (health.state, health.trouble) == (WriterState.TROUBLED, os.strerror(errno.ENOENT))
+    path.parent.mkdir()
+    push(ring, 10, 10)
+    writer.step(2.0)
+    assert LogHealth(ring).state is WriterState.WRITING
+    assert times(path) == list(range(20))
+
+
+def test_a_full_disk_leaves_a_readable_file_and_is_tried_again(ring: RingWriter, tmp_path: Path) -> None:
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "x.mcap", HEADER)
+    push(ring, 10)
+    writer.step(0.0)
+    file = writer._file
+    assert file is not None
+    disk = file._file = FullDisk(file._file, space=100)  # type: ignore[assignment]
+    push(ring, 10, 10)
+    writer.step(1.0)
+    assert LogHealth(ring).trouble == os.strerror(errno.ENOSPC)
+    assert times(tmp_path / "x.mcap") == list(range(10))
+    disk.space = 1 << 20
+    writer.step(3.0)
+    writer.end()
+    assert times(tmp_path / "x.mcap") == list(range(20))
+    assert (LogHealth(ring).lost, LogHealth(ring).written) == (0, 40)
+
+
+def test_what_a_long_trouble_costs_is_counted(
+    ring: RingWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer_module, "MOST_PENDING", 100)
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "gone" / "x.mcap", HEADER)
+    for step in range(20):
+        push(ring, 10, 10 * step)
+        writer.step(0.05 * step)
+    assert LogHealth(ring).lost == 300
+    writer.end()
+    assert LogHealth(ring).lost == 400
+    assert LogHealth(ring).state is WriterState.ENDED
+
+
+def test_a_ring_that_ran_over_is_counted(ring: RingWriter, tmp_path: Path) -> None:
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "x.mcap", HEADER)
+    push(ring, 2000)
+    writer.end()
+    health = LogHealth(ring)
+    assert health.written + health.lost == 4000
+    assert health.lost >= 2 * (2000 - 1024)
+
+
+def test_the_process_writes_all_and_completes_the_file(ring: RingWriter, tmp_path: Path) -> None:
+    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    push(ring, 500)
+    health = log.end()
+    assert (health.state, health.written, health.lost) == (WriterState.ENDED, 1000, 0)
+    assert times(tmp_path / "x.mcap", "knee") == list(range(500))
+    assert "1000 records" in log.summary()
+
+
+def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    log = LogProcess(path, ring, HEADER)
+    push(ring, 300)
+    assert wait_for(lambda: log.health().written >= 600)
+    push(ring, 300, 300)
+    os.kill(log.pid, signal.SIGKILL)
+    assert wait_for(lambda: not log.alive)
+    push(ring, 300, 600)  # the loop goes on
+    health = log.end()
+    assert health.state is not WriterState.ENDED
+    assert "not completed" in log.summary()
+    assert times(path)[:300] == list(range(300))
+    assert len(times(path)) in (300, 600)
+    file = LogFile(path)
+    file.columns("hip", ["t"])
+    assert file.complete is False
+
+
+def test_an_owner_killed_in_the_middle_leaves_a_complete_log(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    code = f"""
+        import os, sys, time
+        from pathlib import Path
+        from tests.log.logs import HEADER, records
+        from tsa_ctrl.log.process import LogProcess
+        from tsa_ctrl.log.record import RingWriter
+        ring = RingWriter(axes=2)
+        log = LogProcess(Path({str(path)!r}), ring, HEADER)
+        for row in records(700).tolist():
+            ring.push(0, tuple(row))
+            ring.push(1, tuple(row))
+        os.kill(os.getpid(), 9)
+    """
+    owner = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=False)
+    assert owner.returncode == -signal.SIGKILL
+
+    def complete() -> bool:
+        try:
+            file = LogFile(path)
+        except (OSError, UsageError):
+            return False
+        file.columns("hip", ["t"])
+        return file.complete
+
+    assert wait_for(complete)
+    assert times(path) == list(range(700))
+
+
+def test_interrupt_and_terminate_leave_the_end_to_the_owner(ring: RingWriter, tmp_path: Path) -> None:
+    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    assert wait_for(lambda: log.health().state is WriterState.WRITING)
+    os.kill(log.pid, signal.SIGINT)
+    os.kill(log.pid, signal.SIGTERM)
+    push(ring, 100)
+    assert log.end().written == 200
+
+
+def test_a_writer_that_hangs_is_killed(ring: RingWriter, tmp_path: Path) -> None:
+    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    assert wait_for(lambda: log.health().state is WriterState.WRITING)
+    os.kill(log.pid, signal.SIGSTOP)
+    log.end(timeout=0.2)
+    assert log.alive is False
+
+
+def test_an_existing_log_is_never_overwritten(ring: RingWriter, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(UsageError, match="exists already"):
+        LogProcess(path, ring, HEADER)
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("place", ["no/such/folder/x.mcap", "file/x.mcap"])
+def test_a_place_where_no_log_can_be_created_is_one_line(ring: RingWriter, tmp_path: Path, place: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match="the log cannot be created"):
+        LogProcess(tmp_path / place, ring, HEADER)
+
+
+def test_names_of_new_logs_are_not_taken(tmp_path: Path) -> None:
+    first = new_log_path(tmp_path)
+    first.touch()
+    assert not new_log_path(tmp_path).exists()
