@@ -15,7 +15,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import EFFECTS, Stack
 from tsa_ctrl.model.parameters import RigidDrive
-from tsa_ctrl.model.predict import beyond_slack, missing_columns, predict
+from tsa_ctrl.model.predict import BLOCK, beyond_slack, missing_columns, predict
 from tsa_ctrl.model.signals import Signals
 
 T = np.arange(2000) / 1000.0
@@ -179,6 +179,22 @@ class TestComposition:
             "sys.exit('numba' in sys.modules or 'scipy' in sys.modules)\n"
         )
         assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+def test_long_logs_are_predicted_as_short_ones() -> None:
+    """The blocks in which a long log is worked through leave no seam."""
+    t = np.arange(3 * BLOCK + 17) * 1e-3
+    omega, tau_m, theta = np.cos(3.0 * t), np.sin(2.0 * t), 2.6 + 0.1 * np.sin(t)
+    model = ACTUATOR.with_effects(
+        {
+            "viscous_friction": {"coefficient": 0.1},
+            "stribeck_friction": {"static_excess": 0.4, "stribeck_velocity": 0.3},
+        }
+    )
+    whole = predict(model, signals(t, omega, tau_m=tau_m, theta=theta))
+    pieces = [slice(start, start + 1000) for start in range(0, len(t), 1000)]
+    parts = [predict(model, signals(t[p], omega[p], tau_m=tau_m[p], theta=theta[p])) for p in pieces]
+    np.testing.assert_allclose(whole, np.concatenate(parts), atol=1e-14)
 
 
 class TestRigidDrive:
