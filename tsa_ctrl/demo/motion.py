@@ -1,0 +1,99 @@
+"""What the demo plays: joint torque wanted and the joint's motion, built in or from a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from tsa_ctrl.errors import UsageError
+
+FloatArray = NDArray[np.float64]
+
+PERIOD = 1.6  # s of one gait cycle
+RATE = 200.0  # Hz of the built-in tables
+# Typical level walking over one cycle, of the literature: knee flexion in degrees, and an assisting torque in N*m as a
+# small actuator gives it. Fraction of the cycle, value.
+KNEE_ANGLE = (
+    (0.00, 5.0), (0.07, 12.0), (0.15, 18.0), (0.25, 14.0), (0.40, 5.0),
+    (0.50, 11.0), (0.60, 35.0), (0.72, 61.0), (0.85, 34.0), (0.95, 6.0),
+)  # fmt: skip
+KNEE_TORQUE = (
+    (0.00, -0.25), (0.08, 0.35), (0.17, 0.90), (0.28, 0.35), (0.40, -0.35),
+    (0.50, -0.10), (0.58, 0.30), (0.72, 0.05), (0.85, -0.30), (0.94, -0.40),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Play:
+    """`t` (n) in s from 0; `tau_j_des` (n) in N*m; `q_j` (n) in rad. Repeats."""
+
+    t: FloatArray
+    tau_j_des: FloatArray
+    q_j: FloatArray
+
+    def write_setpoint(self, path: Path) -> None:
+        """CSV as the controller's set-point file."""
+        _write(path, "t,tau_j_des", self.t, self.tau_j_des)
+
+    def write_motion(self, path: Path) -> None:
+        """CSV as the plant's motion file."""
+        _write(path, "t,q_j", self.t, self.q_j)
+
+
+def _write(path: Path, header: str, *columns: FloatArray) -> None:
+    np.savetxt(path, np.column_stack(columns), delimiter=",", header=header, comments="", fmt="%.9g")
+
+
+def gait() -> Play:
+    """One cycle of the built-in gait."""
+    t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
+    return Play(t, _cycle(KNEE_TORQUE)(t / PERIOD % 1.0), np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)))
+
+
+def _cycle(points: tuple[tuple[float, float], ...]) -> CubicSpline:
+    table = np.array([*points, (1.0, points[0][1])])
+    return CubicSpline(table[:, 0], table[:, 1], bc_type="periodic")
+
+
+def from_file(path: Path, most_torque: float) -> Play:
+    """A motion from a CSV with the columns t, tau_j_des and (else the built-in gait's motion) q_j.
+
+    Raises UsageError naming file, column and row, also for a torque beyond `most_torque` N*m.
+    """
+    try:
+        with path.open(encoding="utf-8-sig") as stream:
+            names = [name.strip() for name in stream.readline().split(",")]
+            rows = np.loadtxt(stream, delimiter=",", ndmin=2)
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read ({error}); give a CSV with columns t, tau_j_des, q_j") from None
+    except ValueError as error:
+        raise UsageError(
+            f"{path}: not a table of numbers ({error}); give a CSV with columns t, tau_j_des, q_j"
+        ) from None
+    for name in ("t", "tau_j_des"):
+        if name not in names:
+            raise UsageError(f"{path}: column '{name}' is missing, found {', '.join(names)}; add it")
+    if rows.shape[0] < 4 or rows.shape[1] != len(names):
+        raise UsageError(
+            f"{path}: {rows.shape[0]} rows of {rows.shape[1]} columns under {len(names)} names; give at least 4 rows"
+        )
+    bad = np.argwhere(~np.isfinite(rows))
+    if bad.size:
+        raise UsageError(f"{path}: column '{names[bad[0, 1]]}', row {bad[0, 0] + 2}: not a number; correct it")
+    column = {name: rows[:, i] for i, name in enumerate(names)}
+    t, wanted = column["t"] - column["t"][0], column["tau_j_des"]
+    back = np.flatnonzero(np.diff(t) <= 0.0)
+    if back.size:
+        raise UsageError(f"{path}: column 't', row {back[0] + 3}: time does not rise; sort the file")
+    high = int(np.argmax(np.abs(wanted)))
+    if abs(wanted[high]) > most_torque:
+        raise UsageError(
+            f"{path}: column 'tau_j_des', row {high + 2}: {wanted[high]:.3g} N*m is beyond the demo's "
+            f"{most_torque:.2g} N*m; scale the file down"
+        )
+    angle = column["q_j"] if "q_j" in column else np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0))
+    return Play(t, wanted, angle)

@@ -1,0 +1,112 @@
+"""What a demo measured: errors of the joint torque from the daemon's own logs, as table, JSON and picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from tsa_ctrl.demo.rig import FADE_IN
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.identify.dataset import load_log
+
+FloatArray = NDArray[np.float64]
+
+SHOWN = 2  # repetitions of the motion in the picture
+
+
+@dataclass(frozen=True)
+class Course:
+    """One run after the fade-in: `t` (n) in s since the enable, torques (n) in N*m."""
+
+    t: FloatArray
+    wanted: FloatArray
+    delivered: FloatArray
+    log: Path
+    summary: dict[str, Any]
+
+    @property
+    def error(self) -> FloatArray:
+        return self.delivered - self.wanted
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(np.mean(np.square(self.error))))
+
+
+def read_course(folder: Path, summary: dict[str, Any]) -> Course:
+    """A run's log after the fade-in, torque permitted; raises BusError when it holds too little."""
+    log = folder / str(summary["log"])
+    dataset = load_log(log)
+    wanted, t = dataset["tau_j_des"], dataset["t"]
+    active = np.flatnonzero((wanted != 0.0) | (dataset["tau_m_cmd"] != 0.0))
+    if active.size < 100:
+        raise BusError(f"demo: {log.name} holds no torque; {summary['cause']}")
+    start, end = t[active[0]] + FADE_IN, t[active[-1]]
+    chosen = (t >= start) & (t <= end)
+    return Course(t[chosen] - t[active[0]], wanted[chosen], dataset["tau_j"][chosen], log, summary)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The run without and the run with compensation on the same motion."""
+
+    bus: str
+    without: Course
+    compensated: Course
+    picture: Path
+
+    @property
+    def reduction(self) -> float:
+        """Per cent by which compensation reduces the RMS error."""
+        return 100.0 * (1.0 - self.compensated.rms / self.without.rms)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The public JSON object of `tsa demo --json`."""
+        cycles = [run.summary["cycles"] for run in (self.without, self.compensated)]
+        return {
+            "schema": 1,
+            "bus": self.bus,
+            "rms": {
+                "wanted": float(np.sqrt(np.mean(np.square(self.compensated.wanted)))),
+                "without": self.without.rms,
+                "with": self.compensated.rms,
+                "unit": "N*m",
+            },
+            "reduction_percent": self.reduction,
+            "picture": str(self.picture),
+            "log": str(self.compensated.log),
+            "cycles": {key: sum(c[key] for c in cycles) for key in ("planned", "sent", "late", "missed_pdo")},
+        }
+
+    def draw(self, period: float) -> None:
+        """Write the picture: wanted and delivered torque over some repetitions of the motion, and the errors."""
+        figure = Figure(figsize=(9.0, 6.0), layout="constrained")
+        torque, error = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+        first = float(np.ceil(self.compensated.t[0] / period) * period)
+        torque.plot(*_window(self.compensated.t, self.compensated.wanted, first, period), "k", lw=2.2, label="wanted")
+        for run, colour, label in (
+            (self.without, "tab:red", "without compensation"),
+            (self.compensated, "tab:blue", "with compensation"),
+        ):
+            torque.plot(*_window(run.t, run.delivered, first, period), colour, lw=1.0, label=f"delivered {label}")
+            shown = f"{label}: RMS {1e3 * run.rms:.0f} mN·m"
+            error.plot(*_window(run.t, run.error, first, period), colour, lw=1.0, label=shown)
+        torque.set_ylabel("joint torque (N·m)")
+        error.set_ylabel("error (N·m)")
+        error.set_xlabel("time since torque was enabled (s)")
+        error.axhline(0.0, color="k", lw=0.5)
+        for axes in (torque, error):
+            axes.grid(alpha=0.3)
+            axes.legend(loc="upper right", fontsize=8)
+        torque.set_title(f"Feedforward compensation of tendon-sheath friction: error reduced by {self.reduction:.1f} %")
+        figure.savefig(self.picture, dpi=130)
+
+
+def _window(t: FloatArray, y: FloatArray, first: float, period: float) -> tuple[FloatArray, FloatArray]:
+    chosen = (t >= first) & (t <= first + SHOWN * period)
+    return t[chosen], y[chosen]
