@@ -13,8 +13,9 @@ MOST = 50  # events that are kept beside the first fault
 
 @dataclass(frozen=True)
 class Event:
-    """One event; `t` in s since the start of the loop, `axis` empty for all."""
+    """One event; `t` in s since the start of the loop, `axis` empty for all, `number` counts from 0."""
 
+    number: int
     t: float
     axis: str
     text: str
@@ -29,13 +30,12 @@ class Events:
 
     def __init__(self) -> None:
         self._kept: list[Event] = []
+        self._number = 0
         self.changed = False
 
-    def __iter__(self) -> object:
-        return iter(self._kept)
-
     def add(self, t: float, axis: str, text: str, fault: bool = False) -> None:
-        self._kept.append(Event(t, axis, text, fault))
+        self._kept.append(Event(self._number, t, axis, text, fault))
+        self._number += 1
         self.changed = True
         if len(self._kept) > MOST:
             cause = self.first_fault

@@ -89,7 +89,7 @@ class Loop:
         self.events.add((time.monotonic_ns() - self._start) * 1e-9, "", text)
 
     def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
-        """Run until stopped, or for `seconds` of torque; again, from RESETTING, after the bus was brought up anew."""
+        """Run until stopped, or for `seconds` of torque or fault; again after a new bring-up, from RESETTING."""
         ticker, telemetry = self._ticker, self._telemetry
         ticker.deadline = time.monotonic_ns() + ticker.period
         if self._start == 0:
@@ -156,9 +156,8 @@ class Loop:
             for axis in self._axes:
                 axis.stop()
             self._enter(LoopPhase.STOPPING, planned)
-        elif phase is LoopPhase.RUNNING:
-            if now - self._since >= seconds:
-                self.stop(f"{seconds:g} s are over")
+        elif now - self._since >= seconds and phase in (LoopPhase.RUNNING, LoopPhase.FAULTED):
+            self.stop(f"{seconds:g} s are over")
         elif phase is LoopPhase.SETTLING:
             self._settle(planned)
         elif phase is LoopPhase.RESETTING:

@@ -223,6 +223,27 @@ class Server:
             client.connection.close()
 
 
+class EventPrinter:
+    """Tells events on stderr as they come: the loop itself must not wait for a terminal."""
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self._mailbox = mailbox
+        self._sequence = 0
+        self._last = -1
+
+    def update(self) -> None:
+        """Print what is new."""
+        sequence, text = self._mailbox.text()
+        if sequence == self._sequence:
+            return
+        self._sequence = sequence
+        for event in msgspec.json.decode(text):
+            if event["number"] > self._last:
+                self._last = event["number"]
+                where = f"{event['axis']}: " if event["axis"] else ""
+                print(f"{event['t']:.3f} s: {where}{event['text']}", file=sys.stderr, flush=True)
+
+
 def _inside(name: str, value: float, low: float, high: float, unit: str) -> None:
     if not low <= value <= high:
         raise UsageError(f"{name} {value:g} {unit} is out of bounds; allowed is {low:g} to {high:g} {unit}")
@@ -285,9 +306,11 @@ def main(argv: list[str]) -> int:
     os.write(sys.stdout.fileno(), READY)
     daemon = sys.stdin.fileno()
     server.watch(daemon)
+    watcher = EventPrinter(mailbox)
     try:
         while daemon not in server.step(0.2):
-            pass
+            watcher.update()
+        watcher.update()
     finally:
         server.close()
         with contextlib.suppress(OSError):
