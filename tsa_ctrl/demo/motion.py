@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.waypoints import from_zero, read_waypoints
 
 FloatArray = NDArray[np.float64]
 
@@ -64,36 +65,13 @@ def from_file(path: Path, most_torque: float) -> Play:
 
     Raises UsageError naming file, column and row, also for a torque beyond `most_torque` N*m.
     """
-    try:
-        with path.open(encoding="utf-8-sig") as stream:
-            names = [name.strip() for name in stream.readline().split(",")]
-            rows = np.loadtxt(stream, delimiter=",", ndmin=2)
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{path}: cannot be read ({error}); give a CSV with columns t, tau_j_des, q_j") from None
-    except ValueError as error:
-        raise UsageError(
-            f"{path}: not a table of numbers ({error}); give a CSV with columns t, tau_j_des, q_j"
-        ) from None
-    for name in ("t", "tau_j_des"):
-        if name not in names:
-            raise UsageError(f"{path}: column '{name}' is missing, found {', '.join(names)}; add it")
-    if rows.shape[0] < 4 or rows.shape[1] != len(names):
-        raise UsageError(
-            f"{path}: {rows.shape[0]} rows of {rows.shape[1]} columns under {len(names)} names; give at least 4 rows"
-        )
-    bad = np.argwhere(~np.isfinite(rows))
-    if bad.size:
-        raise UsageError(f"{path}: column '{names[bad[0, 1]]}', row {bad[0, 0] + 2}: not a number; correct it")
-    column = {name: rows[:, i] for i, name in enumerate(names)}
-    t, wanted = column["t"] - column["t"][0], column["tau_j_des"]
-    back = np.flatnonzero(np.diff(t) <= 0.0)
-    if back.size:
-        raise UsageError(f"{path}: column 't', row {back[0] + 3}: time does not rise; sort the file")
+    table = read_waypoints(path, ("tau_j_des",), ("q_j",))
+    t, wanted = from_zero(table.columns["t"]), table.columns["tau_j_des"]
     high = int(np.argmax(np.abs(wanted)))
     if abs(wanted[high]) > most_torque:
         raise UsageError(
-            f"{path}: column 'tau_j_des', row {high + 2}: {wanted[high]:.3g} N*m is beyond the demo's "
+            f"{path}: column 'tau_j_des', {table.place(high)}: {wanted[high]:.3g} N*m is beyond the demo's "
             f"{most_torque:.2g} N*m; scale the file down"
         )
-    angle = column["q_j"] if "q_j" in column else np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0))
-    return Play(t, wanted, angle)
+    angle = table.columns.get("q_j")
+    return Play(t, wanted, np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)) if angle is None else angle)

@@ -1,0 +1,127 @@
+"""The demo: what it plays, which bus it takes, what it says; and the whole system on a vcan."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.cli import main
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.demo import bus_choice, rig
+from tsa_ctrl.demo.bus_choice import BusChoice, choose
+from tsa_ctrl.demo.motion import PERIOD, from_file, gait
+from tsa_ctrl.demo.outcome import Course, Outcome
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.plant.process import check as check_plant
+
+
+def test_the_gait_ends_where_it_begins() -> None:
+    play = gait()
+    assert play.t[-1] == pytest.approx(PERIOD)
+    assert play.q_j[0] == pytest.approx(play.q_j[-1])
+    assert play.tau_j_des[0] == pytest.approx(play.tau_j_des[-1])
+
+
+def test_the_gait_stays_within_the_tendons_domain() -> None:
+    assert np.abs(gait().tau_j_des).max() < rig.MOST_TORQUE
+
+
+def test_a_file_is_played_from_time_zero(tmp_path: Path) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text("t,tau_j_des,q_j\n" + "".join(f"{5 + i},{0.1 * i},{0.2 * i}\n" for i in range(5)))
+    play = from_file(path, 1.0)
+    np.testing.assert_allclose(play.t, np.arange(5.0))
+    np.testing.assert_allclose(play.q_j, 0.2 * np.arange(5))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t,q_j\n0,0\n1,0\n2,0\n3,0\n", "column 'tau_j_des' is missing"),
+        ("t,tau_j_des\n0,0\n1,nan\n2,0\n3,0\n", "column 'tau_j_des', row 2 (line 3): not a finite"),
+        ("t,tau_j_des\n0,0\n1,0\n1,0\n3,0\n", "row 3 (line 4): time does not rise"),
+        ("t,tau_j_des\n0,0\n1,0\n2,9\n3,0\n", "row 3 (line 4): 9 N*m is beyond"),
+        ("t,tau_j_des\n0,0\n", "give at least 2"),
+        ("t,tau_j_des\n0,hello\n1,0\n", "hello"),
+        ("", "empty"),
+    ],
+)
+def test_a_bad_file_is_one_line_with_its_place(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "motion.csv"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=re.escape(words)):
+        from_file(path, 1.0)
+
+
+def test_a_missing_file_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["demo", "--setpoint", "nowhere.csv"])
+    assert stop.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+
+
+def test_an_interface_that_is_not_there_is_a_usage_error() -> None:
+    with pytest.raises(UsageError, match="no CAN interface can97 that is up"):
+        choose("can97")
+
+
+def test_any_interface_of_python_can_may_be_asked_for() -> None:
+    assert choose("slcan:/dev/ttyACM0") == BusChoice("slcan", "/dev/ttyACM0")
+
+
+def test_without_a_vcan_the_bus_needs_no_rights(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bus_choice, "_up_interfaces", dict)
+    monkeypatch.setattr(bus_choice, "_make_vcan", lambda name: False)
+    assert choose().interface == "udp_multicast"
+
+
+def test_the_files_that_the_demo_writes_are_valid(tmp_path: Path) -> None:
+    bus = BusChoice("socketcan", "vcan0")
+    rig.write(tmp_path, bus, gait(), 1000.0, "full", {"with": ("nominal.toml", 0.95)})
+    assert load_configuration(tmp_path / "controller-with.toml").models[0].pretension == 45.0
+    assert len(check_plant(tmp_path / "plant.toml").axis) == 1
+
+
+def test_the_plant_is_not_the_controllers_model() -> None:
+    """The demo would prove nothing if truth and model were the same."""
+    assert "friction_coefficient = 1.08" in rig.PLANT
+    assert 'curvature = "uniform"' in rig.PLANT
+
+
+def course(error: float) -> Course:
+    t = np.arange(0.0, 10.0, 0.01)
+    wanted = np.sin(t)
+    cycles = {"planned": 10, "sent": 9, "late": 1, "missed_pdo": 2}
+    return Course(t, wanted, wanted + error, Path("x.mcap"), {"cycles": cycles})
+
+
+def test_reduction_compares_the_rms_errors(tmp_path: Path) -> None:
+    outcome = Outcome("vcan0", course(0.5), course(0.1), tmp_path / "demo.png")
+    assert outcome.reduction == pytest.approx(80.0)
+    data = outcome.to_dict()
+    assert data["cycles"] == {"planned": 20, "sent": 18, "late": 2, "missed_pdo": 4}
+    assert set(data) == {"schema", "bus", "rms", "reduction_percent", "picture", "log", "cycles"}
+    outcome.draw(PERIOD)
+    assert outcome.picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_the_whole_system_reduces_the_error_by_four_fifths(tmp_path: Path, vcan: str) -> None:
+    command = [sys.executable, "-m", "tsa_ctrl", "demo", "--bus", vcan, "--out", str(tmp_path), "--json"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    assert run.returncode == 0, run.stderr
+    data = json.loads(run.stdout)
+    assert data["bus"] == vcan
+    assert data["reduction_percent"] >= 80.0
+    assert Path(data["picture"]).read_bytes().startswith(b"\x89PNG")
+    assert Path(data["log"]).stat().st_size > 100_000
