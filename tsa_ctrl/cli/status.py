@@ -1,0 +1,34 @@
+"""`tsa status`."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import click
+from rich.console import Console
+
+from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc.client import Client
+
+
+@click.command(
+    "status",
+    epilog="Example: tsa status --json",
+    help="Show what a running daemon does: a live page on a terminal, else once.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--once", is_flag=True, help="Print the page once, even on a terminal.")
+@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
+def command(as_json: bool, once: bool, path: str) -> None:
+    from tsa_ctrl.ipc.page import Page, watch  # rich's layouts are not needed for --json
+
+    with Client(path) as client:
+        if as_json:
+            click.echo(json.dumps(client.ask(protocol.Status())))
+        elif once or not (sys.stdout.isatty() and sys.stdin.isatty()):
+            page = Page()
+            page.take(client.ask(protocol.Status()))
+            Console().print(page.render())
+        else:
+            watch(client)

@@ -1,0 +1,32 @@
+"""`tsa stop`."""
+
+from __future__ import annotations
+
+import time
+
+import click
+
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc.client import Client
+
+POLL = 0.05  # s
+
+
+@click.command(
+    "stop",
+    epilog="Example: tsa stop",
+    help="Ramp a running daemon's torque to zero, disable its drives, and end it.",
+)
+@click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
+@click.option("--wait", default=15.0, show_default=True, help="Seconds to wait for its end; 0: do not wait.")
+def command(path: str, wait: float) -> None:
+    with Client(path) as client:
+        client.ask(protocol.Stop())
+    end = time.monotonic() + wait
+    while wait > 0.0 and protocol.is_socket(path):
+        if time.monotonic() > end:
+            raise BusError(
+                f"{path}: the daemon was told to stop and is still there after {wait:g} s; look at what it printed"
+            )
+        time.sleep(POLL)

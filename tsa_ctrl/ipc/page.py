@@ -1,0 +1,185 @@
+"""The live page of `tsa status`: values and their recent past, lateness, faults, and keys that nudge parameters."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import select
+import sys
+import termios
+import tty
+from collections import defaultdict, deque
+from collections.abc import Iterator
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.protocol import Set, Status
+
+PERIOD = 0.1  # s between two looks
+HISTORY = 60  # values in a sparkline
+STEP = 0.02  # of a parameter's range per key press
+STALE = 0.5  # s without news from the loop
+BARS = " ▁▂▃▄▅▆▇█"
+SHOWN = (
+    ("tau_j_des", "N*m"),
+    ("tau_j", "N*m"),
+    ("tau_m_cmd", "N*m"),
+    ("tau_m", "N*m"),
+    ("omega_j", "rad/s"),
+    ("q_j", "rad"),
+    ("sigma", "1"),
+    ("friction_term", "N*m"),
+    ("friction_angle", "1"),
+    ("pretension", "N"),
+)
+
+
+class Page:
+    """What was heard so far, and which parameter the keys move."""
+
+    def __init__(self) -> None:
+        self.message = ""
+        self._status: dict[str, Any] = {}
+        self._past: dict[tuple[str, str], deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
+        self._chosen = 0
+
+    def take(self, status: dict[str, Any]) -> None:
+        """A new answer of the daemon."""
+        self._status = status
+        for axis in status["axes"]:
+            for name, _ in SHOWN:
+                value = axis[name]
+                self._past[axis["name"], name].append(math.nan if value is None else value)
+
+    def parameters(self) -> list[tuple[str, str, dict[str, Any]]]:
+        """Axis, name and figures of every parameter that can be set."""
+        return [
+            (axis["name"], name, figures)
+            for axis in self._status["axes"]
+            for name, figures in axis["parameters"].items()
+            if figures["low"] is not None
+        ]
+
+    def key(self, key: str) -> Set | None:
+        """What a key asks for: j and k choose a parameter, + and - move it."""
+        known = self.parameters()
+        if key in "jk" and known:
+            self._chosen = (self._chosen + (1 if key == "j" else -1)) % len(known)
+        if key not in "+-" or not known:
+            return None
+        axis, name, figures = known[self._chosen]
+        step = STEP * (figures["high"] - figures["low"]) * (1.0 if key == "+" else -1.0)
+        return Set(f"{axis}.{name}", min(max(figures["value"] + step, figures["low"]), figures["high"]))
+
+    def render(self) -> RenderableType:
+        status = self._status
+        cycles = status["cycles"]
+        head = Text(f"{status['name']}: {status['phase']}", style="bold red" if status["faults"] else "bold green")
+        head.append(
+            f"   up {status['uptime']:.0f} s, {cycles['cycles']} cycles, {cycles['skipped']} skipped, "
+            f"{cycles['dropped']} frames dropped, {cycles['log_lost']} records lost",
+            style="not bold default",
+        )
+        if status["age"] > STALE:
+            head.append(f"   no news for {status['age']:.1f} s: the loop hangs or is gone", style="bold red")
+        parts: list[RenderableType] = [head]
+        parts += [self._axis(axis) for axis in status["axes"]]
+        parts.append(_times(status))
+        for event in [*status["events"], *status["faults"]][-8:]:
+            where = f"{event['axis']}: " if event["axis"] else ""
+            parts.append(Text(f"{event['t']:.3f} s  {where}{event['text']}", style="red" if event["fault"] else ""))
+        if self.message:
+            parts.append(Text(self.message, style="yellow"))
+        return Group(*parts)
+
+    def _axis(self, axis: dict[str, Any]) -> Table:
+        title = f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}"
+        table = Table("", "value", "unit", "past", "parameter", "set to", title=title, title_justify="left")
+        chosen = self.parameters()[self._chosen][:2] if self.parameters() else ("", "")
+        live = [(name, figures) for name, figures in axis["parameters"].items() if figures["low"] is not None]
+        for row in range(max(len(SHOWN), len(live))):
+            cells: list[str | Text] = ["", "", "", ""]
+            if row < len(SHOWN):
+                name, unit = SHOWN[row]
+                value = axis[name]
+                cells = [
+                    name,
+                    "-" if value is None else f"{value:.4f}",
+                    unit,
+                    sparkline(self._past[axis["name"], name]),
+                ]
+            if row < len(live):
+                name, figures = live[row]
+                style = "reverse" if (axis["name"], name) == chosen else ""
+                cells += [Text(name, style=style), f"{figures['value']:.4g} {figures['unit']}"]
+            table.add_row(*cells)
+        return table
+
+
+def _times(status: dict[str, Any]) -> Table:
+    """Histograms of lateness and work in one line each."""
+    table = Table("", "p50", "p99", "p99.9", *(_edge(edge) for edge, _ in status["lateness"]["bins"]))
+    for name in ("lateness", "work"):
+        found = status[name]
+        times = ("-" if found[p] is None else f"{found[p] * 1e6:.0f} us" for p in ("p50", "p99", "p999"))
+        table.add_row(name, *times, *(str(number) for _, number in found["bins"]))
+    return table
+
+
+def _edge(edge: float | None) -> str:
+    return "above" if edge is None else f"{edge * 1e6:g} us"
+
+
+def sparkline(values: deque[float]) -> str:
+    """Recent values as bars between their extremes."""
+    finite = [value for value in values if math.isfinite(value)]
+    if not finite:
+        return ""
+    low, high = min(finite), max(finite)
+    span = (high - low) or 1.0
+    return "".join(
+        BARS[1 + round((value - low) / span * (len(BARS) - 2))] if math.isfinite(value) else " " for value in values
+    )
+
+
+def watch(client: Client) -> None:
+    """Show the page until q or Ctrl-C; raises BusError when the daemon goes."""
+    page = Page()
+    page.take(client.ask(Status()))
+    page.message = "j, k: choose a parameter   +, -: move it   q: leave"
+    with contextlib.suppress(KeyboardInterrupt), _keys(), Live(page.render(), auto_refresh=False, screen=True) as live:
+        while True:
+            readable, _, _ = select.select([sys.stdin], [], [], PERIOD)
+            if readable:
+                key = os.read(sys.stdin.fileno(), 1).decode(errors="replace")
+                if key in ("q", "\x03", ""):
+                    return
+                request = page.key(key)
+                if request is not None:
+                    try:
+                        answer = client.ask(request)
+                        page.message = (
+                            f"{answer['name']}: {answer['before']:.4g} -> {answer['value']:.4g} {answer['unit']}"
+                        )
+                    except UsageError as error:
+                        page.message = str(error)
+            page.take(client.ask(Status()))
+            live.update(page.render(), refresh=True)
+
+
+@contextlib.contextmanager
+def _keys() -> Iterator[None]:
+    """Single keys without return or echo, while inside."""
+    before = termios.tcgetattr(sys.stdin)
+    tty.setcbreak(sys.stdin)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
