@@ -23,13 +23,14 @@ import shutil
 import sys
 from typing import NoReturn
 
+import guest
 import link
 import namespace
-from guest import GRACE_SECONDS, Guest, Limits
+from guest import GRACE_SECONDS, Limits
 from kernel import UnavailableError, kernel
 
 DEFAULT = "vcan0"
-FAILED, USAGE, SKIPPED, NOT_FOUND = 1, 2, 77, 127
+FAILED, USAGE, SKIPPED, NOT_FOUND, INTERRUPTED = 1, 2, 77, 127, 130
 
 
 def main(arguments: list[str]) -> int:
@@ -60,8 +61,8 @@ def run_here(command: list[str], interface: str, limits: Limits) -> NoReturn:
 
 def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
     try:
-        return Guest(kernel(), command, {**os.environ, "TSA_VCAN": interface}, limits).run()
-    except (UnavailableError, OSError) as reason:
+        return guest.run(kernel(), command, {**os.environ, "TSA_VCAN": interface}, limits)
+    except UnavailableError as reason:
         if os.environ.get("TSA_REQUIRE_VCAN") == "1":
             end(FAILED, f"no vcan to be had: {reason}")
         end(SKIPPED, f"skipped, no vcan to be had: {reason}")
@@ -113,4 +114,7 @@ def end(status: int, message: str) -> NoReturn:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    try:
+        sys.exit(main(sys.argv[1:]))
+    except KeyboardInterrupt:
+        end(INTERRUPTED, "interrupted")

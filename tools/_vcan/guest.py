@@ -17,12 +17,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 from types import FrameType
-from typing import IO
 
 from kernel import Kernel, UnavailableError, cache_folder
 
@@ -32,6 +32,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 TIMED_OUT = 124  # as timeout(1)
 PR_SET_PDEATHSIG = 1
 BLOCK = 1 << 16
+INPUT_BLOCK = 2048  # half of a terminal's buffer
 LIBC = ctypes.CDLL(None)
 
 
@@ -41,91 +42,80 @@ class Limits:
     seconds: float | None
 
 
-class Guest:
-    """One boot; `status` is the command's, or 128 + the signal that ended the guest before the command."""
+def run(kernel: Kernel, command: list[str], environment: dict[str, str], limits: Limits) -> int:
+    """The command's exit status, 124 after the time-out; raises UnavailableError if the guest did not come up."""
+    with (
+        tempfile.TemporaryDirectory(prefix="tsa-vcan-", dir="/tmp", ignore_cleanup_errors=True) as folder,
+        _processor_claim() as processor,
+    ):
+        guest = Guest(kernel, command, environment, limits.memory, Path(folder), processor)
+        try:
+            return guest.run(limits.seconds)
+        finally:
+            guest.kill()
 
-    def __init__(self, kernel: Kernel, command: list[str], environment: dict[str, str], limits: Limits) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="tsa-vcan-", dir="/tmp"))
+
+class Guest:
+    """A guest that is starting; handles signals and the alarm of this process from then on."""
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        command: list[str],
+        environment: dict[str, str],
+        memory: int,
+        folder: Path,
+        processor: int | None,
+    ) -> None:
+        self._folder = folder
+        self._processor = processor
         self._up = False
         self._ending: int | None = None  # exit status once a signal or the time-out asked for the end
-        self._previous = {number: signal.signal(number, self._on_signal) for number in SIGNALS}
-        self._previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._on_alarm)
-        # In the background a read of the terminal shall fail, not stop this process.
-        self._previous[signal.SIGTTIN] = signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-        self._write_request(kernel, command, environment)
-        self._processor, self._claim = _claim_processor()
-        self._start(kernel, limits.memory)
-        self._seconds = limits.seconds or 0
+        _write_request(kernel, command, environment, folder)
+        self._start(kernel, memory)
+        for number in SIGNALS:
+            signal.signal(number, self._on_signal)
+        signal.signal(signal.SIGALRM, self._on_alarm)
+        signal.signal(signal.SIGTTIN, signal.SIG_IGN)  # reading the terminal in the background shall fail, not stop us
 
-    def run(self) -> int:
-        """Pass streams and signals until the guest has ended; raises UnavailableError if it did not come up."""
-        try:
-            self._wait_until_ready()
-            signal.setitimer(signal.ITIMER_REAL, self._seconds)
-            Thread(target=_feed, args=(self._keyboard,), daemon=True).start()
-            for pump in self._pumps:
-                pump.join()
-            self._process.wait()
-            return self._status()
-        finally:
-            self._kill()
-            signal.setitimer(signal.ITIMER_REAL, 0)
-            for number, handler in self._previous.items():
-                signal.signal(number, handler)
-            shutil.rmtree(self._folder, ignore_errors=True)
-            self._claim.close()
+    def run(self, seconds: float | None) -> int:
+        """Pass streams and signals until the guest has ended."""
+        self._wait_until_ready()
+        signal.setitimer(signal.ITIMER_REAL, seconds or 0)
+        Thread(target=_feed, args=(self._keyboard, self._acknowledged), daemon=True).start()
+        self._process.wait()
+        self.kill()
+        for pump in self._pumps:
+            pump.join()
+        return self._status()
 
-    def _write_request(self, kernel: Kernel, command: list[str], environment: dict[str, str]) -> None:
-        size = shutil.get_terminal_size()
-        request = {
-            "command": command,
-            "directory": str(Path.cwd()),
-            "environment": {**environment, "TMPDIR": "/dev/shm/tmp", "XDG_RUNTIME_DIR": "/dev/shm/run"},
-            "interface": environment["TSA_VCAN"],
-            "modules": str(kernel.modules),
-            "terminals": [os.isatty(number) for number in range(3)],
-            "size": [size.lines, size.columns],
-        }
-        (self._folder / "request.json").write_text(json.dumps(request))
-        init = [sys.executable, "-BES", str(Path(__file__).with_name("init.py")), str(self._folder)]
-        (self._folder / "init").write_text(f"#!/bin/sh\nexec {shlex.join(init)}\n")
-        (self._folder / "init").chmod(0o755)
+    def kill(self) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
 
     def _start(self, kernel: Kernel, memory: int) -> None:
-        (output, out), (errors, err), (keys, self._keyboard), (orders, self._control) = (os.pipe() for _ in range(4))
+        (output, out), (errors, err), (self._acknowledged, ack) = (os.pipe() for _ in range(3))
+        (keys, self._keyboard), (orders, self._control) = (os.pipe() for _ in range(2))
+        passed = (out, err, keys, ack, orders)
+        arguments = [
+            f"mem={memory >> 20}M seccomp=on quiet root=/dev/root rootfstype=hostfs rootflags=/ rw",
+            f"init={self._folder}/init uml_dir={self._folder} umid=guest con=null con0=null,fd:1 ssl=null",
+            f"ssl0=null,fd:{out} ssl1=null,fd:{err} ssl2=fd:{keys},fd:{ack} ssl3=fd:{orders},null",
+        ]
+        memory_folder = _memory_folder(memory, self._folder)
         with (self._folder / "console").open("wb") as console:
             self._process = subprocess.Popen(
-                [
-                    *(str(kernel.program), f"mem={memory >> 20}M", "seccomp=on", "quiet"),
-                    *(
-                        "root=/dev/root",
-                        "rootfstype=hostfs",
-                        "rootflags=/",
-                        "rw",
-                        f"init={self._folder}/init",
-                    ),
-                    *(f"uml_dir={self._folder}", "umid=guest", "con=null", "con0=null,fd:1", "ssl=null"),
-                    *(
-                        f"ssl0=null,fd:{out}",
-                        f"ssl1=null,fd:{err}",
-                        f"ssl2=fd:{keys},null",
-                        f"ssl3=fd:{orders},null",
-                    ),
-                ],
+                [str(kernel.program), *" ".join(arguments).split()],
                 cwd=kernel.folder,
-                env={
-                    "LD_LIBRARY_PATH": "lib",
-                    "PATH": os.defpath,
-                    "TMPDIR": _memory_folder(memory, self._folder),
-                },
+                env={"LD_LIBRARY_PATH": "lib", "PATH": os.defpath, "TMPDIR": memory_folder},
                 stdin=subprocess.DEVNULL,
                 stdout=console,
                 stderr=console,
-                pass_fds=(out, err, keys, orders),
+                pass_fds=passed,
                 start_new_session=True,  # the terminal's Ctrl-C is for this process, which passes it on
                 preexec_fn=self._prepare,
             )
-        for fd in (out, err, keys, orders):
+        for fd in passed:
             os.close(fd)
         self._pumps = [Thread(target=self._pump, args=streams) for streams in ((output, 1), (errors, 2))]
         for thread in self._pumps:
@@ -155,7 +145,7 @@ class Guest:
                 _write_all(target, data)
         except OSError:  # whoever read our output has gone
             self._ending = 128 + signal.SIGPIPE
-            self._kill()
+            self.kill()
 
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         self._end(number, 128 + number)
@@ -167,16 +157,12 @@ class Guest:
         """Pass the signal on and give the command time to end; the second call ends the guest at once."""
         if self._ending is not None or not self._up:
             self._ending = self._ending or status
-            self._kill()
+            self.kill()
             return
         self._ending = status
         with suppress(OSError):
             os.write(self._control, b"%d\n" % number)
         signal.setitimer(signal.ITIMER_REAL, GRACE_SECONDS)
-
-    def _kill(self) -> None:
-        with suppress(ProcessLookupError):
-            os.killpg(self._process.pid, signal.SIGKILL)
 
     def _status(self) -> int:
         try:
@@ -192,16 +178,38 @@ class Guest:
         return " | ".join([line.strip() for line in lines if line.strip()][-3:]) or "it said nothing"
 
 
-def _feed(keyboard: int) -> None:
-    """Our standard input in blocks with their length before them; a length of zero is its end."""
+def _write_request(kernel: Kernel, command: list[str], environment: dict[str, str], folder: Path) -> None:
+    size = shutil.get_terminal_size()
+    request = {
+        "command": command,
+        "directory": str(Path.cwd()),
+        "environment": {**environment, "TMPDIR": "/dev/shm/tmp", "XDG_RUNTIME_DIR": "/dev/shm/run"},
+        "interface": environment["TSA_VCAN"],
+        "modules": str(kernel.modules),
+        "terminals": [os.isatty(number) for number in range(3)],
+        "size": [size.lines, size.columns],
+    }
+    (folder / "request.json").write_text(json.dumps(request))
+    init = [sys.executable, "-BES", str(Path(__file__).with_name("init.py")), str(folder)]
+    (folder / "init").write_text(f"#!/bin/sh\nexec {shlex.join(init)}\n")
+    (folder / "init").chmod(0o755)
+
+
+def _feed(keyboard: int, acknowledged: int) -> None:
+    """Our standard input in blocks with their length before them; a length of zero is its end.
+
+    A serial line of the guest may stall for good once its buffer has been full, so no block is sent before the last one
+    is acknowledged.
+    """
     with suppress(OSError):
         data = b"-"
         while data:
             try:
-                data = os.read(0, BLOCK)
+                data = os.read(0, INPUT_BLOCK)
             except OSError:
                 data = b""
-            _write_all(keyboard, len(data).to_bytes(4, "big") + data)
+            _write_all(keyboard, len(data).to_bytes(2, "big") + data)
+            os.read(acknowledged, 1)
 
 
 def _write_all(fd: int, data: bytes) -> None:
@@ -209,16 +217,17 @@ def _write_all(fd: int, data: bytes) -> None:
         data = data[os.write(fd, data) :]
 
 
-def _claim_processor() -> tuple[int | None, IO[bytes]]:
-    """A processor that no other guest has, and what holds the claim; None when all are taken."""
-    for processor in sorted(os.sched_getaffinity(0), reverse=True):
-        claim = (cache_folder() / f"processor-{processor}").open("wb")
-        try:
-            fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            return processor, claim
-        except BlockingIOError:
-            claim.close()
-    return None, claim
+@contextmanager
+def _processor_claim() -> Iterator[int | None]:
+    """A processor that no other guest has; None when all are taken."""
+    with ExitStack() as stack:
+        for processor in sorted(os.sched_getaffinity(0), reverse=True):
+            claim = stack.enter_context((cache_folder() / f"processor-{processor}").open("wb"))
+            with suppress(BlockingIOError):
+                fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                yield processor
+                return
+        yield None
 
 
 def _memory_folder(memory: int, otherwise: Path) -> str:

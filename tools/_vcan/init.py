@@ -2,7 +2,8 @@
 
 Called by the kernel as `init.py FOLDER`; FOLDER (on the host's file system) holds `request.json` and gets `ready` and
 `status`. The command's output and errors go out on the serial lines 0 and 1, its input comes in on line 2 in blocks
-(four bytes of length, then the bytes; length 0 is the end), signals for it on line 3, one number per line.
+(two bytes of length, then the bytes; length 0 is the end) each of which is acknowledged by a byte, signals for it on
+line 3, one number per line.
 """
 
 from __future__ import annotations
@@ -132,8 +133,9 @@ def pump(source: int, line: int) -> None:
 def feed(line: int, keyboard: int) -> None:
     terminal = os.isatty(keyboard)
     with os.fdopen(line, "rb") as source, suppress(OSError):  # the command may have closed its input
-        while length := int.from_bytes(source.read(4), "big"):
+        while length := int.from_bytes(source.read(2), "big"):
             write_all(keyboard, source.read(length))
+            os.write(line, b".")
         if terminal:
             write_all(keyboard, b"\x04")
         else:

@@ -60,13 +60,16 @@ def kernel() -> Kernel:
     if platform.machine() != "x86_64":
         raise UnavailableError(f"user-mode Linux runs on x86_64 only, this is {platform.machine()}")
     cache = cache_folder()
-    cache.mkdir(parents=True, exist_ok=True)
-    with _alone(cache / "lock"):
-        if found := cached():
-            return found
-        print("tools/vcan: fetching a user-mode Linux kernel (once)", file=sys.stderr, flush=True)
-        with tempfile.TemporaryDirectory(dir=cache) as work:
-            _build(Path(work)).rename(cache / "kernel")
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        with _alone(cache / "lock"):
+            if found := cached():
+                return found
+            print("tools/vcan: fetching a user-mode Linux kernel (once)", file=sys.stderr, flush=True)
+            with tempfile.TemporaryDirectory(dir=cache) as work:
+                _build(Path(work)).rename(cache / "kernel")
+    except OSError as error:
+        raise UnavailableError(f"no kernel in {cache}: {error} (TSA_CACHE names another folder)") from None
     return Kernel(cache / "kernel")
 
 
@@ -119,6 +122,7 @@ def _download(work: Path) -> None:
         "Dir::Cache": str(work / "cache"),
         "Debug::NoLocking": "1",
         "APT::Architecture": "amd64",
+        "APT::Update::Error-Mode": "any",
         "APT::Sandbox::User": "",
         "Acquire::Languages": "none",
     }
@@ -173,6 +177,7 @@ def _run(*command: str, environment: dict[str, str] | None = None, folder: Path 
     except subprocess.TimeoutExpired:
         raise UnavailableError(f"{what} took longer than {FETCH_SECONDS} s") from None
     if done.returncode:
-        lines = done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or ["no message"]
-        raise UnavailableError(f"{what} failed: {lines[-1]}")
+        lines = (done.stderr + done.stdout).strip().splitlines() or ["no message"]
+        reason = next((line for line in lines if line.startswith("E: ")), lines[-1])
+        raise UnavailableError(f"{what} failed: {reason.removeprefix('E: ')}")
     return done.stdout
