@@ -16,8 +16,8 @@ VCAN = str(ROOT / "tools" / "vcan")
 NO_VCAN = 77
 
 
-def run(*command: str, stdin: bytes = b"", **environment: str) -> subprocess.CompletedProcess[bytes]:
-    done = subprocess.run([VCAN, *command], input=stdin, capture_output=True, env={**os.environ, **environment})
+def run(command: list[str], environment: dict[str, str], stdin: bytes = b"") -> subprocess.CompletedProcess[bytes]:
+    done = subprocess.run([VCAN, *command], input=stdin, capture_output=True, env=os.environ | environment)
     if done.returncode == NO_VCAN:
         pytest.skip(done.stderr.decode().strip())
     return done
@@ -36,7 +36,7 @@ def run(*command: str, stdin: bytes = b"", **environment: str) -> subprocess.Com
 )
 def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], status: int, message: str) -> None:
     """A mistake in the call ends before anything is started, with a line that says what is allowed."""
-    done = run(*command, **environment)
+    done = run(command, environment)
     assert done.returncode == status
     assert done.stdout == b""
     assert done.stderr.decode().startswith(f"tools/vcan: {message}")
@@ -46,7 +46,7 @@ def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], 
 def test_streams_and_exit_status_pass_through() -> None:
     """Input, output and errors arrive byte for byte, more of them than any buffer on the way holds."""
     data = random.Random(1).randbytes(300_000)
-    done = run("sh", "-c", "cat; printf 'to\\nerrors\\r\\n' >&2; exit 7", stdin=data, TSA_VCAN="")
+    done = run(["sh", "-c", "cat; printf 'to\\nerrors\\r\\n' >&2; exit 7"], {"TSA_VCAN": ""}, stdin=data)
     assert done.returncode == 7
     assert done.stdout == data
     assert done.stderr.endswith(b"to\nerrors\r\n")
@@ -54,7 +54,7 @@ def test_streams_and_exit_status_pass_through() -> None:
 
 def test_environment_folder_and_arguments_pass_through() -> None:
     script = 'pwd; printf "%s|" "$@"; printf "%s" "$TSA_MARK"'
-    done = run("sh", "-c", script, "sh", "two words", "", "$x", TSA_MARK="a\nb'c", TSA_VCAN="")
+    done = run(["sh", "-c", script, "sh", "two words", "", "$x"], {"TSA_MARK": "a\nb'c", "TSA_VCAN": ""})
     assert done.stdout.decode() == f"{Path.cwd()}\ntwo words||$x|a\nb'c"
 
 
@@ -74,9 +74,9 @@ def test_a_signal_reaches_the_command() -> None:
 
 @pytest.mark.vcan
 def test_an_existing_vcan_is_used(vcan: str) -> None:
-    assert run("sh", "-c", "printf %s $TSA_VCAN; exit 5").stdout == vcan.encode()
+    assert run(["sh", "-c", "printf %s $TSA_VCAN; exit 5"], {}).stdout == vcan.encode()
 
 
 @pytest.mark.vcan
 def test_the_time_out_ends_the_command() -> None:
-    assert run("sleep", "1000", TSA_VCAN_TIMEOUT="0.2").returncode == 124
+    assert run(["sleep", "1000"], {"TSA_VCAN_TIMEOUT": "0.2"}).returncode == 124
