@@ -69,7 +69,6 @@ class Guest:
     ) -> None:
         self._folder = folder
         self._processor = processor
-        self._up = False
         self._ending: int | None = None  # exit status once a signal or the time-out asked for the end
         _write_request(kernel, command, environment, folder)
         self._start(kernel, memory)
@@ -129,7 +128,7 @@ class Guest:
 
     def _wait_until_ready(self) -> None:
         deadline = time.monotonic() + BOOT_SECONDS
-        while self._ending is None and not (self._folder / "ready").exists():
+        while self._ending is None and not self._is_up():
             if self._process.poll() is not None:
                 raise UnavailableError(f"the user-mode Linux guest ended while starting: {self._last_words()}")
             if time.monotonic() > deadline:
@@ -137,7 +136,9 @@ class Guest:
                     f"the user-mode Linux guest was not up in {BOOT_SECONDS:.0f} s: {self._last_words()}"
                 )
             time.sleep(0.02)
-        self._up = True
+
+    def _is_up(self) -> bool:
+        return (self._folder / "ready").exists()
 
     def _pump(self, source: int, target: int) -> None:
         try:
@@ -155,7 +156,7 @@ class Guest:
 
     def _end(self, number: int, status: int) -> None:
         """Pass the signal on and give the command time to end; the second call ends the guest at once."""
-        if self._ending is not None or not self._up:
+        if self._ending is not None or not self._is_up():
             self._ending = self._ending or status
             self.kill()
             return
