@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import datetime
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.table import Table
 
-from tsa_ctrl import __version__
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.calibrate import Calibration, calibrate
-from tsa_ctrl.identify.dataset import Dataset, load_log
-from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+
+if TYPE_CHECKING:
+    from tsa_ctrl.identify.calibrate import Calibration
 
 
-@click.command("calibrate", epilog="Example: tsa calibrate a.csv b.csv --model actuator.toml --out calibrated.toml")
+@click.command(
+    "calibrate",
+    epilog="Example: tsa calibrate a.csv b.csv --model actuator.toml --out calibrated.toml",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Nominal actuator model file.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the calibrated model file here.")
@@ -47,6 +49,11 @@ def command(
     as_json: bool,
 ) -> None:
     """Estimate friction angle and pretension from LOG files with honest intervals."""
+    from tsa_ctrl.identify.calibrate import calibrate
+    from tsa_ctrl.identify.dataset import load_log
+    from tsa_ctrl.identify.provenance import provenance
+    from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+
     nominal = load_tendon_sheath(model)
     datasets = [load_log(path) for path in logs]
     result = calibrate(
@@ -58,7 +65,8 @@ def command(
         split="fit" if split == "fit" else "keep",
     )
     if out is not None:
-        save_model(result.model, out, template=model, provenance=_provenance(result, datasets, model))
+        source = provenance("calibrate", datasets, model, result.quantities, split=result.split)
+        save_model(result.model, out, template=model, provenance=source)
     if as_json:
         click.echo(result.to_json())
     else:
@@ -68,29 +76,18 @@ def command(
 def _change(text: str) -> tuple[str, float]:
     name, separator, value = text.rpartition("=")
     try:
-        if not separator or not name:
+        change = float(value)
+        if not separator or not name or not math.isfinite(change):
             raise ValueError
-        return name, float(value)
+        return name, change
     except ValueError:
         raise UsageError(f"--tensioner: found '{text}'; write LOG=NEWTON, for example high.csv=+20") from None
 
 
-def _provenance(result: Calibration, logs: list[Dataset], nominal: Path) -> dict[str, object]:
-    return {
-        "command": "calibrate",
-        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "version": __version__,
-        "nominal": nominal.name,
-        "logs": {log.name: log.sha256 for log in logs},
-        "split": result.split,
-        "friction_angle": [result.friction_angle.low, result.friction_angle.high],
-        "pretension": [result.pretension.low, result.pretension.high],
-        "half_loop_torque": [result.half_loop_torque.low, result.half_loop_torque.high],
-        "slope": [result.slope.low, result.slope.high],
-    }
-
-
 def _show(result: Calibration, friction_angle: float, pretension: float, out: Path | None) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table("quantity", "nominal", "value", "95 % interval", "unit", title="identified by these logs")
     rows = (
         ("half loop torque", None, result.half_loop_torque),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify import admit as admissible
 from tsa_ctrl.identify.calibrate.admission import Admission, admit, require
 from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag
 from tsa_ctrl.identify.dataset import Dataset
@@ -54,11 +55,11 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
             raise UsageError(
                 f"calibrate: tensioner '{pattern}' matches no log; logs are {', '.join(d.name for d in logs)}"
             )
+    _check_different(logs)
     admissions, prepared = [], []
     labels = block_labels([d.columns["t"].size for d in logs])
     for dataset, label in zip(logs, labels, strict=True):
-        if "tau_j" not in dataset.columns:
-            raise UsageError(f"{dataset.name}: no column 'tau_j'; calibration needs the measured joint torque (N*m)")
+        admissible.admit(dataset, model, "tau_j")
         signals = dataset.signals()
         admission = admit(signals.t, signals.omega_j)
         admissions.append(admission)
@@ -72,6 +73,15 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
     where = logs[0].name if len(logs) == 1 else f"{len(logs)} logs"
     require(admissions, [p.signals.tau_m for p in prepared], where)
     return [p for p in prepared if p.mask.any()]
+
+
+def _check_different(logs: Sequence[Dataset]) -> None:
+    """The same data twice would make every interval too narrow."""
+    seen: dict[str, str] = {}
+    for log in logs:
+        if log.sha256 and log.sha256 in seen:
+            raise UsageError(f"calibrate: {seen[log.sha256]} and {log.name} hold the same data; give each log once")
+        seen[log.sha256] = log.name
 
 
 def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:

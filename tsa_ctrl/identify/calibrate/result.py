@@ -35,6 +35,12 @@ class Calibration:
     notes: tuple[str, ...]
     model: TendonSheath
 
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """What was estimated, by its public name."""
+        names = ("friction_angle", "pretension", "half_loop_torque", "slope")
+        return {name: getattr(self, name) for name in names}
+
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object of `tsa calibrate --json`."""
         return {

@@ -1,0 +1,163 @@
+"""`tsa calibrate`: what it prints and writes, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identify import tendon_logs
+from tsa_ctrl.cli import main
+from tsa_ctrl.log.table import sha256_of
+from tsa_ctrl.model.parameters import load_tendon_sheath
+
+COMMENT = "# measured with a calliper\n"
+
+
+def tsa(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as done:
+        main(["calibrate", *arguments])
+    assert isinstance(done.value.code, int)
+    return done.value.code
+
+
+def write_csv(path: Path, columns: dict[str, np.ndarray]) -> None:
+    np.savetxt(
+        path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="", fmt="%.9g"
+    )
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[str, dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """A nominal model file, a log, and one with the tensioner 20 N higher."""
+    rng = np.random.default_rng(5)
+    rig = tendon_logs.draw_rig(rng, "joint_end")
+    text = COMMENT + tendon_logs.model_text(rig, rng)
+    short = {"seconds": 20.0, "rate": 200.0}
+    return text, tendon_logs.record(rig, rng, **short), tendon_logs.record(rig, rng, tensioner=20.0, **short)
+
+
+@pytest.fixture
+def folder(recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:  # type: ignore[no-untyped-def]
+    monkeypatch.chdir(tmp_path)
+    text, low, high = recorded
+    (tmp_path / "a.toml").write_text(text)
+    write_csv(tmp_path / "low.csv", low)
+    write_csv(tmp_path / "high.csv", high)
+    return tmp_path
+
+
+def test_json_has_exactly_the_public_keys(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("low.csv", "--model", "a.toml", "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    public = {
+        "schema", "parameters", "combinations", "split", "condition_number", "admitted_seconds", "refused", "rms",
+        "experiment",
+    }  # fmt: skip
+    assert set(data) == public | {"notes"}
+    assert data["schema"] == 1
+    assert {name: value["unit"] for name, value in data["parameters"].items()} == {
+        "friction_angle": "1",
+        "pretension": "N",
+    }
+    assert {name: value["unit"] for name, value in data["combinations"].items()} == {
+        "slope": "1",
+        "half_loop_torque": "N*m",
+    }
+    for quantity in (*data["parameters"].values(), *data["combinations"].values()):
+        assert quantity["low"] <= quantity["value"] <= quantity["high"]
+    assert data["split"] is False
+    assert data["condition_number"] is None
+    assert data["rms"]["after"] < data["rms"]["before"]
+    assert data["rms"]["held_out"] is True
+    assert "tensioner" in data["experiment"]
+
+
+def test_the_file_that_is_written_loads_again_and_says_where_it_came_from(folder: Path) -> None:
+    assert tsa("low.csv", "high.csv", "--tensioner", "high.csv=+20", "--model", "a.toml", "--out", "new.toml") == 0
+    text = (folder / "new.toml").read_text()
+    new, old = load_tendon_sheath("new.toml"), load_tendon_sheath("a.toml")
+    assert COMMENT in text
+    assert new.friction_angle != old.friction_angle
+    assert new.bending_angle == old.bending_angle
+    source = tomllib.loads(text)["provenance"]
+    assert source["logs"] == {name: sha256_of(folder / name) for name in ("low.csv", "high.csv")}
+    assert source["nominal"] == "a.toml"
+    assert source["split"] is True
+    assert set(source) >= {"command", "date", "version"}
+    low, high = source["intervals"]["friction_angle"]
+    assert low <= new.friction_angle <= high
+    low, high = source["intervals"]["pretension"]
+    assert low <= new.pretension <= high
+
+
+def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("low.csv", "--model", "a.toml") == 0
+    out = capsys.readouterr().out
+    assert "half loop torque" in out
+    assert "NOT parted" in out
+    assert "to settle it" in out
+    assert "held-out" in out
+
+
+def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
+    assert tsa("low.csv", "--model", "a.toml", "--out", "a.toml") == 0
+    once = load_tendon_sheath("a.toml")
+    assert tsa("low.csv", "--model", "a.toml", "--out", "a.toml") == 0
+    assert load_tendon_sheath("a.toml").friction_angle == pytest.approx(once.friction_angle, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nowhere.csv", "--model", "a.toml"), "nowhere.csv: no such file"),
+        (("low.csv", "--model", "nowhere.toml"), "nowhere.toml: no such file"),
+        (("low.csv", "--model", "drive.toml"), "rigid_drive"),
+        (("low.csv", "--model", "slack.toml"), "must be above 0"),
+        (("low.csv",), "Missing option '--model'"),
+        (("--model", "a.toml"), "Missing argument"),
+        (("low.csv", "low.csv", "--model", "a.toml"), "hold the same data"),
+        (("low.csv", "--model", "a.toml", "--tensioner", "low.csv"), "write LOG=NEWTON"),
+        (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=nan"), "write LOG=NEWTON"),
+        (("low.csv", "--model", "a.toml", "--tensioner", "other.csv=3"), "matches no log"),
+        (("low.csv", "--model", "a.toml", "--hold-out", "low*"), "must match some but not all"),
+        (("low.csv", "--model", "a.toml", "--out", "no/such/folder.toml"), "cannot be written"),
+        (("no_tau_j.csv", "--model", "a.toml"), "column tau_j is missing"),
+        (("reversed.csv", "--model", "a.toml"), "is reversed"),
+        (("one_way.csv", "--model", "a.toml"), "backward motion"),
+        (("still.csv", "--model", "a.toml"), "hardly moves"),
+        (("short.csv", "--model", "a.toml"), "at least"),
+        (("gap.csv", "--model", "a.toml"), "row"),
+    ],
+)
+def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
+    folder: Path, recorded, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:  # type: ignore[no-untyped-def]
+    log = recorded[1]
+    (folder / "drive.toml").write_text('[actuator]\nkind = "rigid_drive"\n')
+    (folder / "slack.toml").write_text((folder / "a.toml").read_text().replace("\nvalue = ", "\nvalue = 0 #"))
+    write_csv(folder / "no_tau_j.csv", {name: log[name] for name in ("t", "tau_m", "omega_j")})
+    write_csv(folder / "reversed.csv", {**log, "tau_j": -log["tau_j"]})
+    write_csv(folder / "one_way.csv", {**log, "omega_j": np.abs(log["omega_j"]) + 0.1})
+    write_csv(folder / "still.csv", {**log, "omega_j": 0.0 * log["omega_j"]})
+    write_csv(folder / "short.csv", {name: column[:5] for name, column in log.items()})
+    write_csv(folder / "gap.csv", {**log, "tau_j": np.where(np.arange(log["t"].size) == 7, np.nan, log["tau_j"])})
+    assert tsa(*arguments, "--json") == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert said in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_a_refused_calibration_writes_no_file(folder: Path, recorded) -> None:  # type: ignore[no-untyped-def]
+    write_csv(folder / "still.csv", {**recorded[1], "omega_j": 0.0 * recorded[1]["omega_j"]})
+    assert tsa("still.csv", "--model", "a.toml", "--out", "new.toml") == 2
+    assert not (folder / "new.toml").exists()
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("--help") == 0
+    assert "Example: tsa calibrate" in capsys.readouterr().out
