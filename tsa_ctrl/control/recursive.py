@@ -18,8 +18,9 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 BLOCK = 0.01  # s, length of the means that enter the filter
 SLIDING = 0.999  # 1, |sigma| above which the sheath surely slides
+NOISE = 0.05  # 1, of a block mean, of the nominal half loop: what the model does not explain, not the sensor's own
 BOTH_WAYS = 0.3  # s of admitted motion, within memory, that each direction needs
-CERTAIN = 0.1  # 1, relative standard deviation of the half loop below which it counts as estimated
+CERTAIN = 0.1  # 1, standard deviation of the half loop, of nominal, below which it counts as estimated
 PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
 
 
@@ -36,7 +37,7 @@ class Recursive:
         self._prior = (half, slope, 0.0)
         torque = 2.0 * model.pretension * model.motor_pulley_radius
         self._variance = ((settings.bounds * half) ** 2, (0.1 * slope) ** 2, (0.1 * half) ** 2)
-        self._noise = (0.1 * half) ** 2
+        self._noise = (NOISE * half) ** 2
         self._walk = BLOCK / settings.memory
         self._nominal = (model.friction_angle, model.pretension)
         self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
@@ -130,7 +131,8 @@ class Recursive:
         self.residual += self._walk * 4.0 * (after * after - self.residual)
 
     def _judge(self) -> None:
-        certain = self._p[0] < (CERTAIN * self.half_loop) ** 2 and min(self._seen) > BOTH_WAYS
+        """A state holds until certain data say otherwise."""
+        certain = self._p[0] < (CERTAIN * self._split.nominal) ** 2 and min(self._seen) > BOTH_WAYS
         angle, pretension, inside = self._split.solve(self.half_loop)
         if self.residual > self._worst or (certain and not inside):
             self.state = EstimateState.INVALID
@@ -138,5 +140,3 @@ class Recursive:
         elif certain:
             self.state = EstimateState.ESTIMATED
             self._target = angle, pretension
-        elif self.state is EstimateState.INVALID:
-            self.state = EstimateState.UNESTIMATED

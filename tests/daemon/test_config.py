@@ -1,0 +1,162 @@
+"""The controller's configuration: the example is good, everything wrong is one line before anything moves."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tsa_ctrl.cli import cli
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.errors import UsageError
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+SECOND_AXIS = """
+[[axis]]
+name = "{name}"
+model = "actuator.toml"
+[axis.drive]
+node_id = {drive}
+max_torque = 3.0
+[axis.encoder]
+node_id = {encoder}
+[axis.limits]
+torque = 2.0
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of the example configuration."""
+    for name in ("controller.toml", "actuator.toml"):
+        shutil.copy(CONFIG / name, tmp_path)
+    return tmp_path
+
+
+def edit(folder: Path, pattern: str, text: str) -> Path:
+    path = folder / "controller.toml"
+    before = path.read_text(encoding="utf-8")
+    after = re.sub(pattern, text.replace("\\", "\\\\"), before, count=1, flags=re.MULTILINE)
+    assert after != before, f"the example has no {pattern}"
+    path.write_text(after, encoding="utf-8")
+    return path
+
+
+def test_example_is_good(folder: Path) -> None:
+    """The example loads, and its load is that of one axis at 1 kHz on 1 Mbit/s."""
+    configuration = load_configuration(folder / "controller.toml")
+    assert [axis.name for axis in configuration.file.axes] == ["knee"]
+    assert configuration.period == pytest.approx(1e-3)
+    assert 0.4 < configuration.load.least < configuration.load.worst < 0.7
+
+
+def test_every_commented_default_is_the_default(folder: Path) -> None:
+    """Uncommenting all defaults of the example changes nothing."""
+    path = folder / "controller.toml"
+    before = load_configuration(path).file
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        default = re.match(r"# (\w+ = .+|\[bus\.supervision\])", line)
+        keep = default is None or re.match(
+            r"# (cpu|options|group|eds|vendor_id|product_code|distance|travel|offset = 2|gains|components|file) ?=?",
+            line,
+        )
+        lines.append(line if keep or default is None else default.group(1))
+    path.write_text("\n".join(lines), encoding="utf-8")
+    assert load_configuration(path).file == before
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "words"),
+    [
+        (r"^rate = 1000.0", "rat = 1000.0", "unknown key 'rat'; did you mean 'rate'"),
+        (r"^rate = 1000.0", "rate = 100000.0", "rate"),
+        (r"^rate = 1000.0", 'rate = "1 kHz"', "controller.rate"),
+        (r"^rate = 1000.0", "rate = 2000.0", r"bitrate 1000000: 2000 Hz.*needs .* %"),
+        (r"^bitrate = 1_000_000", "bitrate = 250_000", r"250000.*needs"),
+        (r"^node_id = 32", "node_id = 1", r"node_id 1 is given to axis 'knee' drive and to axis 'knee' encoder"),
+        (r"^node_id = 64", "node_id = 127", r"node_id 127 is given to \[bus\] host_node_id"),
+        (r"^node_id = 1 ", "node_id = 128 ", "node_id"),
+        (r"^torque = 2.0", "torque = 3.5", "limits.torque 3.5 N.m is above the drive's own clamp of 3"),
+        (r"^torque = 2.0", "torque = -2.0", "limits.torque"),
+        (r"^torque = 2.0", "torque = nan", "limits.torque"),
+        (r"^torque = 2.0", "", "key 'torque' is missing"),
+        (r'^model = "actuator.toml"', 'model = "none.toml"', "none.toml: no such file"),
+        (r'^kind = "sine"', 'kind = "sinus"', "setpoint.kind"),
+        (r'^kind = "sine"', 'kind = "file"', 'kind "file" with file ""'),
+        (r'^kind = "sine"', 'kind = "file"\nfile = "none.csv"', "none.csv"),
+        (r"^# hysteresis = 0.01 ", "hysteresis = 0.04 ", "hysteresis 0.04 rad/s does not fit zone 0.05"),
+        (r"^# over_speed = 20.0 ", "over_speed = 9.0 ", "over_speed 9 rad/s is not above joint_speed"),
+        (
+            r"^# motor_over_speed = 40.0 ",
+            "motor_over_speed = 90.0 ",
+            "motor_over_speed 90 rad/s is above drive.max_speed",
+        ),
+        (r"^# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.001 ", "rpdo_timeout 0.001 s is less than two periods"),
+        (r'^# kind = "fixed" ', 'kind = "map" ', 'kind "map" needs the source'),
+        (r"^\[axis.bending\]", '[axis.bending]\nsource = "joints"', "gains .* belong to"),
+        (r"^\[realtime\]", "[realtime]\npriority = 100", "realtime.priority"),
+        (r"^rated_torque = 1.0", "rated_torque = 0.0", "drive.rated_torque"),
+        (r'^name = "knee"', 'name = "the knee"', "name"),
+        (r'^# profile = "generic"', 'profile = "epos9"', "no such drive profile 'epos9'"),
+        (r"^\[\[axis\]\]", "[axis]", "axis"),
+    ],
+)
+def test_wrong_is_one_line_and_exit_code_2(folder: Path, pattern: str, text: str, words: str) -> None:
+    """Each mistake is refused by `tsa run --check` and names file, key, what was found and what is allowed."""
+    path = edit(folder, pattern, text)
+    with pytest.raises(UsageError, match=words) as caught:
+        load_configuration(path)
+    assert "\n" not in str(caught.value)
+    result = CliRunner().invoke(cli, ["run", "--check", str(path)])
+    assert isinstance(result.exception, UsageError)
+    assert result.exception.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "drive", "encoder", "words"),
+    [
+        ("knee", 2, 33, "2 axes are named 'knee'"),
+        ("hip", 1, 33, "node_id 1 is given to axis 'knee' drive and to axis 'hip' drive"),
+        ("hip", 2, 32, "node_id 32 is given to axis 'knee' encoder and to axis 'hip' encoder"),
+    ],
+)
+def test_axes_do_not_share(folder: Path, name: str, drive: int, encoder: int, words: str) -> None:
+    """Names and node ids belong to one axis."""
+    path = folder / "controller.toml"
+    with path.open("a", encoding="utf-8") as file:
+        file.write(SECOND_AXIS.format(name=name, drive=drive, encoder=encoder))
+    with pytest.raises(UsageError, match=words):
+        load_configuration(path)
+
+
+def test_four_axes_fit_a_bus_at_a_lower_rate(folder: Path) -> None:
+    """Four axes at 1 kHz are refused with the highest rate that fits; at that rate they load."""
+    path = folder / "controller.toml"
+    with path.open("a", encoding="utf-8") as file:
+        for n, name in enumerate(("hip", "ankle", "toe"), start=2):
+            file.write(SECOND_AXIS.format(name=name, drive=n, encoder=31 + n))
+    with pytest.raises(UsageError) as caught:
+        load_configuration(path)
+    highest = re.search(r"at most (\d+) Hz", str(caught.value))
+    assert highest is not None
+    edit(folder, r"^rate = 1000.0", f"rate = {highest.group(1)}")
+    assert len(load_configuration(path).models) == 4
+
+
+def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
+    """The recursive estimator of kind "sensor" is refused on an axis without a torque sensor."""
+    edit(folder, r'^# kind = "fixed" ', 'kind = "sensor" ')
+    path = edit(folder, r"^\[axis.torque_sensor\][^\n]*\nnode_id = 64", "")
+    with pytest.raises(UsageError, match=r"without \[axis.torque_sensor\]"):
+        load_configuration(path)
+
+
+def test_check_moves_nothing_and_says_the_load(folder: Path) -> None:
+    """`tsa run --check` of a good file: exit 0, one line with axes, rate and load."""
+    result = CliRunner().invoke(cli, ["run", "--check", str(folder / "controller.toml")])
+    assert result.exit_code == 0
+    assert "knee at 1000 Hz, bus load" in result.output
