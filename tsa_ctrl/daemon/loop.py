@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 
 from tsa_ctrl.bus.rig import Rig
@@ -13,7 +12,7 @@ from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import run_cycle
 from tsa_ctrl.control.live import Tuner
-from tsa_ctrl.control.realtime import Ticker, sleep_until
+from tsa_ctrl.control.realtime import Clock, SystemClock, Ticker
 from tsa_ctrl.control.timing import count
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
@@ -39,6 +38,7 @@ class Loop:
         events: Events,
         settings: ControllerSection,
         supervision: SupervisionSettings,
+        clock: Clock | None = None,
     ) -> None:
         self.phase = LoopPhase.SETTLING
         self.cause: str | None = None
@@ -46,6 +46,7 @@ class Loop:
         self.cycles = 0
         self.late = 0  # cycles begun later than half a period
         self.recover = False  # the bus has to be brought up again before `run` goes on
+        self._clock = clock or SystemClock()
         self._rig = rig
         self._axes = axes
         self._tuners = tuners
@@ -86,12 +87,13 @@ class Loop:
 
     def note(self, text: str) -> None:
         """Keep an event that happened outside of the cycles."""
-        self.events.add((time.monotonic_ns() - self._start) * 1e-9, "", text)
+        self.events.add((self._clock.now() - self._start) * 1e-9, "", text)
 
     def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
         """Run until stopped, or for `seconds` of torque or fault; again after a new bring-up, from RESETTING."""
         ticker, telemetry = self._ticker, self._telemetry
-        ticker.deadline = time.monotonic_ns() + ticker.period
+        clock, sleep_until = self._clock.now, self._clock.sleep_until
+        ticker.deadline = clock() + ticker.period
         if self._start == 0:
             self._start = ticker.deadline
         else:  # on the same grid, so that the log has one; the time of a bring-up is a hole
@@ -104,10 +106,10 @@ class Loop:
         while self.phase is not LoopPhase.ENDED and not self.recover:
             planned = ticker.deadline
             sleep_until(planned)
-            woke = time.monotonic_ns()
+            woke = clock()
             now = woke * 1e-9
             run_cycle(self._rig, self._axes, now, now + self._collect)
-            done = time.monotonic_ns()
+            done = clock()
             count(lateness, woke - planned)
             if woke - planned > half:
                 self.late += 1
@@ -120,7 +122,7 @@ class Loop:
             self._judge(planned, seconds)
             if self.cycles % self._publish_every == 0:
                 self.publish(planned)
-            ticker.advance(time.monotonic_ns())
+            ticker.advance(clock())
         self.publish(ticker.deadline)
 
     def publish(self, planned: int) -> None:

@@ -1,0 +1,83 @@
+"""A real socket server process for tests, with a mailbox whose loop the test plays."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from tsa_ctrl.control.estimator import EstimateState
+from tsa_ctrl.control.limiter import Reason
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, Mailbox
+from tsa_ctrl.ipc.protocol import Description, Range
+from tsa_ctrl.ipc.server import READY
+
+PATIENCE = 20.0  # s
+
+
+def description(path: Path, axes: list[str]) -> Description:
+    return Description(
+        path=str(path),
+        group=None,
+        name="rig",
+        period=1e-3,
+        axes=axes,
+        parameters=[
+            [Range("compensation", "1", 0.0, 1.2, "share"), Range("pretension", "N", None, None, "T_p0")] for _ in axes
+        ],
+        states=["not_ready", "operation_enabled"],
+        estimate_states=[state.name.lower() for state in EstimateState],
+        reasons=[reason.name.lower() for reason in Reason],
+        phases=[phase.name.lower() for phase in LoopPhase],
+        set_point_limit=[2.0, *(None for _ in axes[1:])],
+        figures={"bus": "vcan0"},
+    )
+
+
+class Serving:
+    """The server's process and the loop's end of the mailbox."""
+
+    _said = ""
+
+    def __init__(self, path: Path, axes: list[str]) -> None:
+        self.path = str(path)
+        self.mailbox = Mailbox.create(len(axes), 2)
+        general = dict.fromkeys(GENERAL, 0.0) | {"time": time.monotonic(), "phase": 2.0, "cycles": 7.0}
+        values = dict.fromkeys(AXIS, 0.25) | {"state": 1.0, "estimate_state": 0.0, "limit_reason": 0.0, "missed": 3.0}
+        values["tau_j"] = float("nan")
+        self.mailbox.publish(tuple(general.values()), [(*values.values(), 0.95, 45.0) for _ in axes])
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            pass_fds=[self.mailbox.descriptor],
+        )
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write(msgspec.json.encode(description(path, axes)) + b"\n")
+        self.process.stdin.flush()
+        self.greeting = self.process.stdout.readline()
+        self.ready = self.greeting == READY
+
+    def end(self) -> str:
+        """Close its stdin, as the daemon's death would; what it said on stderr."""
+        if self.process.returncode is None:
+            self._said = self.process.communicate(timeout=PATIENCE)[1].decode()
+            self.mailbox.close()
+        return self._said
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    """Poll with a deadline."""
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.005)
+    return True

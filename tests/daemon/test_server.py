@@ -1,0 +1,231 @@
+"""The local socket: strict, bounded, of its owner alone; no client can hold up another or the loop."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import stat
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.daemon.serving import Serving, until
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, SLOTS, Command
+from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop
+from tsa_ctrl.ipc.server import CLIENTS
+
+
+@pytest.fixture
+def serving(tmp_path: Path) -> Iterator[Serving]:
+    running = Serving(tmp_path / "tsa.sock", ["knee", "hip"])
+    assert running.ready, running.greeting
+    yield running
+    running.end()
+
+
+@contextlib.contextmanager
+def loop_taking(serving: Serving) -> Iterator[list[Command]]:
+    """A thread that takes commands as the loop would."""
+    taken: list[Command] = []
+    done = threading.Event()
+
+    def take() -> None:
+        while not done.wait(0.001):
+            command = serving.mailbox.take()
+            if command is not None:
+                taken.append(command)
+
+    thread = threading.Thread(target=take)
+    thread.start()
+    try:
+        yield taken
+    finally:
+        done.set()
+        thread.join()
+
+
+def raw(serving: Serving, data: bytes) -> list[dict[str, Any]]:
+    """Send bytes, close the sending side, and return the objects that came back."""
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(10.0)
+        connection.connect(serving.path)
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            connection.sendall(data)
+        answer = b""
+        with contextlib.suppress(OSError):
+            while not answer.endswith(b"\n"):
+                part = connection.recv(65536)
+                if not part:
+                    break
+                answer += part
+    return [json.loads(line) for line in answer.splitlines()]
+
+
+def test_status_has_the_agreed_keys_and_no_nan(serving: Serving) -> None:
+    """The status is the JSON of `tsa status --json`: schema, axes with state and torques, faults; null for unknown."""
+    with Client(serving.path) as client:
+        status = client.ask(Status())
+    assert status["schema"] == 1
+    assert [axis["name"] for axis in status["axes"]] == ["knee", "hip"]
+    assert {"state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(status["axes"][0])
+    assert status["axes"][0]["state"] == "operation_enabled"
+    assert status["axes"][0]["tau_j"] is None
+    assert status["axes"][0]["parameters"]["compensation"] == {"value": 0.95, "low": 0.0, "high": 1.2, "unit": "1"}
+    assert status["faults"] == []
+    assert status["phase"] == "running"
+
+
+def test_set_reaches_the_loop(serving: Serving) -> None:
+    """A value within its bounds becomes one command for the right axis."""
+    with loop_taking(serving) as taken, Client(serving.path) as client:
+        answer = client.ask(Set("hip.compensation", 0.5))
+    assert taken == [Command(1, 0, 0.5)]
+    assert (answer["before"], answer["value"]) == (0.95, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (Set("compensation", 0.5), "say of which axis: knee.compensation, hip.compensation"),
+        (Set("toe.compensation", 0.5), "no axis 'toe'; known are knee, hip"),
+        (Set("knee.gain", 0.5), "no parameter 'gain'; known are compensation, pretension"),
+        (Set("knee.compensation", 1.3), "compensation 1.3 1 is out of bounds; allowed is 0 to 1.2"),
+        (Set("knee.compensation", -0.1), "out of bounds"),
+        (Set("knee.pretension", 40.0), "cannot be set"),
+        (SetPointValue("knee", 2.1), "set-point 2.1 N.m is out of bounds; allowed is -2 to 2"),
+        (SetPointValue("hip", 0.1), "does not come over the socket"),
+    ],
+)
+def test_what_is_out_of_bounds_never_reaches_the_loop(serving: Serving, request_: Any, words: str) -> None:
+    """Refused with what is allowed; the mailbox stays empty."""
+    with Client(serving.path) as client, pytest.raises(UsageError, match=words):
+        client.ask(request_)
+    assert serving.mailbox.take() is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"\n",
+        b"hello\n",
+        b"[]\n",
+        b"null\n",
+        b'{"verb":"status"\n',
+        b'{"verb":"reboot"}\n',
+        b'{"verb":"status","extra":1}\n',
+        b'{"verb":"set","name":"knee.compensation"}\n',
+        b'{"verb":"set","name":"knee.compensation","value":"1"}\n',
+        b'{"verb":"set","name":"knee.compensation","value":NaN}\n',
+        b'{"verb":"set","name":"knee.compensation","value":1e999}\n',
+        b'{"verb":"set","name":7,"value":1}\n',
+        b"\xff\xfe\x00\n",
+        b'{"verb":"set","name":"\xff","value":1}\n',
+        b"x" * 5000 + b"\n",
+        b"{" * 4000 + b"\n",
+    ],
+)
+def test_nonsense_is_refused_and_survived(serving: Serving, line: bytes) -> None:
+    """What is not a request gets an error, moves nothing, and leaves the server serving."""
+    answers = raw(serving, line)
+    assert answers
+    assert not answers[0]["ok"]
+    assert serving.mailbox.take() is None
+    with Client(serving.path) as client:
+        assert client.ask(Status())["schema"] == 1
+
+
+def test_set_point_recover_and_stop(serving: Serving) -> None:
+    """The other verbs become their commands; stop is a flag of its own."""
+    with loop_taking(serving) as taken, Client(serving.path) as client:
+        client.ask(SetPointValue("knee", -0.5))
+        client.ask(Recover())
+    assert taken == [Command(0, SET_POINT, -0.5), Command(0, RECOVER, 0.0)]
+    with Client(serving.path) as client:
+        client.ask(Stop())
+    assert serving.mailbox.stop_requested
+
+
+def test_loop_that_hangs_is_told(serving: Serving) -> None:
+    """A command that nobody takes is answered with an error, not with silence."""
+    with Client(serving.path) as client, pytest.raises(UsageError, match="did not take the command"):
+        client.ask(Set("knee.compensation", 0.5))
+
+
+def test_flood_is_bounded_and_others_are_served(serving: Serving) -> None:
+    """One client floods without reading: at most the queue's bound waits for the loop, and another gets its status."""
+    line = b'{"verb":"set","name":"knee.compensation","value":0.5}\n'
+    with socket.socket(socket.AF_UNIX) as flood:
+        flood.connect(serving.path)
+        flood.setblocking(False)
+        sent = 0
+        with contextlib.suppress(BlockingIOError, BrokenPipeError, ConnectionResetError):
+            while sent < 4_000_000:
+                sent += flood.send(line * 1000)
+        with Client(serving.path) as client:
+            assert client.ask(Status())["schema"] == 1
+        assert sum(serving.mailbox.take() is not None for _ in range(10 * SLOTS)) <= 2 * SLOTS
+
+
+def test_hanging_clients_are_bounded(serving: Serving) -> None:
+    """Clients that connect and say half a line: only so many, the next is told so, and room comes back."""
+    hanging = [socket.socket(socket.AF_UNIX) for _ in range(CLIENTS)]
+    for connection in hanging:
+        connection.connect(serving.path)
+        connection.send(b'{"verb":')
+    assert until(lambda: "clients are connected already" in str(raw(serving, b'{"verb":"status"}\n')))
+    for connection in hanging:
+        connection.close()
+    assert until(lambda: bool((found := raw(serving, b'{"verb":"status"}\n')) and found[0]["ok"]))
+
+
+def test_socket_belongs_to_its_owner(serving: Serving) -> None:
+    """Mode 0600: nobody else on the machine can move the leg."""
+    assert stat.S_IMODE(Path(serving.path).stat().st_mode) == 0o600
+
+
+def test_second_daemon_is_refused(serving: Serving) -> None:
+    """A socket that answers is not taken over."""
+    second = Serving(Path(serving.path), ["knee"])
+    assert not second.ready
+    assert b"another daemon answers there" in second.greeting
+    second.end()
+
+
+def test_left_over_socket_is_replaced(tmp_path: Path) -> None:
+    """The socket of a daemon that was killed does not keep the next from starting."""
+    path = tmp_path / "tsa.sock"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    running = Serving(path, ["knee"])
+    assert running.ready
+    running.end()
+
+
+def test_ends_with_the_daemon_and_removes_its_socket(serving: Serving) -> None:
+    """When the daemon's end of the pipe closes, however it died, the server goes and takes its socket along."""
+    serving.end()
+    assert serving.process.returncode == 0
+    assert not Path(serving.path).exists()
+
+
+def test_events_are_told_once(serving: Serving) -> None:
+    """Events that the loop publishes come out on stderr, each once."""
+    first = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'
+    second = '{"number":1,"t":2.0,"axis":"","text":"log: written again","fault":false}'
+    serving.mailbox.publish_text(f"[{first}]".encode())
+    serving.mailbox.publish_text(f"[{first},{second}]".encode())
+    said = serving.end()
+    assert said.count("knee: heartbeat lost") == 1
+    assert said.count("log: written again") == 1
+
+
+def test_no_daemon_is_one_line(tmp_path: Path) -> None:
+    """Without a daemon the client says so and what to do."""
+    with pytest.raises(BusError, match="no daemon answers there"):
+        Client(str(tmp_path / "none.sock"))
