@@ -52,6 +52,8 @@ class Inbox:
             self.health.malformed += 1
         elif self.armed:
             self.health.late += 1
+            if not self.awaited:
+                self.health.misses = 0  # alive again: the next cycles wait for it
         else:
             self.health.repeated += 1
         return 0
@@ -138,6 +140,7 @@ class Axis:
         self._joint_count = 0
         self._motor_count = 0
         self._sampled = -math.inf
+        self._gaps = False  # whether a node missed the last cycle
         self._torque = self.scale.torque
         self._velocity = self.scale.velocity
         self._per_newton_metre = 1.0 / self.scale.torque
@@ -205,6 +208,10 @@ class Axis:
         fresh = joint_fresh = True
         if not complete:
             fresh, joint_fresh = self._count_misses()
+        elif self._gaps:
+            self._gaps = False
+            for health in image.nodes:
+                health.misses = 0
         if self._joint is not None and joint_fresh:
             self._joint.update(self._joint_count, sampled)
             image.q_j = self._joint.angle
@@ -230,7 +237,7 @@ class Axis:
 
     def _count_misses(self) -> tuple[bool, bool]:
         """Charge each node with the answers that did not come; returns fresh, joint_fresh."""
-        joint_fresh = True
+        joint_fresh = self._gaps = True
         for health in self.image.nodes:
             if any(inbox.armed for inbox in self.inboxes if inbox.health is health):
                 health.misses += 1

@@ -6,10 +6,9 @@ Nothing here applies torque or enables a drive.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Sequence
 
-from tsa_ctrl.bus import budget, objects
+from tsa_ctrl.bus import budget
 from tsa_ctrl.bus.checks import (
     Node,
     check_drive,
@@ -20,15 +19,17 @@ from tsa_ctrl.bus.checks import (
     read_errors,
     switch_off,
 )
+from tsa_ctrl.bus.eds import check_plan, load_eds
 from tsa_ctrl.bus.image import Role
 from tsa_ctrl.bus.plan import Write, check_node_ids, drive_plan, encoder_plan, torque_sensor_plan
 from tsa_ctrl.bus.profile import DriveProfile
-from tsa_ctrl.bus.report import NodeReport, Report, Row
+from tsa_ctrl.bus.report import NodeReport, Report
 from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.scale import PER_MILLE, drive_scale
+from tsa_ctrl.bus.scale import drive_scale
 from tsa_ctrl.bus.seam import Bus
-from tsa_ctrl.bus.session import ABSENT, SdoRefusedError, Session
+from tsa_ctrl.bus.session import Session
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings
+from tsa_ctrl.bus.writing import write_all
 from tsa_ctrl.errors import BusError
 
 BOOT_TIMEOUT = 3.0  # s, from reset communication to the boot-up message
@@ -66,12 +67,11 @@ def prove(rig: Rig, period: float, cycles: int = 50) -> None:
 
     A node must answer at least 80 % of `cycles` SYNCs, the last of them included, and each of them once.
     """
-    start = time.monotonic()
-    for cycle in range(cycles):
-        wake = start + cycle * period
-        time.sleep(max(0.0, wake - time.monotonic()))
-        rig.sync()
-        rig.heartbeat(rig.collect(time.monotonic() + 0.8 * period))
+    begin = rig.wait(0.0)
+    for _ in range(cycles):
+        begin = rig.wait(begin + period)
+        rig.sync(begin)
+        rig.heartbeat(rig.collect(begin + 0.8 * period))
     for axis in rig.axes:
         for health in axis.image.nodes:
             answered = cycles - health.missed
@@ -119,6 +119,8 @@ def _boot(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
 
 def _configure(session: Session, node: Node, plan: Sequence[Write]) -> NodeReport:
     report = NodeReport(node.name)
+    if node.role is Role.DRIVE and node.profile.eds is not None:
+        report.notes += check_plan(load_eds(node.profile.eds), node.profile.eds, plan)
     check_identity(session, node, report)
     read_errors(session, node, report)
     if node.role is Role.DRIVE:
@@ -131,31 +133,3 @@ def _configure(session: Session, node: Node, plan: Sequence[Write]) -> NodeRepor
         confirm_mode(session, node)
         check_watchdog(node, plan, report)
     return report
-
-
-def write_all(session: Session, node_id: int, name: str, plan: Sequence[Write]) -> list[Row]:
-    """Write a plan in order, each object read before and after; one row per object. Raises BusError."""
-    rows: dict[tuple[int, int], Row] = {}
-    for write in plan:
-        entry = write.entry
-        try:
-            before = session.read(node_id, entry)
-            wanted = write.value | before & write.kept
-            if write.rated is not None:
-                wanted = write.value * session.read(node_id, write.rated) // PER_MILLE
-            if before != wanted or write.entry is objects.MODE:
-                session.write(node_id, entry, wanted)
-            after = session.read(node_id, entry)
-        except SdoRefusedError as error:
-            if error.code in ABSENT and write.optional:
-                rows[entry.key] = Row(entry, None, None)
-                continue
-            raise BusError(f"{name}: {error}; the drive's profile does not fit, or the drive is locked") from None
-        if after != wanted:
-            raise BusError(
-                f"{name}: {entry}: wrote {wanted:#x}, read back {after:#x}; "
-                "the node does not take this value: check its limits and its profile"
-            )
-        first = rows.get(entry.key)
-        rows[entry.key] = Row(entry, before if first is None else first.before, after)
-    return list(rows.values())

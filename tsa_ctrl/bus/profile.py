@@ -115,6 +115,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     name: str = "generic CiA 402 drive"
     sources: list[str] = []  # documents that the figures come from
+    eds: str | None = None  # EDS file beside the profile; default: none, the built-in dictionary is enough
     identity: Identity = Identity()
     units: Units = Units()
     reactions: Reactions = Reactions()
@@ -147,4 +148,10 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
             raise UsageError(f"{path}: absent: unknown object '{absent}'; {advice}")
     if not profile.has(objects.MAX_TORQUE) and profile.torque_clamp is None:
         raise UsageError(f"{path}: no object limits the drive's torque; give [torque_clamp] for a drive without 0x6072")
-    return profile
+    if profile.eds is None:
+        return profile
+    from tsa_ctrl.bus.eds import load_eds  # canopen is slow to import
+
+    eds = path.parent / profile.eds
+    load_eds(eds)
+    return msgspec.structs.replace(profile, eds=str(eds))

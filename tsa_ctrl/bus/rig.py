@@ -86,8 +86,8 @@ class Rig:
     def wait(self, until: float) -> float:
         """Sleep until `until` (monotonic s) and take what arrives meanwhile: emergencies, heartbeats, late answers.
 
-        In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC.
-        Returns the time now.
+        In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC: an
+        old answer would have to arrive within the microseconds between the two to be believed, once. Returns the time.
         """
         recv, clock = self.bus.recv, self._clock
         spare = _MAX_WAITING

@@ -49,9 +49,13 @@ class SdoRefusedError(BusError):
 
 
 class Session:
-    """Use as a context manager. Raises BusError when another master is heard, or the bus fails."""
+    """Use as a context manager. Raises BusError when another master is heard, or the bus fails.
 
-    def __init__(self, bus: Bus, settings: BusSettings) -> None:
+    `heartbeat`: send ours while the session lasts; not for a session after which no loop goes on with it, as a drive
+    that has heard it once would report its loss.
+    """
+
+    def __init__(self, bus: Bus, settings: BusSettings, heartbeat: bool = True) -> None:
         self._bus = bus
         self._settings = settings
         self._network = canopen.Network(SeamBus(bus))
@@ -61,7 +65,7 @@ class Session:
         self._heard: set[int] = set()
         self._masters: set[int] = set()
         self._stop = threading.Event()
-        self._heartbeat = threading.Thread(target=self._send_heartbeats, name="heartbeat", daemon=True)
+        self._heartbeat = threading.Thread(target=self._send_heartbeats, name="heartbeat") if heartbeat else None
 
     def __enter__(self) -> Session:
         self._bus.accept(None)
@@ -84,16 +88,18 @@ class Session:
         except BaseException:
             self._network.disconnect()
             raise
-        self._heartbeat.start()
+        if self._heartbeat is not None:
+            self._heartbeat.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._network.disconnect()
-        self._stop.set()
-        self._heartbeat.join()
-        self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
+        if self._heartbeat is not None:
+            self._stop.set()
+            self._heartbeat.join()
+            self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
 
     @property
     def heard(self) -> set[int]:

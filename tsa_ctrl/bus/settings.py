@@ -56,7 +56,6 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     """A CiA 402 drive in cyclic synchronous torque mode. Torque, speed and angle are those of the motor pulley."""
 
     profile: str = "generic"  # name of a file in drives/ beside the configuration, or a path
-    eds: str | None = None  # EDS file; default: the built-in dictionary
     rated_torque: Positive = 1.0  # N*m of the motor, what 0x6076 must say
     counts_per_revolution: Counts = 65536  # of the motor, 0x6064
     gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley

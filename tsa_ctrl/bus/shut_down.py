@@ -5,8 +5,6 @@ The ramp of a torque to zero belongs to the loop; this is what follows it, whate
 
 from __future__ import annotations
 
-import time
-
 from tsa_ctrl.bus import cia402
 from tsa_ctrl.bus.cia301 import NmtCommand
 from tsa_ctrl.bus.cia402 import Controlword, PowerState
@@ -22,15 +20,13 @@ def shut_down(rig: Rig, period: float, timeout: float = 1.0) -> list[str]:
     Cycles at `period` s until every drive says in a fresh PDO that it is off, at most `timeout` s. May be called in any
     state, twice, and on a bus that has failed: it never raises for that.
     """
-    start = time.monotonic()
+    start = begin = rig.wait(0.0)
     off: set[str] = set()
-    cycle = 0
     after = 0
     while after < _LAST_COMMANDS:
-        time.sleep(max(0.0, start + cycle * period - time.monotonic()))
-        cycle += 1
-        rig.sync()
-        now = rig.collect(time.monotonic() + 0.8 * period)
+        begin = rig.wait(begin + period)  # after a stall no burst of SYNCs
+        rig.sync(begin)
+        now = rig.collect(begin + 0.8 * period)
         for axis in rig.axes:
             state = cia402.decode(axis.image.statusword)
             if axis.image.fresh and state in _OFF:

@@ -1,0 +1,64 @@
+"""The end of every run."""
+
+from __future__ import annotations
+
+from tests.bus.fake import FakeBus
+from tests.bus.nodes import Responder, one_axis_rig
+from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.seam import BusFault, Frame
+from tsa_ctrl.bus.shut_down import shut_down
+
+
+class ObedientDrive(Responder):
+    """Follows the controlword; `stuck` keeps it enabled."""
+
+    def __init__(self, stuck: bool = False) -> None:
+        super().__init__()
+        self.stuck = stuck
+
+    def __call__(self, frame: Frame) -> list[Frame]:
+        if frame[0] == 0x201 and not self.stuck:
+            word = frame[1][0]
+            self.statusword = {0x06: 0x0231, 0x00: 0x0250}[word]
+        return list(super().__call__(frame))
+
+
+def stop(drive: Responder, timeout: float = 0.05) -> tuple[list[str], Rig, FakeBus]:
+    rig, bus, _ = one_axis_rig(drive)
+    return shut_down(rig, 0.001, timeout), rig, bus
+
+
+def test_drive_is_shut_down_disabled_and_left_pre_operational() -> None:
+    unconfirmed, _, bus = stop(ObedientDrive())
+    commands = [data for can_id, data in bus.sent if can_id == 0x201]
+    assert unconfirmed == []
+    assert commands[0] == b"\x06\x00\x00\x00"
+    assert commands[-3:] == [bytes(4)] * 3
+    assert bus.sent[-3:] == [(0x000, b"\x80\x01"), (0x000, b"\x80\x20"), (0x000, b"\x80\x40")]
+
+
+def test_no_torque_is_ever_sent() -> None:
+    _, _, bus = stop(ObedientDrive())
+    assert {data[2:] for can_id, data in bus.sent if can_id == 0x201} == {b"\x00\x00"}
+
+
+def test_drive_that_does_not_confirm_is_named() -> None:
+    unconfirmed, _, bus = stop(ObedientDrive(stuck=True))
+    assert unconfirmed == [
+        "axis 'knee': the drive did not confirm that it is off (its last state was operation_enabled); cut its power"
+    ]
+    assert bus.sent[-3][1] == b"\x80\x01"
+
+
+def test_failed_bus_ends_it_at_once_with_the_reason() -> None:
+    rig, bus, _ = one_axis_rig()
+    bus.fault = BusFault.INTERFACE_DOWN
+    bus.full = True
+    assert shut_down(rig, 0.001, 10.0) == [
+        "axis 'knee': the drive did not confirm that it is off (the interface is down); cut its power"
+    ]
+
+
+def test_twice_is_as_good_as_once() -> None:
+    rig, _, _ = one_axis_rig(ObedientDrive())
+    assert shut_down(rig, 0.001) == shut_down(rig, 0.001) == []

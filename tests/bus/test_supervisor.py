@@ -1,0 +1,469 @@
+"""Supervision: each duty alone, and all of them in random order."""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Callable, Iterator
+
+import pytest
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from tsa_ctrl.bus.cia301 import NmtState
+from tsa_ctrl.bus.cia402 import Controlword, PowerState, decode
+from tsa_ctrl.bus.emcy import Emcy
+from tsa_ctrl.bus.image import Image, NodeHealth, Role
+from tsa_ctrl.bus.seam import BusFault
+from tsa_ctrl.bus.settings import SupervisionSettings
+from tsa_ctrl.bus.supervisor import Cause, Phase, Request, Supervisor
+
+WORDS = {
+    PowerState.SWITCH_ON_DISABLED: 0x0250,
+    PowerState.READY_TO_SWITCH_ON: 0x0231,
+    PowerState.SWITCHED_ON: 0x0233,
+    PowerState.OPERATION_ENABLED: 0x1237,
+    PowerState.FAULT: 0x0218,
+}
+
+
+class Bench:
+    """A supervisor, an image, and a drive that obeys each controlword in the next cycle."""
+
+    def __init__(self, settings: SupervisionSettings | None = None, reports_following: bool = True) -> None:
+        self.supervisor = Supervisor(settings or SupervisionSettings(), reports_following)
+        self.image = Image(
+            (NodeHealth(Role.DRIVE, 1, 0.2), NodeHealth(Role.ENCODER, 32, 0.2), NodeHealth(Role.TORQUE_SENSOR, 64, 0.2))
+        )
+        self.image.fresh = True
+        self.image.mode = 10
+        self.state = PowerState.SWITCH_ON_DISABLED
+        self.obeys = True
+        self.now = 0.0
+        self.controlword = Controlword.DISABLE_VOLTAGE
+        self.permitted = False
+
+    def step(self, request: Request, cycles: int = 1) -> None:
+        for _ in range(cycles):
+            self.now += 1e-3
+            self.image.now = self.now
+            self.image.statusword = WORDS[self.state]
+            before = self.controlword
+            self.controlword, self.permitted, _ = self.supervisor.update(self.image, self.now, request)
+            if self.obeys:
+                self.obey(before)
+
+    def obey(self, before: Controlword) -> None:
+        word = self.controlword
+        if self.state is PowerState.FAULT:
+            if word & 0x80 and not before & 0x80:
+                self.state = PowerState.SWITCH_ON_DISABLED
+        elif word == Controlword.DISABLE_VOLTAGE:
+            self.state = PowerState.SWITCH_ON_DISABLED
+        elif word == Controlword.SHUTDOWN:
+            self.state = PowerState.READY_TO_SWITCH_ON
+        elif word == Controlword.SWITCH_ON and self.state is PowerState.READY_TO_SWITCH_ON:
+            self.state = PowerState.SWITCHED_ON
+        elif word == Controlword.ENABLE_OPERATION and self.state is PowerState.SWITCHED_ON:
+            self.state = PowerState.OPERATION_ENABLED
+
+    def emergency(self, node: int = 0, code: int = 0x2310) -> None:
+        health = self.image.nodes[node]
+        health.emcy = Emcy(code, 1, bytes(5))
+        health.emcys += 1
+        self.image.events += 1
+
+    @property
+    def cause(self) -> Cause | None:
+        fault = self.supervisor.fault
+        return None if fault is None else fault.cause
+
+
+def enabled(**arguments: object) -> Bench:
+    bench = Bench(**arguments)  # type: ignore[arg-type]
+    bench.step(Request.DISABLE, 5)
+    bench.step(Request.ENABLE, 10)
+    assert bench.permitted
+    return bench
+
+
+def test_request_walks_to_enabled_through_every_state() -> None:
+    bench = Bench()
+    bench.step(Request.DISABLE, 3)
+    words = []
+    for _ in range(6):
+        bench.step(Request.ENABLE)
+        words.append(int(bench.controlword))
+    assert words == [0x06, 0x07, 0x0F, 0x0F, 0x0F, 0x0F]
+    assert bench.supervisor.phase is Phase.ENABLED
+
+
+def test_torque_is_permitted_only_after_the_drive_has_confirmed() -> None:
+    bench = Bench()
+    bench.step(Request.DISABLE, 3)
+    seen = []
+    for _ in range(8):
+        bench.step(Request.ENABLE)
+        seen.append((bench.image.statusword == 0x1237, bench.permitted))
+    assert (False, True) not in seen
+    assert seen[-1] == (True, True)
+
+
+def test_enable_that_stands_from_the_beginning_enables_nothing() -> None:
+    bench = Bench()
+    bench.step(Request.ENABLE, 100)
+    assert (bench.supervisor.phase, bench.permitted) == (Phase.STANDBY, False)
+
+
+def test_drive_in_another_mode_is_not_enabled_and_named() -> None:
+    bench = Bench()
+    bench.image.mode = 1
+    bench.step(Request.DISABLE, 3)
+    bench.step(Request.ENABLE, 2100)
+    assert (bench.cause, bench.state) == (Cause.ENABLE_TIMEOUT, PowerState.SWITCH_ON_DISABLED)
+
+
+def test_drive_that_never_enables_is_a_fault_with_its_state() -> None:
+    bench = Bench()
+    bench.obeys = False
+    bench.step(Request.DISABLE, 3)
+    bench.step(Request.ENABLE, 2100)
+    assert str(bench.supervisor.fault) == "drive does not enable: drive is in switch_on_disabled after 2 s"
+
+
+def test_bit_12_must_be_seen_before_torque() -> None:
+    bench = Bench()
+    bench.step(Request.DISABLE, 3)
+    WORDS[PowerState.OPERATION_ENABLED] = 0x0237
+    try:
+        bench.step(Request.ENABLE, 50)
+        assert (bench.supervisor.phase, bench.permitted) == (Phase.ENABLING, False)
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+    bench.step(Request.ENABLE, 2)
+    assert bench.permitted
+
+
+def test_drive_that_does_not_report_bit_12_is_believed_without() -> None:
+    bench = Bench(reports_following=False)
+    WORDS[PowerState.OPERATION_ENABLED] = 0x0237
+    try:
+        bench.step(Request.DISABLE, 3)
+        bench.step(Request.ENABLE, 10)
+        assert bench.permitted
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+
+
+def test_disable_takes_torque_away_at_once_and_confirms() -> None:
+    bench = enabled()
+    bench.step(Request.DISABLE)
+    assert (bench.permitted, bench.controlword) == (False, Controlword.SHUTDOWN)
+    bench.step(Request.DISABLE, 3)
+    assert (bench.supervisor.phase, bench.state) == (Phase.STANDBY, PowerState.READY_TO_SWITCH_ON)
+
+
+def test_drive_that_does_not_disable_is_a_fault() -> None:
+    bench = enabled()
+    bench.obeys = False
+    bench.step(Request.DISABLE, 1100)
+    assert (bench.cause, bench.controlword) == (Cause.DISABLE_TIMEOUT, Controlword.DISABLE_VOLTAGE)
+
+
+def drive_fault(bench: Bench) -> None:
+    bench.state = PowerState.FAULT
+    bench.image.error_code = 0x2310
+
+
+def set_attribute(**values: object) -> Callable[[Bench], None]:
+    def change(bench: Bench) -> None:
+        for name, value in values.items():
+            setattr(bench.image, name, value)
+
+    return change
+
+
+def boot_up(bench: Bench) -> None:
+    bench.image.nodes[0].boot_ups += 1
+    bench.image.nodes[0].nmt_state = NmtState.BOOT_UP
+    bench.image.events += 2
+
+
+def leave_operational(bench: Bench) -> None:
+    bench.image.nodes[1].nmt_state = NmtState.PRE_OPERATIONAL
+    bench.image.events += 1
+
+
+def silence(bench: Bench) -> None:
+    bench.image.silent = bench.image.nodes[1]
+
+
+def ignore(bench: Bench) -> None:
+    WORDS[PowerState.OPERATION_ENABLED] = 0x0237
+
+
+FAULTS: list[tuple[str, Callable[[Bench], None], Cause, str]] = [
+    ("drive fault", drive_fault, Cause.DRIVE_FAULT, r"error 0x2310 \(continuous over-current at the output\)"),
+    ("emergency", Bench.emergency, Cause.EMERGENCY, r"drive node 1: EMCY 0x2310"),
+    ("boot-up", boot_up, Cause.BOOT_UP, r"drive node 1: it lost its configuration"),
+    ("pre-operational", leave_operational, Cause.NMT_STATE, r"joint encoder node 32: NMT state 0x7F"),
+    ("heartbeat", silence, Cause.HEARTBEAT_LOST, r"joint encoder node 32: none for \d+ ms"),
+    ("bus-off", set_attribute(bus_fault=BusFault.BUS_OFF), Cause.BUS_FAULT, "the controller is bus-off"),
+    ("interface", set_attribute(bus_fault=BusFault.INTERFACE_DOWN), Cause.BUS_FAULT, "the interface is down"),
+    ("intruder", set_attribute(intruder=0x201), Cause.SECOND_MASTER, "0x201"),
+    ("stale", set_attribute(misses=3, fresh=False), Cause.STALE_PDO, "3 cycles in a row"),
+    ("dropped", set_attribute(drops=3), Cause.COMMAND_DROPPED, "3 in a row"),
+    ("mode", set_attribute(mode=8), Cause.WRONG_MODE, "mode 8"),
+    ("ignored", ignore, Cause.COMMAND_IGNORED, "bit 12 of statusword 0x0237 is low"),
+    ("state", lambda b: setattr(b, "state", PowerState.SWITCHED_ON), Cause.STATE_LOST, "drive is in switched_on"),
+]
+
+
+@pytest.fixture(params=FAULTS, ids=[name for name, *_ in FAULTS])
+def failed(request: pytest.FixtureRequest) -> Iterator[tuple[Bench, Cause, str]]:
+    """A bench in which something has just failed while enabled; one cycle later."""
+    _, break_it, cause, text = request.param
+    bench = enabled()
+    break_it(bench)
+    bench.step(Request.ENABLE)
+    yield bench, cause, text
+    WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+
+
+def test_fault_takes_torque_away_in_the_same_cycle_and_names_its_cause(failed: tuple[Bench, Cause, str]) -> None:
+    bench, cause, text = failed
+    assert (bench.permitted, bench.controlword, bench.cause) == (False, Controlword.DISABLE_VOLTAGE, cause)
+    assert bench.supervisor.fault is not None
+    assert re.search(text, bench.supervisor.fault.detail)
+
+
+def test_fault_stays_when_its_reason_goes_and_enable_stands(failed: tuple[Bench, Cause, str]) -> None:
+    bench, cause, _ = failed
+    WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+    image = bench.image
+    image.bus_fault = image.intruder = image.silent = None
+    image.misses = image.drops = 0
+    image.fresh, image.mode = True, 10
+    bench.state = PowerState.OPERATION_ENABLED
+    for _ in range(500):
+        bench.step(Request.ENABLE)
+        assert (bench.permitted, bench.controlword) == (False, Controlword.DISABLE_VOLTAGE)
+    assert (bench.supervisor.phase, bench.cause) == (Phase.FAULT, cause)
+
+
+def test_reset_alone_suffices_only_when_no_configuration_can_be_lost(failed: tuple[Bench, Cause, str]) -> None:
+    bench, cause, _ = failed
+    WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+    image = bench.image
+    image.bus_fault = image.intruder = image.silent = None
+    image.misses = image.drops = 0
+    image.fresh, image.mode = True, 10
+    bench.step(Request.DISABLE)
+    bench.step(Request.RESET, 100)
+    needed = {Cause.BOOT_UP, Cause.NMT_STATE, Cause.HEARTBEAT_LOST, Cause.BUS_FAULT, Cause.SECOND_MASTER}
+    assert (bench.supervisor.phase is Phase.FAULT) is (cause in needed)
+    assert bench.supervisor.needs_bring_up is (cause in needed)
+
+
+def test_after_a_reset_torque_needs_a_new_request() -> None:
+    bench = enabled()
+    bench.emergency()
+    bench.step(Request.ENABLE, 10)
+    bench.step(Request.RESET, 50)
+    assert bench.supervisor.phase is Phase.STANDBY
+    bench.step(Request.ENABLE, 10)
+    assert bench.permitted
+
+
+def test_reset_request_that_stands_resets_only_what_was_there_before() -> None:
+    bench = enabled()
+    bench.emergency()
+    bench.step(Request.RESET, 50)
+    assert bench.supervisor.phase is Phase.STANDBY
+    bench.emergency()
+    bench.step(Request.RESET, 200)
+    assert bench.supervisor.phase is Phase.FAULT
+
+
+def test_reset_gives_the_drive_a_rising_edge() -> None:
+    bench = enabled()
+    drive_fault(bench)
+    bench.step(Request.ENABLE, 5)
+    words = []
+    for _ in range(60):
+        bench.step(Request.RESET)
+        words.append(int(bench.controlword))
+    assert words[:20] == [0x00] * 20
+    assert words.count(0x80) == 1
+    assert (bench.state, bench.supervisor.fault) == (PowerState.READY_TO_SWITCH_ON, None)  # where standby keeps it
+
+
+def test_drive_that_stays_in_its_fault_keeps_the_first_cause() -> None:
+    bench = enabled()
+    drive_fault(bench)
+    bench.step(Request.ENABLE, 5)
+    bench.obeys = False
+    bench.step(Request.RESET, 2500)
+    assert bench.supervisor.phase is Phase.FAULT
+    assert [fault.cause for fault in bench.supervisor.faults] == [Cause.DRIVE_FAULT, Cause.RESET_TIMEOUT]
+
+
+def test_first_cause_is_kept_and_what_follows_is_listed_once() -> None:
+    bench = enabled()
+    bench.image.misses, bench.image.fresh = 3, False
+    bench.step(Request.ENABLE, 50)
+    silence(bench)
+    bench.step(Request.ENABLE, 50)
+    boot_up(bench)
+    bench.step(Request.ENABLE, 50)
+    causes = [fault.cause for fault in bench.supervisor.faults]
+    assert causes == [Cause.STALE_PDO, Cause.HEARTBEAT_LOST, Cause.BOOT_UP]
+    assert bench.supervisor.needs_bring_up
+
+
+def test_bring_up_makes_a_reset_possible() -> None:
+    bench = enabled()
+    boot_up(bench)
+    bench.step(Request.ENABLE, 5)
+    bench.step(Request.RESET, 5)
+    for health in bench.image.nodes:
+        health.boot_ups, health.nmt_state = 0, NmtState.OPERATIONAL
+    bench.image.events = 0
+    bench.supervisor.configured(bench.image)
+    bench.step(Request.DISABLE)
+    bench.step(Request.RESET, 5)
+    assert bench.supervisor.phase is Phase.STANDBY
+
+
+def test_trip_from_outside_latches_like_any_fault() -> None:
+    bench = enabled()
+    bench.supervisor.trip("over-speed: 31 rad/s, allowed 30", bench.now)
+    bench.step(Request.ENABLE)
+    assert (bench.permitted, str(bench.supervisor.fault)) == (
+        False,
+        "tripped by the controller: over-speed: 31 rad/s, allowed 30",
+    )
+
+
+@pytest.mark.parametrize("misses", [1, 2])
+def test_tolerated_misses_do_not_stop(misses: int) -> None:
+    bench = enabled()
+    bench.image.misses, bench.image.fresh = misses, False
+    bench.step(Request.ENABLE)
+    assert bench.permitted
+
+
+def test_no_miss_is_tolerated_when_told_so() -> None:
+    bench = enabled(settings=SupervisionSettings(tolerated_misses=0))
+    bench.image.misses, bench.image.fresh = 1, False
+    bench.step(Request.ENABLE)
+    assert (bench.permitted, bench.cause) == (False, Cause.STALE_PDO)
+
+
+def test_torque_with_none_of_the_65536_statuswords_but_those_that_say_enabled_and_following() -> None:
+    bench = enabled()
+    template, image = bench.supervisor, bench.image
+    wrong = []
+    for statusword in range(65536):
+        supervisor = copy.copy(template)
+        supervisor.faults = []
+        image.statusword = statusword
+        _, permitted, _ = supervisor.update(image, bench.now, Request.ENABLE)
+        if permitted is not (statusword & 0x6F == 0x27 and bool(statusword & 0x1000)):
+            wrong.append(statusword)
+    assert wrong == []
+
+
+class AnyOrder(RuleBasedStateMachine):
+    """Random statuswords, events, requests and resets: torque only ever when everything is good and was asked for."""
+
+    @initialize()
+    def begin(self) -> None:
+        self.bench = Bench()
+        self.asked = False  # ENABLE was requested anew since the last stop
+        self.last = Request.DISABLE
+
+    def cycle(self, request: Request) -> None:
+        bench = self.bench
+        if request is not Request.ENABLE:
+            self.asked = False
+        elif self.last is not Request.ENABLE and bench.supervisor.phase is Phase.STANDBY:
+            self.asked = True
+        bench.step(request)
+        self.last = request
+        if bench.supervisor.faults:
+            self.asked = False
+
+    @rule(request=st.sampled_from(Request), cycles=st.integers(1, 40))
+    def run(self, request: Request, cycles: int) -> None:
+        for _ in range(cycles):
+            self.cycle(request)
+            self.torque_only_when_all_is_good()
+
+    @rule(statusword=st.integers(0, 65535))
+    def lie(self, statusword: int) -> None:
+        bench = self.bench
+        bench.now += 1e-3
+        bench.image.statusword = statusword
+        bench.controlword, bench.permitted, _ = bench.supervisor.update(bench.image, bench.now, self.last)
+        if bench.supervisor.faults:
+            self.asked = False
+
+    @rule(state=st.sampled_from(list(WORDS)))
+    def jump(self, state: PowerState) -> None:
+        self.bench.state = state
+
+    @rule(mode=st.sampled_from([10, 10, 8, 0]))
+    def change_mode(self, mode: int) -> None:
+        self.bench.image.mode = mode
+
+    @rule(misses=st.sampled_from([0, 0, 1, 2, 3, 50]))
+    def miss(self, misses: int) -> None:
+        self.bench.image.misses = misses
+        self.bench.image.fresh = misses == 0
+
+    @rule(node=st.integers(0, 2))
+    def emergency(self, node: int) -> None:
+        self.bench.emergency(node)
+
+    @rule()
+    def boot(self) -> None:
+        boot_up(self.bench)
+
+    @precondition(lambda self: self.bench.supervisor.needs_bring_up)
+    @rule()
+    def bring_up(self) -> None:
+        image = self.bench.image
+        for health in image.nodes:
+            health.boot_ups, health.nmt_state, health.emcys = 0, NmtState.OPERATIONAL, 0
+        image.events = 0
+        self.bench.supervisor.configured(image)
+
+    @rule(obeys=st.booleans())
+    def obey(self, obeys: bool) -> None:
+        self.bench.obeys = obeys
+
+    @invariant()
+    def torque_only_when_all_is_good(self) -> None:
+        bench = getattr(self, "bench", None)
+        if bench is None or not bench.permitted:
+            return
+        image, supervisor = bench.image, bench.supervisor
+        assert self.asked
+        assert supervisor.phase is Phase.ENABLED
+        assert supervisor.faults == []
+        assert decode(image.statusword) is PowerState.OPERATION_ENABLED
+        assert image.statusword & 0x1000
+        assert bench.controlword is Controlword.ENABLE_OPERATION
+
+    @invariant()
+    def a_fault_keeps_the_power_stage_off_but_for_its_reset(self) -> None:
+        bench = getattr(self, "bench", None)
+        if bench is not None and bench.supervisor.phase is Phase.FAULT:
+            assert bench.controlword is Controlword.DISABLE_VOLTAGE
+            assert bench.supervisor.fault is not None
+
+
+TestAnyOrder = AnyOrder.TestCase
+TestAnyOrder.settings = hypothesis_settings(max_examples=60, stateful_step_count=40, deadline=None)

@@ -1,0 +1,197 @@
+"""`tsa drive`: dump, restore or compare the objects of a drive that this master writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from tsa_ctrl.errors import UsageError
+
+if TYPE_CHECKING:
+    from tsa_ctrl.bus.plan import Write
+    from tsa_ctrl.bus.profile import DriveProfile
+    from tsa_ctrl.bus.session import Session
+    from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+
+_CONTEXT = {"help_option_names": ["-h", "--help"]}
+_PERIOD = 0.001  # s, when no configuration says otherwise
+
+
+class Target:
+    """The drive that the command line names, and how to reach it."""
+
+    def __init__(self, bus: BusSettings, axis: AxisNodes, profile: DriveProfile, period: float) -> None:
+        self.bus = bus
+        self.axis = axis
+        self.profile = profile
+        self.period = period
+
+    @property
+    def node_id(self) -> int:
+        return self.axis.drive.node_id
+
+    def plan(self) -> list[Write]:
+        """What the configuration writes to it."""
+        from tsa_ctrl.bus.plan import drive_plan
+        from tsa_ctrl.bus.scale import drive_scale
+
+        scale = drive_scale(self.axis.drive, self.profile, f"axis '{self.axis.name}'")
+        return drive_plan(self.axis, self.profile, scale, self.bus, self.period)
+
+    @contextmanager
+    def session(self) -> Iterator[Session]:
+        from tsa_ctrl.bus.connect import open_bus
+        from tsa_ctrl.bus.session import Session
+
+        bus = open_bus(self.bus)
+        try:
+            with Session(bus, self.bus, heartbeat=False) as session:
+                yield session
+        finally:
+            bus.close()
+
+
+def target_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Options that name a drive: by a controller file and an axis, or by interface, channel and node id."""
+    options = (
+        click.option("--config", type=click.Path(), help="Controller file: takes bus, drive and profile from it."),
+        click.option("--axis", "axis_name", help="Axis of the controller file; default: its only one."),
+        click.option("--node", type=click.IntRange(1, 127), help="Node id, without a controller file."),
+        click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
+        click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
+        click.option("--bitrate", default=1_000_000, show_default=True, help="bit/s, where the interface wants it."),
+        click.option("--profile", default="generic", show_default=True, help="Drive profile, in ./config or a path."),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def find_target(
+    config: str | None,
+    axis_name: str | None,
+    node: int | None,
+    interface: str,
+    channel: str,
+    bitrate: int,
+    profile: str,
+) -> Target:
+    """The drive that the options name; raises UsageError when they name none or two."""
+    from tsa_ctrl import settings
+    from tsa_ctrl.bus.profile import load_profile
+    from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+
+    if config is None:
+        if node is None:
+            raise UsageError("which drive? give --config CONTROLLER.toml, or --node with --interface and --channel")
+        data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
+        bus = settings.convert(data, BusSettings, "command line")
+        axis = AxisNodes(name=f"node {node}", drive=DriveSettings(node_id=node, profile=profile))
+        return Target(bus, axis, load_profile(profile, "config"), _PERIOD)
+    if node is not None:
+        raise UsageError("--node and --config are both given; with a controller file name the drive by --axis")
+    from tsa_ctrl.config import load_configuration
+
+    configuration = load_configuration(config)
+    axes = configuration.file.axes
+    names = [axis.name for axis in axes]
+    if axis_name is None and len(axes) > 1:
+        raise UsageError(f"{config}: has several axes; give --axis {', --axis '.join(names)}")
+    if axis_name is not None and axis_name not in names:
+        raise UsageError(f"{config}: no axis '{axis_name}'; its axes are {', '.join(names)}")
+    number = 0 if axis_name is None else names.index(axis_name)
+    return Target(configuration.file.bus, axes[number], configuration.profiles[number], configuration.period)
+
+
+@click.group("drive", context_settings=_CONTEXT)
+def command() -> None:
+    """Dump, restore or compare the objects of a drive that this master writes.
+
+    The drive must be idle: no daemon may be running on its bus.
+    """
+
+
+@command.command(
+    "dump", context_settings=_CONTEXT, epilog="Example: tsa drive dump --config config/controller.toml --out knee.toml"
+)
+@target_options
+@click.option("--out", type=click.Path(path_type=Path), help="File to write; default: stdout.")
+def dump_command(out: Path | None, **options: Any) -> None:
+    """Read the objects and write them as TOML."""
+    from tsa_ctrl import settings
+    from tsa_ctrl.bus.backup import dump, entries_of
+
+    target = find_target(**options)
+    with target.session() as session:
+        backup = dump(session, target.node_id, entries_of(target.plan()))
+    if out is None:
+        click.echo(backup.text(), nl=False)
+        return
+    settings.write_text(out, backup.text())
+    click.echo(f"{out}: {len(backup.object)} objects of node {target.node_id}")
+
+
+@command.command(
+    "restore",
+    context_settings=_CONTEXT,
+    epilog="Example: tsa drive restore knee.toml --config config/controller.toml",
+)
+@click.argument("backup_file", metavar="FILE", type=click.Path())
+@target_options
+def restore_command(backup_file: str, **options: Any) -> None:
+    """Write the objects of FILE to the drive and read each back."""
+    from tsa_ctrl.bus.backup import load_backup, restore
+
+    target = find_target(**options)
+    backup = load_backup(backup_file)
+    with target.session() as session:
+        rows = restore(session, target.node_id, backup)
+    for row in rows:
+        if row.changed:
+            click.echo(str(row))
+    changed = sum(row.changed for row in rows)
+    click.echo(f"node {target.node_id}: {len(rows)} objects verified, {changed} changed")
+
+
+@command.command(
+    "diff",
+    context_settings=_CONTEXT,
+    epilog="Example: tsa drive diff knee.toml --config config/controller.toml",
+)
+@click.argument("backup_file", metavar="[FILE]", type=click.Path(), required=False)
+@target_options
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
+def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None:
+    """Compare the drive with FILE, or with what the configuration would write; nothing is changed."""
+    from tsa_ctrl.bus.backup import compare, load_backup, wanted_by
+
+    target = find_target(**options)
+    stored = None if backup_file is None else load_backup(backup_file)
+    with target.session() as session:
+        if stored is None:
+            wanted = wanted_by(session, target.node_id, target.plan())
+        else:
+            wanted = [(item.entry, item.value) for item in stored.object]
+        differences = compare(session, target.node_id, wanted)
+    if as_json:
+        found = [
+            {
+                "index": difference.entry.index,
+                "subindex": difference.entry.subindex,
+                "name": difference.entry.name,
+                "wanted": difference.wanted,
+                "found": difference.found,
+            }
+            for difference in differences
+        ]
+        result = {"schema": 1, "node": target.node_id, "compared": len(wanted), "differences": found}
+        click.echo(json.dumps(result, allow_nan=False))
+        return
+    for difference in differences:
+        click.echo(str(difference))
+    click.echo(f"node {target.node_id}: {len(wanted)} objects compared, {len(differences)} differ")
