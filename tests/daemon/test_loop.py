@@ -1,0 +1,282 @@
+"""The loop on a fake bus: start, stop, faults, commands, overruns."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.daemon.machine import ENABLED, Machine
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command
+
+Build = Callable[..., Machine]
+CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
+
+
+@pytest.fixture
+def build(tmp_path: Path) -> Iterator[Build]:
+    made: list[Machine] = []
+
+    def make(*edits: tuple[str, str]) -> Machine:
+        made.append(Machine(tmp_path, *edits))
+        return made[-1]
+
+    yield make
+    for machine in made:
+        machine.close()
+
+
+def test_enables_delivers_and_descends(build: Build) -> None:
+    """Torque comes only after the walk to operation enabled; at the end it ramps to 0 and the drive is disabled."""
+    machine = build(CONSTANT)
+    machine.run(seconds=1.0)
+    commands = machine.drive.commands
+    first = next(n for n, (_, torque) in enumerate(commands) if torque)
+    assert [word for word, _ in commands[:first]].index(0x0F) > [word for word, _ in commands[:first]].index(0x07)
+    assert max(machine.drive.torques) == pytest.approx(400, abs=2)  # 0.5 N*m r_M/r_J at standstill
+    assert commands[-1] == (0x06, 0)
+    assert machine.drive.statusword != ENABLED
+    assert machine.loop.phase is LoopPhase.ENDED
+    assert not machine.events.faults
+
+
+def test_no_torque_before_all_answers_come(build: Build) -> None:
+    """While a node does not answer nothing is enabled, and the start is given up with a fault."""
+    machine = build(CONSTANT)
+    machine.drive.silent.add(0x1A0)
+    machine.run()
+    assert not any(machine.drive.torques)
+    assert all(word != 0x0F for word, _ in machine.drive.commands)
+    assert machine.events.first_fault is not None
+
+
+def test_stop_ramps_within_the_stop_time(build: Build) -> None:
+    """After a stop the torque falls to 0 in stop_time, monotonically, and the first cause is kept."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[1000] = lambda: machine.loop.stop("SIGTERM")
+    machine.drive.at_sync[1100] = lambda: machine.loop.stop("SIGINT")
+    machine.run()
+    torques = machine.drive.torques
+    last = max(n for n, torque in enumerate(torques) if torque)
+    assert last - 1000 == pytest.approx(300, abs=5)
+    assert torques[1000:] == sorted(torques[1000:], reverse=True)
+    assert machine.loop.cause == "SIGTERM"
+
+
+def test_stop_over_the_mailbox(build: Build) -> None:
+    """`tsa stop` is one of the causes."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = machine.mailbox.request_stop
+    machine.run()
+    assert machine.loop.cause == "tsa stop"
+    assert machine.drive.commands[-1] == (0x06, 0)
+
+
+def test_stop_before_any_torque_enables_nothing(build: Build) -> None:
+    """Stopped while settling: the drive is never enabled."""
+    machine = build(CONSTANT)
+    machine.loop.stop("SIGINT")
+    machine.run()
+    assert all(word != 0x0F for word, _ in machine.drive.commands)
+
+
+def test_drive_fault_takes_the_torque_in_the_same_cycle(build: Build) -> None:
+    """From the SYNC whose answer carries the fault on, the command is 0; the cause is kept and stays latched."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[800] = machine.drive.fail
+    machine.run(seconds=2.0)
+    assert machine.drive.torques[798] != 0
+    assert not any(machine.drive.torques[799:])
+    assert machine.events.first_fault is not None
+    assert "drive fault" in machine.events.first_fault.text
+    assert "0x2310" in machine.events.first_fault.text
+
+
+def test_fault_ends_the_run_where_so_configured(build: Build) -> None:
+    """after_fault = "exit": the run ends by itself and names the fault."""
+    machine = build(CONSTANT, ('# after_fault = "wait" ', 'after_fault = "exit" '))
+    machine.drive.at_sync[400] = machine.drive.fail
+    machine.run()
+    assert machine.loop.cause is not None
+    assert machine.loop.cause.startswith("fault: drive fault")
+
+
+def test_lost_heartbeat_stops(build: Build) -> None:
+    """Nodes that answer SYNC and no longer beat are not trusted."""
+    machine = build(CONSTANT)
+
+    def silence() -> None:
+        machine.drive.heartbeat = False
+
+    machine.drive.at_sync[500] = silence
+    machine.run(seconds=1.5)
+    assert "heartbeat lost" in str(machine.events.first_fault)
+    assert not any(machine.drive.torques[-500:])
+
+
+def test_nothing_starts_again_by_itself(build: Build) -> None:
+    """A fault that goes away leaves the torque at 0."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = lambda: machine.drive.silent.update({0x181})
+    machine.drive.at_sync[600] = machine.drive.silent.clear
+    machine.run(seconds=2.0)
+    assert not any(machine.drive.torques[505:])
+    assert "stale PDO" in str(machine.events.first_fault)
+
+
+def test_recovery_on_request(build: Build) -> None:
+    """After a drive fault a recovery resets it, settles, enables and fades in again."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = machine.drive.fail
+    machine.drive.at_sync[1000] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
+    machine.run(seconds=3.0)
+    assert not any(machine.drive.torques[500:1000])
+    assert max(machine.drive.torques[1000:]) == pytest.approx(400, abs=2)
+    assert machine.loop.cause == "3 s are over"
+
+
+def test_recovery_without_a_fault_does_nothing(build: Build) -> None:
+    """A recovery asked for while all is well is ignored."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
+    machine.run(seconds=1.0)
+    assert all(machine.drive.torques[400:900])
+
+
+def test_power_cycle_asks_for_a_new_bring_up(build: Build) -> None:
+    """A boot-up while running latches; a recovery then leaves the loop, so that the nodes are configured anew."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = lambda: machine.drive.extra.append((0x701, b"\x00"))
+    machine.drive.at_sync[800] = lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)) and None
+    machine.run()
+    assert machine.loop.recover
+    assert "booted" in str(machine.events.first_fault)
+    assert not any(machine.drive.torques[501:])
+
+
+def test_over_speed_of_the_motor_latches(build: Build) -> None:
+    """A torn tendon: the motor runs away, the torque is 0 in the same cycle, the drive is disabled."""
+    machine = build(CONSTANT)
+
+    def run_away() -> None:
+        machine.drive.velocity = round(45.0 * 60.0 / (2.0 * math.pi) * 1e3)  # 45 rad/s in mrpm
+
+    machine.drive.at_sync[700] = run_away
+    machine.run(seconds=1.0)
+    assert machine.drive.torques[698] != 0
+    assert not any(machine.drive.torques[699:])
+    assert "over-speed" in str(machine.events.first_fault)
+    assert machine.axis.limiter.over_speed
+
+
+def test_set_moves_smoothly(build: Build) -> None:
+    """A parameter moves to its new value at its rate, cycle by cycle."""
+    machine = build(CONSTANT)
+    index = machine.names.index("setpoint_gain")
+    machine.drive.at_sync[500] = lambda: machine.mailbox.put(Command(0, index, 0.5)) and None
+    seen: list[float] = []
+    machine.drive.at_sync.update({n: lambda: seen.append(machine.axis.set_point.gain) for n in range(510, 1600, 100)})
+    machine.run(seconds=2.0)
+    assert seen[0] == pytest.approx(0.995, abs=0.005)
+    assert all(0.0 <= a - b <= 0.0501 for a, b in itertools.pairwise(seen))
+    assert machine.axis.set_point.gain == 0.5
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -3.0, 99.0])
+def test_value_out_of_bounds_in_the_mailbox_is_ignored(build: Build, value: float) -> None:
+    """The loop does not trust the server either."""
+    machine = build(CONSTANT)
+    machine.mailbox.put(Command(0, machine.names.index("compensation"), value))
+    machine.run(seconds=0.2)
+    assert machine.axis.law.compensation == 0.95
+
+
+def test_flood_of_commands_is_taken_one_per_cycle(build: Build) -> None:
+    """A full queue empties at one command per cycle, whoever floods."""
+    machine = build(CONSTANT)
+    while machine.mailbox.put(Command(0, machine.names.index("slew"), 50.0)) is not None:
+        pass
+    left: list[bool] = []
+    machine.drive.at_sync[64] = lambda: left.append(machine.mailbox.taken(62))
+    machine.drive.at_sync[65] = lambda: left.append(machine.mailbox.taken(63))
+    machine.run(seconds=0.2)
+    assert left == [True, True]
+
+
+def test_socket_set_point_expires(build: Build) -> None:
+    """A value over the socket acts for its timeout and then the torque returns to 0."""
+    machine = build(('kind = "sine"  ', 'kind = "socket"  '))
+    machine.drive.at_sync[500] = lambda: machine.mailbox.put(Command(0, SET_POINT, 0.5)) and None
+    machine.run(seconds=1.5)
+    torques = machine.drive.torques
+    assert torques[690] == pytest.approx(400, abs=2)
+    assert not any(torques[720:])
+
+
+def test_overrun_skips_periods_and_is_counted(build: Build) -> None:
+    """A wake-up three periods late loses three periods, is counted late, and the log keeps its grid."""
+    machine = build(CONSTANT)
+    machine.clock.late[300] = 3.2e-3
+    machine.run(seconds=1.0)
+    assert (machine.loop.skipped, machine.loop.overruns, machine.loop.late) == (3, 1, 1)
+    cycle = machine.records()["cycle"]
+    steps = [b - a for a, b in itertools.pairwise(cycle)]
+    assert sorted(steps)[-2:] == [1.0, 4.0]
+
+
+def test_one_missed_answer_does_not_stop(build: Build) -> None:
+    """Within the tolerated misses the last values serve, and the miss is counted."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = lambda: machine.drive.silent.add(0x181)
+    machine.drive.at_sync[501] = machine.drive.silent.clear
+    machine.run(seconds=1.0)
+    assert all(machine.drive.torques[450:900])
+    assert machine.axis.image.missed == 1
+    assert not machine.events.faults
+
+
+def test_records_tell_the_cycle(build: Build) -> None:
+    """Every cycle has a record on an exact grid, with what was measured, wanted and sent."""
+    machine = build(CONSTANT)
+    machine.run(seconds=0.5)
+    records = machine.records()
+    assert len(records["t"]) == machine.loop.cycles
+    assert records["t"][:3] == pytest.approx([0.0, 1e-3, 2e-3], abs=1e-9)
+    assert records["tau_j_des"][-400] == 0.5
+    assert records["tau_m_cmd"][-400] == pytest.approx(0.4)
+    assert records["tau_m"][-400] == pytest.approx(0.4, abs=1e-3)
+    assert math.isnan(records["temperature"][0])
+
+
+def test_set_point_without_torque_is_forgotten(build: Build) -> None:
+    """A value that comes while disabled does not play at the enable."""
+    machine = build(('kind = "sine"  ', 'kind = "socket"  '))
+    machine.mailbox.put(Command(0, SET_POINT, 0.5))
+    machine.run(seconds=0.5)
+    assert not any(machine.drive.torques)
+
+
+def test_disable_resets_everything(build: Build) -> None:
+    """After a fault the law, the set-point, the estimator and the monitor are as new."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[900] = machine.drive.fail
+    machine.run(seconds=1.0)
+    axis: ControlAxis = machine.axis
+    assert axis.set_point.value == 0.0
+    assert axis.law.friction_term == 0.0
+    assert not axis.law.faded_in
+
+
+def test_second_master_is_a_fault(build: Build) -> None:
+    """Somebody else's command to our drive stops us."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync[500] = lambda: machine.drive.extra.append((0x201, struct.pack("<Hh", 15, 100)))
+    machine.run(seconds=1.0)
+    assert "second master" in str(machine.events.first_fault)
+    assert not any(machine.drive.torques[501:])
