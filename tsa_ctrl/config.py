@@ -25,6 +25,8 @@ from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.serial_line import settings as serial_line
+from tsa_ctrl.serial_line.settings import SerialSensorSettings
 
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
@@ -66,6 +68,7 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     estimator: EstimatorSettings = EstimatorSettings()
     bending: BendingSettings = BendingSettings()
     oscillation: OscillationSettings = OscillationSettings()
+    serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions
 
 
 class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -162,9 +165,14 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f"{where}: drive.rpdo_timeout {drive.rpdo_timeout:g} s is less than two periods of "
             f"{file.controller.rate:g} Hz; raise it"
         )
+    _check_serial(where, axis)
     estimator, bending = axis.estimator, axis.bending
-    if estimator.kind == "sensor" and axis.torque_sensor is None:
-        raise UsageError(f'{where}: estimator.kind "sensor" without [axis.torque_sensor]; give one, or another kind')
+    by_serial = any(sensor.quantity == "tau_j" for sensor in axis.serial)
+    if estimator.kind == "sensor" and axis.torque_sensor is None and not by_serial:
+        raise UsageError(
+            f'{where}: estimator.kind "sensor" without [axis.torque_sensor] or a serial sensor of tau_j; give one, '
+            "or another kind"
+        )
     if (estimator.kind == "map") != (bending.source != "fixed"):
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
@@ -183,3 +191,18 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     for name in bending.gains:
         if name not in names:
             raise UsageError(f"{where}: bending.gains names axis '{name}'; known are {', '.join(sorted(names))}")
+
+
+def _check_serial(where: str, axis: AxisSettings) -> None:
+    """Each sensor for itself, and that no quantity has two sources."""
+    seen = set() if axis.torque_sensor is None else {"tau_j"}
+    ports: set[str] = set()
+    for sensor in axis.serial:
+        here = f"{where}: serial {sensor.quantity}"
+        serial_line.check(sensor, here)
+        if sensor.quantity in seen:
+            raise UsageError(f"{here}: {sensor.quantity} already has a sensor; keep one of them")
+        if sensor.port in ports:
+            raise UsageError(f"{here}: port {sensor.port} is already read by another sensor; give each its own")
+        seen.add(sensor.quantity)
+        ports.add(sensor.port)

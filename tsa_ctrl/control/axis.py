@@ -10,6 +10,7 @@ from tsa_ctrl.bus.supervisor import Phase, Request, Supervisor
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import Estimator
+from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.limiter import Limiter, Reason
 from tsa_ctrl.control.oscillation import OscillationMonitor
@@ -55,6 +56,7 @@ class ControlAxis:
         self.name = io.name
         self.io = io
         self.image: Image = io.image
+        self.instruments = Instruments(io.image)
         self.model = model
         self.supervisor = supervisor
         self.set_point = set_point

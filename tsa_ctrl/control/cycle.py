@@ -20,7 +20,8 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
     rig.sync()
     rig.collect(deadline)
     for axis in axes:
-        image, terms = axis.image, axis.terms
+        image, terms, instruments = axis.image, axis.terms, axis.instruments
+        instruments.update(now)
         controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
         terms.q_j, terms.omega_j = q_j, omega_j = axis.joint()
         terms.sigma = sigma = axis.direction.update(omega_j)
@@ -28,7 +29,7 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
         wanted = 0.0
         if permitted:
             t = axis.since_enable(now)
-            axis.estimator.update(sigma, omega_j, theta, image.tau_m, image.tau_j, image.fresh)
+            axis.estimator.update(sigma, omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
             axis.adapt()
             terms.tau_j_des = tau_j_des = axis.set_point.update(t)
             back_off = axis.monitor.update(omega_j, tau_j_des)

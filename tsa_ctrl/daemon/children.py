@@ -1,4 +1,4 @@
-"""The processes beside the loop: log writer and socket server. Started before it, and never waited for by it."""
+"""The processes beside the loop: log writer, socket server, serial readers. Started before it, never waited for."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import msgspec
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import describe, log_header
+from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.server import READY
@@ -22,13 +23,14 @@ PATIENCE = 2.0  # s for the socket server to end
 
 
 class Children:
-    """Both processes and the memory that they share with the loop."""
+    """The processes and the memory that they share with the loop."""
 
     def __init__(self, configuration: Configuration, tuners: Sequence[Tuner]) -> None:
         """Start them; raises UsageError when the log or the socket cannot be there."""
         file = configuration.file
         self.ring: RingWriter | None = None
         self.log: LogProcess | None = None
+        self.sensors = AxisSensors(file.axes)
         self.mailbox = Mailbox.create(len(file.axes), len(tuners[0].parameters))
         description = describe(configuration, tuners)
         self._server = subprocess.Popen(
@@ -65,7 +67,8 @@ class Children:
         return self._server.poll() is None
 
     def end(self) -> None:
-        """Complete the log and end both; may be called twice."""
+        """Complete the log and end all; may be called twice."""
+        self.sensors.close()
         if self.log is not None and self.log.alive:
             self.log.end()
         with contextlib.suppress(OSError, ValueError):

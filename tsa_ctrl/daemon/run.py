@@ -57,13 +57,24 @@ class Daemon:
             axes = control_axes(configuration, rig)
             tuners = tuners_of(axes, configuration.period)
             children = Children(configuration, tuners)
+            for axis in axes:
+                axis.instruments.connect(children.sensors.sources(axis.name))
             try:
                 with self._signals():
                     rights = realtime.acquire(file.realtime)
                     for line in rights.missing:
                         self._say(f"going on without: {line}")
                     events = Events()
-                    telemetry = Telemetry(rig, axes, tuners, children.mailbox, children.ring, children.log, events)
+                    telemetry = Telemetry(
+                        rig,
+                        axes,
+                        tuners,
+                        children.mailbox,
+                        children.ring,
+                        children.log,
+                        events,
+                        children.sensors,
+                    )
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )

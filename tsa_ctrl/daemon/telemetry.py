@@ -12,6 +12,7 @@ from tsa_ctrl.control.limiter import Reason
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import RingWriter
@@ -32,8 +33,9 @@ class Telemetry:
         ring: RingWriter | None,
         log: LogProcess | None,
         events: Events,
+        sensors: AxisSensors | None = None,
     ) -> None:
-        """`ring` and `log` are None when nothing is logged."""
+        """`ring` and `log` are None when nothing is logged, `sensors` when there is none on a serial line."""
         self.log_lost = 0
         self._rig = rig
         self._axes = tuple(enumerate(axes))
@@ -41,6 +43,7 @@ class Telemetry:
         self._mailbox = mailbox
         self._push = None if ring is None else ring.push
         self._log = log
+        self._sensors = sensors
         self._log_alive = log is not None
         self._trouble = ""
         self._written = 0
@@ -52,7 +55,7 @@ class Telemetry:
         if push is None:
             return
         for index, axis in self._axes:
-            image, terms, estimator = axis.image, axis.terms, axis.estimator
+            image, terms, estimator, instruments = axis.image, axis.terms, axis.estimator, axis.instruments
             reason = terms.reason
             if reason is Reason.NONE and axis.monitor.back_off < 1.0:
                 reason = Reason.OSCILLATION
@@ -61,14 +64,14 @@ class Telemetry:
                 (
                     t,
                     image.tau_m,
-                    image.tau_j,
+                    instruments.tau_j,
                     terms.omega_j,
                     terms.q_j,
                     image.q_m,
                     image.omega_m,
                     terms.theta,
-                    _NAN,
-                    _NAN,
+                    instruments.t1,
+                    instruments.t3,
                     _NAN,
                     terms.tau_j_des,
                     terms.tau_m_cmd,
@@ -103,7 +106,7 @@ class Telemetry:
             terms.tau_j_des,
             terms.tau_m_cmd,
             image.tau_m,
-            image.tau_j,
+            axis.instruments.tau_j,
             terms.omega_j,
             terms.q_j,
             terms.sigma,
@@ -117,6 +120,11 @@ class Telemetry:
             image.pdo_age,
             *(parameter.value for parameter in self._tuners[index].parameters),
         )
+
+    def check_sensors(self, t: float) -> None:
+        """About once a second: say when a serial sensor is lost or back."""
+        if self._sensors is not None:
+            self._sensors.check(t, self._events)
 
     def check_log(self, t: float, records: int) -> None:
         """About once a second: say it when the log writer is in trouble or gone; `records` is how many it was given."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 
@@ -33,6 +34,10 @@ class SerialSensors:
     def value(self, index: int, now: float) -> float:
         """SI value of a sensor, nan when there is none younger than its time-out; costs about a microsecond."""
         return self._slots.fresh(index, now, self.settings[index].timeout)
+
+    def reader(self, index: int) -> Callable[[float], float]:
+        """`value` of one sensor as a function of the time, for the loop."""
+        return functools.partial(self._slots.fresh, index, timeout=self.settings[index].timeout)
 
     def reading(self, index: int) -> Reading:
         """The newest reading with its counts and state, for status pages."""
