@@ -269,7 +269,10 @@ def _draw_torque(
     x, sigma = nominal.mu * theta, memory.direction(motion.omega)
     compensation = nominal.motor_radius * 2.0 * nominal.pretension / rig.pretension * pretension * sigma * np.tanh(x)
     compensation = smoothed(compensation, rng.uniform(0.006, 0.02) / step)
-    room = max(level * limit - float(np.max(np.abs(compensation))), 0.12 * limit)
+    room = level * limit - float(np.max(np.abs(compensation)))
+    if kind == "loaded" and room < 0.25 * limit:  # friction takes it all: little would be learned from such a log
+        return level * limit * torque_programme(rng, t)
+    room = max(room, 0.12 * limit)
     tau_m = compensation + room * load
     return tau_m * min(1.0, 0.92 * limit / float(np.max(np.abs(tau_m))))
 

@@ -104,6 +104,15 @@ def _cooling_warmth(rng: np.random.Generator, bench: Bench, wanted: float) -> di
     return _sized("thermal_friction_drift", strength, bench, wanted)
 
 
+def _relaxation_like_warmth(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
+    """A relaxation with the time constant of the warm-up that is not recorded."""
+    scene = bench.runs[0].scene
+    rises = np.diff(scene.temperature[:1001:500])  # of an exponential: their ratio is exp(-interval / T)
+    time_constant = float((scene.t[500] - scene.t[0]) / np.log(rises[0] / rises[1]))
+    strength = Strength("", {"time_constant": time_constant, "law": "exponential"}, "relaxed_fraction", 0.1, 0.5)
+    return _sized("pretension_relaxation", strength, bench, wanted)
+
+
 def _lag_of_samples(rng: np.random.Generator, bench: Bench, wanted: float) -> dict[str, Any]:
     return {"delay": rng.uniform(1.0, 2.0) / bench.runs[0].rate}
 
@@ -115,7 +124,7 @@ def _sized(name: str, strength: Strength, bench: Bench, wanted: float) -> dict[s
 _STILL = {"motion": "multisine", "amplitude": 0.02, "speed": 0.1, "joint_angle": True, "torque": "independent"}
 _SMALL = {"motion": "multisine", "amplitude": 0.06, "speed": 0.3, "joint_angle": True, "torque": "independent"}
 _ONE_LOAD = {"torque": "one_load", "x": (0.12, 0.2), "level": (0.75, 0.9), "joint_angle": False, "motor_angle": False}
-_WARM = {"temperature": "warm_up", "x": (0.12, 0.18), "level": (0.2, 0.35), "blind": True}
+_WARM = {"temperature": "warm_up", "x": (0.12, 0.18), "level": (0.2, 0.35), "blind": True, "runs": 1}
 
 ROWS: dict[str, Row] = {
     "motor_friction_or_parameters": Row(
@@ -219,6 +228,7 @@ ROWS: dict[str, Row] = {
         _WARM,
         parted_by={"temperature": "cycle"},
         ratio=(1.3, 2.5),
+        draw=_relaxation_like_warmth,
     ),
     "warmth_or_relaxation": Row(
         "thermal_friction_drift",

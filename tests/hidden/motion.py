@@ -163,7 +163,7 @@ def _levels(rng: np.random.Generator, t: Array, hold: float) -> Array:
 
 def smoothed(values: Array, samples: float) -> Array:
     """Three moving averages in a row: nearly a Gaussian of `samples` standard deviation, without phase."""
-    width = 2 * max(1, round(samples)) + 1
+    width = 2 * round(samples) + 1
     for _ in range(3):
         values = uniform_filter1d(values, width, mode="nearest")
     return values

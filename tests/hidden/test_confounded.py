@@ -1,0 +1,83 @@
+"""Twins are twins in the log given, and the experiment's log shows the effect."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from . import case
+from .bench import Bench, rms
+from .cases import Case
+from .confounded import ROWS
+from .size import UNCERTAINTY
+
+# Parameters of a twin as a function of free numbers of order one, given a torque and a velocity scale.
+FREE: dict[str, Any] = {
+    "torque_constant_error": lambda b, p: {"relative_error": 0.1 * p[0]},
+    "joint_stiffness": lambda b, p: {"stiffness": b.scale * p[0], "rest_angle": 0.1 * p[1]},
+    "gravity_load": lambda b, p: {"amplitude": b.scale * p[0], "phase": p[1]},
+    "torque_offset": lambda b, p: {"offset": 0.1 * b.scale * p[0]},
+    "direction_asymmetric_friction": lambda b, p: {"viscous_difference": 0.1 * b.scale / b.speed * p[0]},
+    "viscous_friction": lambda b, p: {"coefficient": 0.1 * b.scale / b.speed * p[0]},
+    "motor_side_friction": lambda b, p: {"coulomb": 0.1 * b.rig.torque_limit * p[0]},
+    "load_dependent_friction": lambda b, p: {"coefficient": 0.1 * p[0]},
+    "sheath_asymmetry": lambda b, p: {"relative_difference": p[0]},
+    "thermal_friction_drift": lambda b, p: {"temperature_coefficient": 0.01 * p[0]},
+    "pretension_relaxation": lambda b, p: {"relaxed_fraction": 0.1 * p[0], "time_constant": 10.0 * abs(p[1]) + 0.1},
+}
+TWO = ("joint_stiffness", "gravity_load", "pretension_relaxation")
+STARTS = ((0.3, 1.5), (0.3, -1.5), (0.5, 1.0))
+
+
+def leftover(drawn: Case, twin: str) -> float:
+    """RMS in N·m by which the twin misses the hidden effect, with x and T_p free within their uncertainty."""
+    bench = drawn.bench
+    assert bench is not None
+    torque = np.concatenate(bench.ideal(drawn.truth.effects))
+    if twin == "parameter_error":
+        return drawn.truth.size
+    if twin == "elongation_coupling":
+        profiles = ("uniform", "motor_end")
+        return min(
+            _fit(bench, torque, lambda b, p, c=c: {"curvature_profile": c}, "elongation_coupling") for c in profiles
+        )
+    return _fit(bench, torque, FREE[twin], twin)
+
+
+def _fit(bench: Bench, torque: np.ndarray, parameters: Any, twin: str) -> float:
+    low, high = 1.0 / (1.0 + UNCERTAINTY), 1.0 + UNCERTAINTY
+    nominal = bench.nominal
+
+    def miss(free: np.ndarray) -> np.ndarray:
+        rig = replace(bench.rig, mu=nominal.mu * free[0], pretension=nominal.pretension * free[1])
+        ideal = replace(bench, rig=rig).ideal({twin: parameters(bench, free[2:])})
+        return (np.concatenate(ideal) - torque)[::5]
+
+    starts = STARTS if twin in TWO else ((0.1,), (-0.1,))
+    free = len(starts[0])
+    bounds = ([low, low, *[-np.inf] * free], [high, high, *[np.inf] * free])
+    true = bench.rig.x / nominal.x, bench.rig.pretension / nominal.pretension
+    return min(rms(least_squares(miss, [*true, *start], bounds=bounds, max_nfev=40).fun) for start in starts)
+
+
+@pytest.mark.parametrize("name", [name for name, row in ROWS.items() if row.exact])
+def test_a_twin_imitates_the_hidden_effect(name: str) -> None:
+    """Some strength of the twin leaves next to nothing against the noise."""
+    drawn = case("confounded", name, 0, short=True)
+    twin = next(other for other in drawn.truth.twins if other not in drawn.truth.effects)
+    assert leftover(drawn, twin) < 0.1 * drawn.truth.noise
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_the_experiment_shows_the_hidden_effect(name: str) -> None:
+    """On the log that parts the twins the effect stands above the noise."""
+    drawn = case("confounded", name, 0, short=True)
+    if drawn.experiment is None:
+        assert ROWS[name].parted_by is None
+        return
+    assert drawn.experiment.truth.effects == drawn.truth.effects
+    assert drawn.experiment.truth.size >= 1.3 * drawn.experiment.truth.noise
