@@ -5,44 +5,19 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import pty
 import signal
 import subprocess
 import sys
 import time
-import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from tests.serial_line.lines import PATIENCE, Line, wait_for
 from tsa_ctrl.serial_line.process import SerialSensors
 from tsa_ctrl.serial_line.settings import SerialSensorSettings
 from tsa_ctrl.serial_line.slots import NOTHING, LineState, Reading, Slots
-
-PATIENCE = 15.0  # s until a condition must hold, on a slow machine
-
-
-class Line:
-    """A pseudo-terminal behind a fixed path, so that it can be unplugged and plugged in again."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.plug()
-
-    def plug(self) -> None:
-        self.ours, self._theirs = pty.openpty()
-        tty.setraw(self._theirs)
-        self.path.unlink(missing_ok=True)
-        self.path.symlink_to(os.ttyname(self._theirs))
-
-    def unplug(self) -> None:
-        self.path.unlink(missing_ok=True)
-        os.close(self.ours)
-        os.close(self._theirs)
-
-    def send(self, data: bytes) -> None:
-        os.write(self.ours, data)
 
 
 @pytest.fixture
@@ -64,14 +39,6 @@ def sensors(*each: SerialSensorSettings) -> Iterator[SerialSensors]:
         yield made
     finally:
         made.close()
-
-
-def wait_for(condition: Callable[[], bool], meanwhile: Callable[[], None] = lambda: None) -> None:
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "the condition never held"
-        meanwhile()
-        time.sleep(0.01)
 
 
 def test_a_value_arrives_with_its_time(line: Line) -> None:
