@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import build_chain, settle
-from tsa_ctrl.plant.mechanics import advance
+from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
 from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.record import COLUMNS
@@ -25,8 +25,17 @@ CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
 }
 _TRUTH = tuple(name for name, _ in COLUMNS[6:])
 _MIN_PRESLIDING = 1e-6  # m
+_LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps
 
 Effects = Mapping[str, Mapping[str, Any]]
+
+
+_TIME, _TORQUE, _MOTOR_SPEED, _MOTOR_ANGLE, _JOINT_ANGLE, _JOINT_SPEED, _JOINT_TORQUE, _TEMPERATURE, _SPEED_LIMITED = (
+    (STATE.names or ()).index(name)
+    for name in (
+        "t", "torque_loop", "omega_m", "q_m", "q_lagged", "omega_lagged", "tau_sensed", "temperature", "speed_limited",
+    )
+)  # fmt: skip
 
 
 class Axis:
@@ -52,17 +61,21 @@ class Axis:
             motion_ramp=motion.ramp,
         )
         self._start_at_once = physics.start == "power_on"
-        self._ring = np.zeros((2, DELAY_SAMPLES))
-        self._slip = np.zeros(MAX_ELEMENTS)
-        profile = _profile(settings)
-        self._curve = np.ascontiguousarray(np.array(profile, dtype=np.float64).T)
-        self._chains = self._build_chains()
-        self._motion = np.ascontiguousarray(np.vstack((motion.angle, motion.speed)))
-        self._bending = _table(settings.environment.bending)
-        self._temperature = _table(settings.environment.temperature)
+        curve = np.ascontiguousarray(np.array(_profile(settings), dtype=np.float64).T)
+        self._arrays = Arrays(
+            ring=np.zeros((2, DELAY_SAMPLES)),
+            slip=np.zeros(MAX_ELEMENTS),
+            curve=curve,
+            chains=self._build_chains(curve),
+            motion=np.ascontiguousarray(np.vstack((motion.angle, motion.speed))),
+            bending=_table(settings.environment.bending),
+            temperature=_table(settings.environment.temperature),
+        )
+        self.time = 0.0  # s since the plant's start
+        self._started = self._start_at_once
         self._rest(motion.angle[0] if settings.joint.load == "imposed" else settings.joint.initial_angle)
 
-    def _build_chains(self) -> NDArray[np.float64]:
+    def _build_chains(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
         """Both tendons element by element; a single element that nobody asks where the full model is chosen."""
         p, tendon = self.parameters[0], self.settings.tendon
         distributed = tendon.kind == "distributed"
@@ -72,7 +85,7 @@ class Axis:
             bristle = float(p["pretension"] * p["friction"] * p["theta"] / (p["hysteresis_distance"] * radius))
         _set(self.parameters, distributed=int(distributed))
         chain = build_chain(
-            self._curve,
+            curve,
             tendon.elements if distributed else 1,
             float(p["stiffness"]),
             float(p["length"]),
@@ -84,7 +97,7 @@ class Axis:
     def _rest(self, angle: float) -> None:
         """Everything at standstill, the tendons at their pretension, the motor where it balances them."""
         p = self.parameters[0]
-        for chain, side in zip(self._chains, (-1.0, 1.0), strict=True):
+        for chain, side in zip(self._arrays.chains, (-1.0, 1.0), strict=True):
             end = side * float(p["r_j"]) * angle
             settle(chain, end, end, float(p["pretension"]))
         _set(
@@ -104,42 +117,27 @@ class Axis:
 
     def advance(self, until: float) -> None:
         """Bring mechanics and readings to time `until`, s since the plant's start; the past is left alone."""
+        if until - self.time < _LEAST_ADVANCE:
+            return
         command = self.command
-        if command.enabled and self.state["started"][0] < 0.0:
+        if command.enabled and not self._started:
+            self._started = True
             self.state["started"] = self.state["t"]
-        advance(
-            self.state,
-            self.parameters,
-            self._ring,
-            self._slip,
-            self._curve,
-            self._chains,
-            self._motion,
-            self._bending,
-            self._temperature,
-            command.torque,
-            command.enabled,
-            command.max_speed,
-            until,
-        )
+        advance(self.state, self.parameters, self._arrays, command.torque, command.enabled, command.max_speed, until)
         self._read()
 
     def _read(self) -> None:
-        values = self.values()
+        values = self.state[0].item()
         readings = self.readings
-        readings.motor_torque = values["torque_loop"]
-        readings.motor_speed = values["omega_m"]
-        readings.motor_angle = values["q_m"]
-        readings.joint_angle = values["q_lagged"]
-        readings.joint_speed = values["omega_lagged"]
-        readings.joint_torque = values["tau_sensed"]
-        readings.temperature = values["temperature"]
-        readings.speed_limited = bool(values["speed_limited"])
-
-    @property
-    def time(self) -> float:
-        """s since the plant's start."""
-        return float(self.state["t"][0])
+        self.time = values[_TIME]
+        readings.motor_torque = values[_TORQUE]
+        readings.motor_speed = values[_MOTOR_SPEED]
+        readings.motor_angle = values[_MOTOR_ANGLE]
+        readings.joint_angle = values[_JOINT_ANGLE]
+        readings.joint_speed = values[_JOINT_SPEED]
+        readings.joint_torque = values[_JOINT_TORQUE]
+        readings.temperature = values[_TEMPERATURE]
+        readings.speed_limited = bool(values[_SPEED_LIMITED])
 
     def truth(self) -> tuple[float, ...]:
         """What the record has of this axis, in its order from `enabled` on."""

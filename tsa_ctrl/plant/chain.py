@@ -26,7 +26,7 @@ from tsa_ctrl.plant.compiled import compiled
 
 RIGID = 1e9  # N/m, contact without bristle
 _MIN_LENGTH = 1e-4  # of the tendon, shortest spring: a bend at the very end of a sheath has nothing in between
-_EXTRA_ITERATIONS = 40  # beyond one per element: a slip front passes one or more elements per iteration
+_ALL_AT_ONCE = 10  # iterations besides one for every second contact: a slip front passes one or more per iteration
 _TOLERANCE = 1e-6  # N, between a trial force and its bound; above the rounding of RIGID times a place
 _MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
 
@@ -193,10 +193,10 @@ def _equilibrium(chain: Any, motor_end: float, joint_end: float, place: int, sid
     n = chain.shape[1] - 1
     settled, iteration = False, 0
     first_by_motor = last_by_motor = first_by_joint = last_by_joint = 0.0
-    while not settled and iteration < n + _EXTRA_ITERATIONS:
+    while not settled and iteration < 2 * (n + _ALL_AT_ONCE):
         iteration += 1
         first_by_motor, last_by_motor, first_by_joint, last_by_joint = _solve(chain, motor_end, joint_end)
-        settled = _sort(chain, motor_end, joint_end)
+        settled = _sort(chain, motor_end, joint_end, iteration > n // 2 + _ALL_AT_ONCE)
     k0, kn = chain[_STIFFNESS, 0], chain[_STIFFNESS, n]
     f[place], f[place + 1] = chain[_TENSION, 0], chain[_TENSION, n]
     f[4 + 2 * place] = side * k0 * (1.0 - first_by_motor)
@@ -252,8 +252,11 @@ def _solve(chain: Any, motor_end: float, joint_end: float) -> tuple[float, float
 
 
 @compiled
-def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
-    """Tensions and friction forces at the places found; correct the modes. True when none had to change."""
+def _sort(chain: Any, motor_end: float, joint_end: float, one_by_one: bool) -> bool:
+    """Tensions and friction forces at the places found; correct the modes. True when none had to change.
+
+    one_by_one: correct the first wrong one only (Murty's rule), which ends where correcting all goes in circles.
+    """
     n = chain.shape[1] - 1
     left = motor_end
     for i in range(n + 1):
@@ -265,17 +268,20 @@ def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
         bound = chain[_GRIP, i] * max(0.0, chain[_TENSION, i] + chain[_TENSION, i + 1])
         trial = chain[_FORCE_OLD, i] + chain[_BRISTLE, i] * (chain[_PLACE, i] - chain[_PLACE_OLD, i])
         mode = chain[_MODE, i]
+        right_mode = mode
         if mode == 0.0:
-            if trial > bound + _TOLERANCE:
-                chain[_MODE, i], settled = 1.0, False
-            elif trial < -bound - _TOLERANCE:
-                chain[_MODE, i], settled = -1.0, False
-            else:
-                chain[_FORCE, i] = trial
-        elif mode * trial < bound - _TOLERANCE:
-            chain[_MODE, i], settled = 0.0, False
+            chain[_FORCE, i] = trial
+            if abs(trial) > bound + _TOLERANCE:
+                right_mode = math.copysign(1.0, trial)
         else:
             chain[_FORCE, i] = mode * bound
+            if mode * trial < bound - _TOLERANCE:
+                right_mode = 0.0
+        if right_mode != mode:
+            chain[_MODE, i] = right_mode
+            settled = False
+            if one_by_one:
+                break
     return settled
 
 

@@ -16,7 +16,7 @@ from numba import njit
 
 F = TypeVar("F", bound=Callable[..., object])
 
-_KERNELS = ("compiled.py", "state.py", "full.py", "chain.py", "mechanics.py")
+_KERNELS = ("compiled.py", "state.py", "interpolation.py", "losses.py", "full.py", "chain.py", "mechanics.py")
 
 
 def compiled(function: F) -> F:

@@ -102,3 +102,15 @@ def full_tensions(s: Any, p: Any, slip: Any, curve: Any, x_a: float, x_b: float,
         f[6 + 2 * place] = ratio * (f[4 + 2 * place] + tension * rho * z_u)
         f[7 + 2 * place] = ratio * (f[5 + 2 * place] + tension * rho * z_v)
     return True
+
+
+@compiled
+def commit_full(s: Any, p: Any, slip: Any, q_m: float, q_j: float, z: float) -> None:
+    """Make the friction's state that belongs to the solution the one that the next sub-step starts from."""
+    s.z = z
+    if p.hysteresis == _ELASTIC:
+        return
+    moved = q_m - s.q_m if p.hysteresis == _MOTOR else q_j - s.q_j
+    for i in range(p.hysteresis_elements):
+        distance = p.hysteresis_distance * (i + 1) / p.hysteresis_elements
+        slip[i] = min(1.0, max(-1.0, slip[i] + moved / distance))
