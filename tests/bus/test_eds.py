@@ -17,6 +17,8 @@ from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.errors import UsageError
 
 GOOD = """\
+[DeviceInfo]
+VendorName=nobody
 [FileInfo]
 FileName=drive.eds
 [1000]
@@ -69,7 +71,7 @@ def test_file_in_the_encoding_of_a_vendors_editor_is_read(tmp_path: Path) -> Non
         ("[1018]\nParameterName", "[1018]\nName", r"section \[1018\]: No option 'ParameterName'"),
         ("[1018]\n", "[1017]\n", r"section \[1018sub0\]: KeyError"),
         ("[6072]\n", "[1000]\n", "section '1000' already exists"),
-        ("[FileInfo]\n", "rubbish\n", "no section headers"),
+        ("[DeviceInfo]\n", "rubbish\n", "no section headers"),
     ],
 )
 def test_broken_section_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:

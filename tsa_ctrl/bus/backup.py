@@ -123,10 +123,15 @@ def entries_of(plan: Iterable[Write]) -> list[Object]:
 def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
     """Read these objects and the identity; what the drive does not have is left out."""
     stored = []
+    mapped: dict[int, int] = {}  # mapping parameter -> objects in it; those beyond mean nothing
     for entry in entries:
-        value = None if entry.key in _COMMANDS else session.read_if_there(node_id, entry)
+        index, subindex = entry.key
+        if entry.key in _COMMANDS or subindex > mapped.get(index, subindex):
+            continue
+        value = session.read_if_there(node_id, entry)
+        if _communication_of(index) not in (None, index) and subindex == 0:
+            mapped[index] = value or 0
         if value is not None:
-            index, subindex = entry.key
             type_ = msgspec.convert(entry.type.name.lower(), IntegerType)
             stored.append(StoredObject(index=index, subindex=subindex, type=type_, value=value, name=entry.name))
     vendor, product, revision, serial = (

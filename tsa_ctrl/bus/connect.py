@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tsa_ctrl.bus import interface
 from tsa_ctrl.bus.seam import Bus
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.socketcan import SocketCan
@@ -9,14 +10,20 @@ from tsa_ctrl.errors import UsageError
 
 
 def open_bus(settings: BusSettings) -> Bus:
-    """A raw socket for "socketcan", python-can for everything else; raises BusError when it cannot be opened."""
+    """A raw socket for "socketcan", python-can for everything else; raises BusError when it is not ready."""
     if settings.interface == "socketcan":
         if settings.options:
             raise UsageError(
                 f'[bus] options: {", ".join(settings.options)} mean nothing to interface "socketcan"; remove them '
                 "(the bit rate of a SocketCAN interface is set with 'ip link')"
             )
-        return SocketCan(settings.channel, settings.send_queue)
+        bus = SocketCan(settings.channel, settings.send_queue)
+        try:
+            interface.check(settings.channel, settings.bitrate)
+        except BaseException:
+            bus.close()
+            raise
+        return bus
     from tsa_ctrl.bus.pythoncan import PythonCan  # python-can is slow to import, and not needed on a raw socket
 
     return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)

@@ -1,0 +1,125 @@
+"""What the kernel says of a CAN interface (rtnetlink, RTM_GETLINK): kind, bit rate, state, error counters, queue."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+from tsa_ctrl.errors import BusError
+
+_MESSAGE = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
+_LINK = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, change
+_ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
+_RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST = 16, 18, 1
+_IFF_UP = 1
+_TYPE_MASK = 0x3FFF  # without NLA_F_NESTED
+_IFLA_TXQLEN, _IFLA_LINKINFO, _INFO_KIND, _INFO_DATA = 13, 18, 1, 2
+_CAN_BITTIMING, _CAN_STATE, _CAN_BERR_COUNTER = 1, 4, 8  # of linux/can/netlink.h
+_BUFFER = 65536
+_TIMEOUT = 1.0  # s
+
+
+class CanState(IntEnum):
+    """enum can_state of linux/can/netlink.h."""
+
+    ERROR_ACTIVE = 0
+    ERROR_WARNING = 1
+    ERROR_PASSIVE = 2
+    BUS_OFF = 3
+    STOPPED = 4
+    SLEEPING = 5
+
+
+@dataclass(frozen=True)
+class Interface:
+    """One interface; what it does not have (a vcan has no bit rate) is None."""
+
+    up: bool
+    kind: str | None = None  # "can", "vcan", "slcan", ...
+    queue_length: int | None = None  # frames, txqueuelen
+    bitrate: int | None = None  # bit/s
+    state: CanState | None = None
+    errors: tuple[int, int] | None = None  # transmit and receive error counters
+
+
+def read(channel: str) -> Interface | None:
+    """Ask the kernel; None when it does not answer (no such interface, no netlink)."""
+    try:
+        index = socket.if_nametoindex(channel)
+        body = _LINK.pack(0, 0, index, 0, 0)
+        request = _MESSAGE.pack(_MESSAGE.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, 1, 0) + body
+        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as netlink:
+            netlink.settimeout(_TIMEOUT)
+            netlink.send(request)
+            return parse(netlink.recv(_BUFFER))
+    except (OSError, AttributeError):  # AttributeError: not Linux
+        return None
+
+
+def parse(message: bytes) -> Interface | None:
+    """Decode the kernel's answer; None when it is an error message."""
+    length, kind, *_ = _MESSAGE.unpack_from(message)
+    if kind != _RTM_NEWLINK:
+        return None
+    flags = _LINK.unpack_from(message, _MESSAGE.size)[3]
+    attributes = dict(_attributes(message[_MESSAGE.size + _LINK.size : length]))
+    info = dict(_attributes(attributes.get(_IFLA_LINKINFO, b"")))
+    data = dict(_attributes(info.get(_INFO_DATA, b"")))
+    name = info.get(_INFO_KIND)
+    is_can = name is not None and name.rstrip(b"\0") == b"can"
+    return Interface(
+        up=bool(flags & _IFF_UP),
+        kind=None if name is None else name.rstrip(b"\0").decode(),
+        queue_length=_u32(attributes.get(_IFLA_TXQLEN)),
+        bitrate=_u32(data.get(_CAN_BITTIMING)) if is_can else None,
+        state=_state(_u32(data.get(_CAN_STATE))) if is_can else None,
+        errors=_pair(data.get(_CAN_BERR_COUNTER)) if is_can else None,
+    )
+
+
+def check(channel: str, bitrate: int) -> None:
+    """Raise BusError when a real CAN interface has another bit rate, or is not error-active."""
+    found = read(channel)
+    if found is None:
+        return
+    restart = f"ip link set {channel} down; ip link set {channel} up type can bitrate {bitrate}"
+    if found.bitrate is not None and found.bitrate != bitrate:
+        raise BusError(
+            f"[bus] channel '{channel}': its bit rate is {found.bitrate} bit/s, the configuration says {bitrate}; "
+            f"correct bitrate, or: {restart}"
+        )
+    if found.state is not None and found.state is not CanState.ERROR_ACTIVE:
+        counters = "" if found.errors is None else f", error counters {found.errors[0]} (tx) and {found.errors[1]} (rx)"
+        raise BusError(
+            f"[bus] channel '{channel}': the controller is in state {found.state.name.lower()}{counters}; "
+            f"check cable, termination and bit rate, then: {restart}"
+        )
+
+
+def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
+    position = 0
+    while position + _ATTRIBUTE.size <= len(data):
+        length, kind = _ATTRIBUTE.unpack_from(data, position)
+        if length < _ATTRIBUTE.size:
+            return
+        yield kind & _TYPE_MASK, data[position + _ATTRIBUTE.size : position + length]
+        position += (length + 3) & ~3
+
+
+def _u32(data: bytes | None) -> int | None:
+    return None if data is None or len(data) < 4 else int.from_bytes(data[:4], sys.byteorder)
+
+
+def _pair(data: bytes | None) -> tuple[int, int] | None:
+    if data is None or len(data) < 4:
+        return None
+    transmit, receive = struct.unpack_from("=HH", data)
+    return transmit, receive
+
+
+def _state(value: int | None) -> CanState | None:
+    return CanState(value) if value is not None and value in CanState._value2member_map_ else None
