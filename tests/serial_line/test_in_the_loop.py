@@ -107,7 +107,7 @@ def test_the_state_of_a_line_is_told_once(tmp_path: Path) -> None:
             return any(text in event.text for event in events.all)
 
         wait_for(lambda: told("values come"), lambda: line.send(b"41.5\n"))
-        assert read(time.monotonic()) == 41.5
+        wait_for(lambda: read(time.monotonic()) == 41.5, lambda: line.send(b"41.5\n"))
         line.unplug()
         wait_for(lambda: told("was unplugged"))
         assert [event.axis for event in events.all] == ["knee"] * len(events.all)
