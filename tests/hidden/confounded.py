@@ -17,7 +17,7 @@ ONE_SPEED: dict[str, Any] = {
     "motion": "triangle",
     "amplitude": 1.3,
     "velocity": "tachometer",
-    "rounding": 1e-3,
+    "rounding": 1e-9,
     "runs": 1,
 }
 ONE_WAY: dict[str, Any] = {"motion": "one_way", "velocity": "tachometer", "runs": 1}
