@@ -35,6 +35,19 @@ def test_frame_arrives_as_it_was_sent_and_only_at_the_other_end(pair: tuple[Pyth
     assert first.recv(0.0) is None
 
 
+def test_own_frames_of_a_multicast_bus_are_left_out_and_those_of_others_are_not() -> None:
+    first, second = (PythonCan("udp_multicast", "239.74.163.77", 1_000_000) for _ in range(2))
+    try:
+        first.send(0x080, b"")
+        second.send(0x080, b"")
+        first.send(0x201, b"\x01")
+        assert [first.recv(1.0), first.recv(0.1)] == [(0x080, b""), None]
+        assert [second.recv(1.0), second.recv(1.0), second.recv(0.1)] == [(0x080, b""), (0x201, b"\x01"), None]
+    finally:
+        first.close()
+        second.close()
+
+
 def test_sync_has_no_data(pair: tuple[PythonCan, PythonCan]) -> None:
     pair[0].send(0x080, b"")
     assert pair[1].recv(1.0) == (0x080, b"")

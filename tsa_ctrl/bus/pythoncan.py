@@ -7,6 +7,7 @@ configure the drives over the very bus that the loop uses afterwards.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping
 
 import can
@@ -17,6 +18,8 @@ from tsa_ctrl.errors import BusError
 Option = str | int | float | bool
 
 _FLUSH_LIMIT = 100_000  # frames
+_ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
+_MAX_ECHOES = 64  # frames sent whose echo may be on its way
 
 
 class PythonCan:
@@ -26,6 +29,7 @@ class PythonCan:
         self.name = f"{interface}:{channel}"
         self.counters = Counters()
         self.fault: BusFault | None = None
+        self._echoes: deque[Frame] | None = deque(maxlen=_MAX_ECHOES) if interface in _ECHOING else None
         arguments: dict[str, Option] = {"bitrate": bitrate}
         if interface == "udp_multicast":
             arguments = {"fd": False}
@@ -41,6 +45,8 @@ class PythonCan:
 
     def send(self, can_id: int, data: bytes) -> bool:
         message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, check=False)
+        if self._echoes is not None:
+            self._echoes.append((can_id, data))
         try:
             self._bus.send(message, timeout=0.0)
         except can.CanOperationError:
@@ -54,6 +60,16 @@ class PythonCan:
         return True
 
     def recv(self, timeout: float) -> Frame | None:
+        frame = self._receive(timeout)
+        if self._echoes is None:
+            return frame
+        deadline = time.monotonic() + timeout
+        while frame is not None and frame in self._echoes:
+            self._echoes.remove(frame)
+            frame = self._receive(deadline - time.monotonic())
+        return frame
+
+    def _receive(self, timeout: float) -> Frame | None:
         try:
             message = self._bus.recv(max(0.0, timeout))
         except (can.CanError, OSError):
