@@ -16,6 +16,5 @@ def admit(dataset: Dataset, model: Model, *columns: str) -> None:
     """
     dataset.require(model, *columns)
     if isinstance(model, TendonSheath):
-        radii = model.motor_pulley_radius, model.joint_pulley_radius
-        check_ratios(dataset.label, dataset.columns, *radii, model.bending_angle)
+        check_ratios(dataset.label, dataset.columns, model.motor_pulley_radius, model.joint_pulley_radius)
     check_energy(dataset, model)

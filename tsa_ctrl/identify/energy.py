@@ -6,8 +6,9 @@ always points against the motion:
     R tau_M = a tau_J + F sigma + k q + J domega/dt + c,    R = r_J / r_M,    a > 0,    F > 0
 
 Springs, weights and inertia give back what they take and are fitted beside it (q, sin q, cos q, domega/dt, 1), so that
-only friction is left to judge. Reversing tau_M turns the signs of a and F, reversing tau_J that of a, reversing omega
-that of F. A log is refused only where a sign is beyond doubt: block by block, and by more than the residual explains.
+only friction is left to judge, which may change with bending and temperature. Reversing tau_M turns the signs of a and
+F, reversing tau_J that of a, reversing omega that of F. A log is refused only where a sign is beyond doubt: block by
+block, and by more than the residual explains.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ Array = NDArray[np.float64]
 BLOCKS = 12  # of time, the clusters of the standard errors
 CERTAIN = 5.0  # standard errors
 CLEAR = 0.5  # of the residual's RMS: a smaller term may be the work of what the fit lacks
+CARRIES = (
+    0.2  # of the motor torque's standard deviation: what the joint's torque must explain for its sign to be judged
+)
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 
@@ -63,10 +67,10 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
     velocity = "omega_j" if "omega_j" not in dataset.derived else "q_j"
     against = "omega_m" in dataset and _opposed(omega[sliding], dataset["omega_m"][sliding])
     motor_velocity = "omega_m" if "omega_m" not in dataset.derived else "q_m"
-    if gain < 0 and friction != 0:
+    if gain < 0:
+        if friction == 0:
+            return
         channel = "tau_j" if friction > 0 else "tau_m"
-    elif gain < 0:
-        channel = "tau_m or tau_j"
     elif friction < 0:
         channel = velocity if gain > 0 or against else f"tau_m or {velocity}"
     elif against:
@@ -114,7 +118,10 @@ def _signs(
     angle = dataset[column] if column in dataset else np.cumsum(omega) * dataset.period
     acceleration = np.gradient(omega, dataset.period)
     torque = [] if tau_j is None else [tau_j]
-    columns = np.column_stack([sigma, *torque, angle, np.sin(angle), np.cos(angle), acceleration])[sliding]
+    stored = [angle, np.sin(angle), np.cos(angle), acceleration]
+    changing = [dataset[name] for name in ("theta", "temperature") if name in dataset]
+    varying = [sigma * (values - np.mean(values[sliding])) for values in changing]
+    columns = np.column_stack([sigma, *torque, *stored, *varying])[sliding]
     columns = columns - columns.mean(axis=0)  # the constant
     scale = columns.std(axis=0)
     useful = scale > 0.0
@@ -126,7 +133,10 @@ def _signs(
     error = _clustered_error(columns, residual, np.flatnonzero(sliding) * BLOCKS // len(sliding))
     clear = (np.abs(coefficients) > CERTAIN * error) & (np.abs(coefficients) > CLEAR * rms)
     sign = np.where(clear, np.sign(coefficients), 0.0)
-    return (int(sign[1]) if tau_j is not None and useful[1] else 0), int(sign[0])
+    gain = 0
+    if tau_j is not None and useful[1] and abs(coefficients[1]) > CARRIES * float(np.std(y)):
+        gain = int(sign[1])
+    return gain, int(sign[0])
 
 
 def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:

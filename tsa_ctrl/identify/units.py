@@ -81,7 +81,7 @@ def check_pairs(label: str, columns: Mapping[str, Array], derivatives: Mapping[s
         if _near(ratio, DEGREES):
             found, fix = (
                 f"{velocity} is 180/pi times d{angle}/dt",
-                f"{velocity} seems to be in degrees: convert to rad/s",
+                f"{velocity} seems to be in degrees/s: use rad/s",
             )
         elif _near(ratio, 1.0 / DEGREES):
             found, fix = f"d{angle}/dt is 180/pi times {velocity}", f"{angle} seems to be in degrees: use rad"
@@ -93,19 +93,16 @@ def check_pairs(label: str, columns: Mapping[str, Array], derivatives: Mapping[s
 
 
 def check_ratios(
-    label: str,
-    columns: Mapping[str, Array],
-    motor_pulley_radius: float,
-    joint_pulley_radius: float,
-    bending_angle: float,
+    label: str, columns: Mapping[str, Array], motor_pulley_radius: float, joint_pulley_radius: float
 ) -> None:
     """Raise UsageError when two ends of the transmission disagree by more than their pulleys can explain.
 
-    Radii in m, the nominal bending angle in rad.
+    Radii in m. Says nothing where the two ends do not move or change together.
     """
     ratio = joint_pulley_radius / motor_pulley_radius
     if "tau_j" in columns:
-        slope = _slope(columns["tau_m"], columns["tau_j"])
+        sigma = np.sign(columns["omega_j"])  # friction shifts the torques by direction and hides their ratio
+        slope = _slope(_levelled(columns["tau_m"], sigma), _levelled(columns["tau_j"], sigma))
         if slope is not None and not 1.0 / MOST_GAIN < abs(slope) / ratio < MOST_GAIN:
             name = "tau_j" if abs(slope) > ratio else "tau_m"
             raise UsageError(
@@ -114,24 +111,29 @@ def check_ratios(
             )
     for motor, joint in (("q_m", "q_j"), ("omega_m", "omega_j")):
         if motor in columns and joint in columns:
-            slope = _slope(columns[joint] - np.mean(columns[joint]), columns[motor] - np.mean(columns[motor]))
+            slope = _slope(_levelled(columns[joint]), _levelled(columns[motor]))
             for factor, name in ((DEGREES, motor), (1.0 / DEGREES, joint)):
                 if slope is not None and _near(slope, factor * ratio):
                     raise UsageError(
                         f"{label}: column {motor} is {slope:.3g} times {joint} where the pulleys give {ratio:.3g}, "
                         f"which cannot be right; {name} seems to be in degrees: use rad"
                     )
-    if "theta" in columns and bending_angle > 0.0:
-        typical = float(np.median(np.abs(columns["theta"])))
-        if typical > 0.5 * DEGREES * bending_angle:
-            raise UsageError(
-                f"{label}: column theta is typically {typical:.3g} rad where the model says {bending_angle:.3g}, which "
-                "cannot be right; it seems to be in degrees: convert it to rad"
-            )
 
 
 def _near(ratio: float, factor: float) -> bool:
     return 0.8 < abs(ratio) / factor < 1.25
+
+
+def _levelled(values: Array, sigma: Array | None = None) -> Array:
+    """`values` less their mean, for each direction apart."""
+    if sigma is None:
+        return values - np.mean(values)
+    level = np.zeros_like(values)
+    for direction in (-1.0, 0.0, 1.0):
+        here = sigma == direction
+        if here.any():
+            level[here] = np.mean(values[here])
+    return values - level
 
 
 def _slope(x: Array, y: Array) -> float | None:

@@ -1,0 +1,298 @@
+"""A log made fit: what is accepted, what is added and said, what is refused in one line."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from tests.log.logs import HEADER, motion, records
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.model.parameters import RigidDrive, load_model
+
+N = 400
+T = np.arange(N) * 1e-3
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+ONE = LogHeader(axes=("hip",), rate=1000.0, started=0.0)
+
+Columns = dict[str, NDArray[np.float64]]
+
+
+def columns(**changed: NDArray[np.float64] | None) -> Columns:
+    """A good log; `changed` replaces columns, None removes one."""
+    good: dict[str, NDArray[np.float64] | None] = {"t": T, **motion(N), **changed}
+    return {name: values for name, values in good.items() if values is not None}
+
+
+def with_value(name: str, row: int, value: float) -> Columns:
+    changed = columns()[name].copy()
+    changed[row] = value
+    return columns(**{name: changed})
+
+
+def as_csv(path: Path, table: Columns) -> Path:
+    rows = np.column_stack(list(table.values())).tolist()
+    path.write_text(",".join(table) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows))
+    return path
+
+
+def test_every_kind_of_file_gives_the_same_columns(tmp_path: Path) -> None:
+    table = columns()
+    as_csv(tmp_path / "a.csv", table)
+    pq.write_table(pa.table(table), tmp_path / "a.parquet")
+    log = McapFile(tmp_path / "a.mcap", ONE)
+    log.write([records(N, **{name: values for name, values in table.items() if name != "t"})])
+    log.finish()
+    for name in ("a.csv", "a.parquet", "a.mcap"):
+        found = load_log(tmp_path / name)
+        assert found.rate == pytest.approx(1000.0)
+        for column, values in table.items():
+            np.testing.assert_allclose(found[column], values, rtol=0.0, atol=1e-12)
+
+
+def test_a_log_is_traced_by_the_hash_of_its_file(tmp_path: Path) -> None:
+    path = as_csv(tmp_path / "a.csv", columns())
+    found = load_log(path)
+    assert (found.name, found.sha256) == ("a.csv", hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+def test_a_good_log_needs_no_notes() -> None:
+    found = Dataset.from_arrays(columns())
+    assert (found.notes, found.derived, len(found)) == ((), frozenset(), N)
+    assert found.seconds == pytest.approx(0.399)
+
+
+def test_unknown_columns_are_accepted_and_named(tmp_path: Path) -> None:
+    path = as_csv(tmp_path / "a.csv", columns(current=np.ones(N)))
+    assert load_log(path).left_out == ("current",)
+
+
+def test_a_column_without_any_value_is_absent() -> None:
+    found = Dataset.from_arrays(columns(theta=np.full(N, np.nan)))
+    assert "theta" not in found
+    assert found.notes == ("column theta is empty and taken as absent",)
+
+
+def test_constant_signals_are_allowed() -> None:
+    found = Dataset.from_arrays({"t": T, "tau_m": np.ones(N), "tau_j": np.ones(N), "omega_j": np.zeros(N)})
+    assert set(found["omega_j"].tolist()) == {0.0}
+
+
+class TestDerivedVelocity:
+    def test_it_is_said(self) -> None:
+        found = Dataset.from_arrays(columns(omega_j=None, q_j=np.sin(5.0 * T)))
+        assert found.derived == {"omega_j"}
+        assert "omega_j is derived from q_j: zero-phase" in found.notes[0]
+        assert "10 Hz" in found.notes[0]
+
+    @pytest.mark.parametrize("frequency", [0.3, 1.0, 3.0])
+    def test_it_has_the_right_size_and_no_lag(self, frequency: float) -> None:
+        t = np.arange(8000) * 1e-3
+        w = 2.0 * np.pi * frequency
+        found = Dataset.from_arrays({"t": t, "tau_m": np.cos(t), "q_j": np.sin(w * t)})
+        middle = slice(2000, 6000)
+        true = w * np.cos(w * t[middle])
+        derived = found["omega_j"][middle]
+        assert np.max(np.abs(derived - true)) < 0.02 * w
+        lags = [float(np.dot(np.roll(derived, k), true)) for k in (-1, 0, 1)]
+        assert np.argmax(lags) == 1
+
+    def test_a_joint_at_rest_has_no_velocity(self) -> None:
+        q = np.concatenate([np.full(1000, 0.2), 0.2 + 1e-4 * np.arange(1000), np.full(1000, 0.3)])
+        count = 2.0 * np.pi / 4000.0
+        q = np.round(q / count) * count
+        t = np.arange(3000) * 1e-3
+        found = Dataset.from_arrays({"t": t, "tau_m": np.cos(t), "q_j": q})
+        assert set(found["omega_j"][:700].tolist()) == {0.0}
+        assert set(found["omega_j"][2400:].tolist()) == {0.0}
+
+    def test_a_measured_velocity_is_kept(self) -> None:
+        omega = 5.0 * np.cos(5.0 * T) + 0.1
+        found = Dataset.from_arrays(columns(omega_j=omega, q_j=np.sin(5.0 * T)))
+        np.testing.assert_array_equal(found["omega_j"], omega)
+
+    def test_the_motors_is_derived_too(self) -> None:
+        found = Dataset.from_arrays(columns(q_m=1.25 * np.sin(5.0 * T)))
+        assert found.derived == {"omega_m"}
+
+
+class TestJitter:
+    @pytest.mark.parametrize("share", [0.02, 0.1, 0.18])
+    def test_a_little_is_resampled_and_reported(self, share: float) -> None:
+        t = T + np.random.default_rng(3).uniform(-share, share, N) * 1e-3
+        found = Dataset.from_arrays({"t": t, "tau_m": np.sin(5.0 * t), "omega_j": np.cos(5.0 * t)})
+        assert f"time jitters by {found.jitter:.1%}" in found.notes[0]
+        assert 0.9 * share < found.jitter < 1.1 * share
+        assert np.ptp(np.diff(found["t"])) < 1e-12
+        assert np.max(np.abs(found["tau_m"] - np.sin(5.0 * found["t"]))) < 0.005
+
+    @pytest.mark.parametrize("share", [0.25, 0.45])
+    def test_more_is_an_error_with_the_row(self, share: float) -> None:
+        t = T + np.random.default_rng(3).uniform(-share, share, N) * 1e-3
+        with pytest.raises(UsageError, match=r"column t, row \d+: a step of .* at most 20% off is allowed"):
+            Dataset.from_arrays(columns(t=t))
+
+    def test_a_hole_is_an_error_with_its_row(self) -> None:
+        table = {name: np.delete(values, 200) for name, values in columns().items()}
+        with pytest.raises(UsageError, match=r"row 201: a step of 0\.002 s where the period is 0\.001 s"):
+            Dataset.from_arrays(table)
+
+
+class TestDaemonLog:
+    @staticmethod
+    def recorded(path: Path, keep: NDArray[np.int64], **changed: NDArray[np.float64]) -> Dataset:
+        log = McapFile(path, ONE)
+        log.write([records(N, **{**motion(N), **changed})[keep]])
+        log.finish()
+        return load_log(path)
+
+    def test_skipped_cycles_are_filled_and_said(self, tmp_path: Path) -> None:
+        found = self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), [100, 200, 201]))
+        assert len(found) == N
+        assert "3 cycles (0.75%) that the daemon skipped are filled" in found.notes[0]
+        assert np.max(np.abs(found["tau_j"] - np.cos(5.0 * T))) < 1e-4
+
+    def test_a_long_gap_is_an_error(self, tmp_path: Path) -> None:
+        with pytest.raises(UsageError, match=r"row 101: a step of 0\.051 s"):
+            self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), np.arange(100, 150)))
+
+    def test_rows_before_the_devices_reported_are_left_out(self, tmp_path: Path) -> None:
+        late = np.where(T < 0.02, np.nan, 0.5)
+        found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=late)
+        assert len(found) == N - 20
+        assert "the first 20 rows" in found.notes[0]
+
+    def test_a_value_missing_in_the_middle_is_an_error(self, tmp_path: Path) -> None:
+        holed = np.where(np.arange(N) == 50, np.nan, 0.5)
+        with pytest.raises(UsageError, match="column tau_m, row 51: found no number"):
+            self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
+
+    def test_several_axes_want_a_name(self, tmp_path: Path) -> None:
+        log = McapFile(tmp_path / "x.mcap", HEADER)
+        log.write([records(N, **motion(N)), records(N, **motion(N))])
+        log.finish()
+        with pytest.raises(UsageError, match="name one as"):
+            load_log(tmp_path / "x.mcap")
+        assert len(load_log(f"{tmp_path / 'x.mcap'}:knee")) == N
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (columns(t=None), "column t is missing (found: tau_m, tau_j, omega_j); add it"),
+        (columns(tau_m=None), "column tau_m is missing"),
+        (columns(tau_m=None, Tau_M=T), "is 'Tau_M' meant? rename it"),
+        (columns(omega_j=None), "column omega_j or q_j is missing"),
+        (with_value("tau_m", 16, np.nan), "column tau_m, row 17: found no number"),
+        (with_value("tau_j", 0, np.nan), "column tau_j, row 1: found no number"),
+        (with_value("omega_j", N - 1, np.inf), "column omega_j, row 400: found inf"),
+        (with_value("t", 3, np.nan), "column t, row 4: found no number"),
+        (with_value("t", 50, 0.01), "column t, row 51: time 0.01 s does not increase"),
+        (with_value("t", 50, 0.049), "column t, row 51: time 0.049 s does not increase"),
+        (columns(tau_m=np.full(N, np.nan)), "column tau_m has no value in any row"),
+        ({name: values[:4] for name, values in columns().items()}, "holds 4 rows; at least 10"),
+        ({"t": np.empty(0), "tau_m": np.empty(0), "omega_j": np.empty(0)}, "holds 0 rows"),
+        (columns(t=1e3 * T), "t seems to be in milliseconds"),
+        (columns(t=1e6 * T), "t seems to be in milliseconds or microseconds"),
+        (columns(t=T / 3600.0), "t seems to be in minutes or hours"),
+        (columns(tau_m=1000.0 * motion(N)["tau_m"]), "it seems to be in N*mm"),
+        (columns(tau_j=1000.0 * motion(N)["tau_j"]), "column tau_j, row 1: 1000 N*m cannot be right"),
+        (columns(temperature=np.full(N, 293.0)), "it seems to be in kelvin"),
+        (columns(theta=np.full(N, 150.0)), "it seems to be in degrees"),
+        (columns(q_j=np.degrees(-np.cos(5.0 * T) / 5.0)), "q_j seems to be in degrees"),
+        (
+            columns(q_j=-np.cos(5.0 * T) / 5.0, omega_j=np.degrees(np.sin(5.0 * T))),
+            "omega_j seems to be in degrees/s",
+        ),
+        (columns(omega_j=None, q_j=30.0 * np.sin(40.0 * T)), "column q_j swings over"),
+        (columns(omega_j=400.0 * np.sin(5.0 * T)), "degrees per second or rpm"),
+    ],
+)  # fmt: skip
+def test_a_bad_log_is_one_line(tmp_path: Path, table: Columns, said: str) -> None:
+    with pytest.raises(UsageError) as error:
+        Dataset.from_arrays(table, "log")
+    assert said in str(error.value)
+    with pytest.raises(UsageError) as error:
+        load_log(as_csv(tmp_path / "bad.csv", table))
+    message = str(error.value)
+    assert message.startswith(str(tmp_path / "bad.csv"))
+    assert "\n" not in message
+
+
+def test_rows_of_a_text_file_come_with_their_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"column tau_m, row 17 \(line 18\)"):
+        load_log(as_csv(tmp_path / "bad.csv", with_value("tau_m", 16, np.nan)))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("x.csv", b"", "is empty"),
+        ("x.csv", b"t,tau_m,tau_j,omega_j\n", "holds 0 rows"),
+        ("x.txt", b"t\n", "unknown kind of log"),
+        ("x.parquet", b"PAR1", "no readable Parquet"),
+        ("x.mcap", b"", "is empty"),
+        ("missing.csv", None, "no such file"),
+    ],
+)
+def test_a_bad_file_is_one_line(tmp_path: Path, name: str, content: bytes | None, said: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(UsageError, match=said):
+        load_log(tmp_path / name)
+
+
+def test_parquet_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pq.write_table(pa.table(columns()), tmp_path / "a.parquet")
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(UsageError, match="needs pyarrow; install it"):
+        load_log(tmp_path / "a.parquet")
+
+
+def test_columns_of_different_length_are_refused() -> None:
+    with pytest.raises(UsageError, match="give columns of one length"):
+        Dataset.from_arrays({"t": T, "tau_m": T[:-1], "omega_j": T})
+
+
+class TestRequire:
+    def test_a_tendon_sheath_needs_the_joints_motion(self) -> None:
+        found = Dataset.from_arrays({"t": T, "tau_m": np.sin(5.0 * T), "omega_m": np.cos(5.0 * T)})
+        with pytest.raises(UsageError, match="column omega_j or q_j is missing"):
+            found.require(load_model(CONFIG / "actuator.toml"))
+
+    def test_a_plain_drive_needs_the_motors_motion(self) -> None:
+        with pytest.raises(UsageError, match="column omega_m or q_m is missing"):
+            Dataset.from_arrays(columns()).require(RigidDrive(inertia=0.1))
+
+    def test_more_columns_can_be_asked_for(self) -> None:
+        with pytest.raises(UsageError, match="column tau_j is missing"):
+            Dataset.from_arrays(columns(tau_j=None)).require(load_model(CONFIG / "actuator.toml"), "tau_j")
+
+    def test_a_plain_drives_shaft_is_motor_and_joint(self) -> None:
+        found = Dataset.from_arrays({"t": T, "tau_m": np.sin(5.0 * T), "omega_m": np.cos(5.0 * T)})
+        np.testing.assert_array_equal(found.signals().omega_j, found["omega_m"])
+
+
+@given(
+    rate=st.sampled_from([50.0, 200.0, 1000.0, 4000.0]),
+    start=st.floats(0.0, 1e6),
+    digits=st.integers(6, 9),
+    seed=st.integers(0, 10_000),
+)
+@settings(max_examples=40)
+def test_rounded_times_of_any_rate_are_a_uniform_log(rate: float, start: float, digits: int, seed: int) -> None:
+    t = np.round(start + np.arange(300) / rate, digits)
+    noise = np.random.default_rng(seed).normal(size=300)
+    found = Dataset.from_arrays({"t": t, "tau_m": noise, "omega_j": noise})
+    assert found.rate == pytest.approx(rate, rel=1e-5)
+    assert found.jitter < 0.02

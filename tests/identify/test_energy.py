@@ -1,0 +1,158 @@
+"""Reversed channels are refused by name; what merely looks odd is not. The logs come from two tendons' equilibrium."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identify import tendon_logs
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.admit import admit
+from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.identify.energy import check_energy
+from tsa_ctrl.model.parameters import Model, RigidDrive, load_model, model_from
+
+VELOCITIES = ("omega_j", "q_j")
+
+Columns = dict[str, np.ndarray]
+
+
+def rig_log(seed: int, **options: float) -> tuple[Columns, Model]:
+    rng = np.random.default_rng(seed)
+    rig = tendon_logs.draw_rig(rng, tendon_logs.PROFILES[seed % 3])
+    model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal")
+    return tendon_logs.record(rig, rng, seconds=20.0, **options), model
+
+
+def turned(table: Columns, *names: str) -> Dataset:
+    return Dataset.from_arrays({name: -values if name in names else values for name, values in table.items()}, "log")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_right_log_is_accepted(seed: int) -> None:
+    table, model = rig_log(seed)
+    check_energy(turned(table), model)
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [(("tau_j",), "column tau_j is"), (("tau_m",), "column tau_m is"), (VELOCITIES, "column omega_j is")],
+)
+def test_a_reversed_channel_is_named(seed: int, names: tuple[str, ...], said: str) -> None:
+    table, model = rig_log(seed)
+    with pytest.raises(UsageError, match=f"{said} reversed"):
+        check_energy(turned(table, *names), model)
+
+
+def test_an_angle_against_its_own_velocity_is_named() -> None:
+    table, model = rig_log(1)
+    q = np.cumsum(table["omega_j"]) * float(table["t"][1] - table["t"][0])
+    with pytest.raises(UsageError, match="column omega_j runs against dq_j/dt"):
+        check_energy(turned({**table, "q_j": q}, "q_j"), model)
+
+
+def test_a_motor_angle_against_the_joint_is_named() -> None:
+    table, model = rig_log(2)
+    q = np.cumsum(table["omega_j"]) * float(table["t"][1] - table["t"][0])
+    with pytest.raises(UsageError, match="column q_m is reversed"):
+        check_energy(turned({**table, "q_m": 1.2 * q}, "q_m"), model)
+
+
+def test_an_unloaded_joint_still_tells_the_motors_sign() -> None:
+    table, model = rig_log(3)
+    rng = np.random.default_rng(0)
+    sigma = np.sign(table["omega_j"])
+    unloaded = {
+        **table,
+        "tau_m": 0.3 * sigma + 0.01 * rng.normal(size=len(sigma)),
+        "tau_j": 1e-3 * rng.normal(size=len(sigma)),
+    }
+    check_energy(turned(unloaded), model)
+    with pytest.raises(UsageError, match="column tau_m or omega_j is reversed"):
+        check_energy(turned(unloaded, "tau_m"), model)
+
+
+@pytest.mark.parametrize(("stiffness", "weight", "inertia"), [(5.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 0.05)])
+def test_energy_stored_and_given_back_is_no_reversed_channel(stiffness: float, weight: float, inertia: float) -> None:
+    table, model = rig_log(4)
+    period = float(table["t"][1] - table["t"][0])
+    q = np.cumsum(table["omega_j"]) * period
+    held = stiffness * q + weight * np.sin(q + 0.4) + inertia * np.gradient(table["omega_j"], period)
+    check_energy(turned({**table, "q_j": q, "tau_j": table["tau_j"] - held}), model)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"omega_j": np.zeros(2000)},
+        {"omega_j": np.ones(2000)},
+        {"tau_m": np.ones(2000), "tau_j": np.ones(2000)},
+        {"tau_j": np.zeros(2000)},
+        {"omega_j": np.random.default_rng(1).normal(size=2000)},
+    ],
+    ids=["still", "one way", "constant torques", "no load", "noise"],
+)
+def test_a_log_that_cannot_tell_is_accepted(table: Columns) -> None:
+    _, model = rig_log(5)
+    t = np.arange(2000) * 1e-3
+    rng = np.random.default_rng(2)
+    noise = {"t": t, "tau_m": rng.normal(size=2000), "tau_j": rng.normal(size=2000), "omega_j": np.sin(9.0 * t)}
+    check_energy(Dataset.from_arrays({**noise, **table}), model)
+
+
+def test_a_short_log_is_accepted() -> None:
+    table, model = rig_log(6)
+    check_energy(turned({name: values[:60] for name, values in table.items()}, "tau_j"), model)
+
+
+def test_a_plain_drive_whose_friction_drives_is_refused() -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(8000) * 1e-3
+    omega = 20.0 * np.sin(3.0 * t) + 8.0 * np.sin(7.7 * t)
+    tau = 0.05 * np.sign(omega) + 1e-3 * omega + 1e-4 * np.gradient(omega, 1e-3) + 0.002 * rng.normal(size=len(t))
+    table = {"t": t, "tau_m": tau, "omega_m": omega}
+    check_energy(turned(table), RigidDrive(coulomb_friction=0.04))
+    with pytest.raises(UsageError, match="column tau_m or omega_m is reversed"):
+        check_energy(turned(table, "tau_m"), RigidDrive(coulomb_friction=0.04))
+
+
+class TestRatios:
+    @pytest.mark.parametrize(("name", "factor"), [("tau_m", 1e3), ("tau_j", 1e3)])
+    def test_one_torque_in_newton_millimetres_is_named(self, name: str, factor: float) -> None:
+        table, model = rig_log(8)
+        small = {"tau_m": 0.01 * table["tau_m"], "tau_j": 0.01 * table["tau_j"]}
+        small[name] = small[name] * factor
+        with pytest.raises(UsageError, match=rf"{name} seems to be in N\*mm"):
+            admit(Dataset.from_arrays({**table, **small}), model)
+
+    @pytest.mark.parametrize("name", ["q_j", "q_m"])
+    def test_one_angle_in_degrees_is_named(self, name: str) -> None:
+        table, model = rig_log(9)
+        t = table["t"]
+        assert hasattr(model, "motor_pulley_radius")
+        ratio = model.joint_pulley_radius / model.motor_pulley_radius
+        angles = {"q_j": 0.1 * np.sin(3.0 * t), "q_m": 0.1 * ratio * np.sin(3.0 * t)}
+        angles[name] = np.degrees(angles[name])
+        without = {key: values for key, values in table.items() if key != "omega_j"}
+        with pytest.raises(UsageError, match=f"{name} seems to be in degrees"):
+            admit(Dataset.from_arrays({**without, **angles}), model)
+
+
+def test_the_measured_cable_drive_is_accepted_in_all_trials(data_dir: Path) -> None:
+    folder = data_dir / "davinci"
+    model = load_model(folder / "actuator.toml")
+    for path in sorted(folder.glob("*.csv.gz")):
+        admit(load_log(path), model, "tau_j")
+
+
+@pytest.mark.parametrize("name", ["tau_m", "q_j", "q_m"])
+def test_a_reversed_channel_of_the_measured_cable_drive_is_refused(data_dir: Path, name: str) -> None:
+    folder = data_dir / "davinci"
+    log = load_log(folder / "load050_0.3Hz.csv.gz")
+    measured = {key: values for key, values in log.columns.items() if key not in log.derived}
+    with pytest.raises(UsageError, match=f"{name}.* is reversed"):
+        check_energy(turned(measured, name), load_model(folder / "actuator.toml"))

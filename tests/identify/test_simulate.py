@@ -1,0 +1,238 @@
+"""`tsa simulate`: the numbers, the words, the files."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.cli import main
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.identify.simulate import labels, simulate, simulate_all
+from tsa_ctrl.log.table import read_table
+from tsa_ctrl.model.parameters import RigidDrive, load_model
+
+R_M, R_J, MU, THETA, PRETENSION = 0.02, 0.025, 0.1, 2.6, 45.0
+MODEL = f"""\
+[actuator]
+motor_pulley_radius = {R_M}
+joint_pulley_radius = {R_J}
+[tendon]
+axial_stiffness = 60e3
+unstrained_length = 1.2
+diameter = 0.6e-3
+[sheath]
+friction_coefficient = {MU}
+bending_angle = {THETA}
+[pretension]
+value = {PRETENSION}
+"""
+DRIVE = """\
+[actuator]
+kind = "rigid_drive"
+inertia = 2e-4
+coulomb_friction = 0.05
+viscous_friction = 1e-3
+"""
+T = np.arange(4000) * 1e-3
+OMEGA = 2.0 * np.cos(4.0 * T + 0.3)
+TAU_M = 0.7 * np.sin(2.3 * T) + 0.2 * np.cos(5.1 * T)
+ERROR = 0.03 * np.sin(31.0 * T) + 0.01
+
+
+def expected() -> np.ndarray:
+    """(3.55) by hand."""
+    x = MU * THETA
+    return R_J * (TAU_M / R_M * math.cosh(x) - 2.0 * PRETENSION * np.sign(OMEGA) * math.sinh(x))
+
+
+def write_csv(path: Path, **columns: np.ndarray) -> None:
+    np.savetxt(path, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with logs and models, as working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text(MODEL)
+    (tmp_path / "b.toml").write_text(MODEL + "[effects.torque_offset]\noffset = 0.01\n")
+    (tmp_path / "drive.toml").write_text(DRIVE)
+    tau_j = expected() + ERROR
+    write_csv(tmp_path / "x.csv", t=T, tau_m=TAU_M, tau_j=tau_j, omega_j=OMEGA)
+    write_csv(tmp_path / "no_joint.csv", t=T, tau_m=TAU_M, omega_j=OMEGA)
+    omega_m = 30.0 * np.cos(4.0 * T + 0.3)
+    tau = 2e-4 * np.gradient(omega_m, 1e-3) + 0.05 * np.sign(omega_m) + 1e-3 * omega_m + 0.004
+    write_csv(tmp_path / "drive.csv", t=T, tau_m=tau, omega_m=omega_m)
+    return tmp_path
+
+
+def tsa(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as done:
+        main(["simulate", *arguments])
+    assert isinstance(done.value.code, int)
+    return done.value.code
+
+
+def test_the_prediction_is_the_simplified_model_over_all_samples(bench: Path) -> None:
+    result = simulate(load_log("x.csv"), load_model("a.toml"))
+    np.testing.assert_allclose(result.predicted, expected(), atol=1e-12)
+    assert result.rms == pytest.approx(math.sqrt(np.mean(ERROR**2)))
+    assert result.bias == pytest.approx(np.mean(ERROR))
+    assert result.max_abs == pytest.approx(np.max(np.abs(ERROR)))
+
+
+def test_samples_beyond_slack_are_counted(bench: Path) -> None:
+    table = dict(read_table("x.csv").columns)
+    table["tau_m"] = 3.0 * table["tau_m"]
+    del table["tau_j"]
+    result = simulate(Dataset.from_arrays(table), load_model("a.toml"))
+    assert result.beyond_slack == np.mean(np.abs(table["tau_m"]) >= 2.0 * PRETENSION * R_M)
+    assert 0.0 < result.beyond_slack < 1.0
+
+
+def test_text_ends_with_one_line_per_model(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("x.csv", "--model", "a.toml", "--model", "b.toml") == 0
+    last = capsys.readouterr().out.splitlines()[-2:]
+    rms = math.sqrt(np.mean(ERROR**2)), math.sqrt(np.mean((ERROR - 0.01) ** 2))
+    assert last == [f"RMS error: {rms[0]:.4f} N*m (a.toml)", f"RMS error: {rms[1]:.4f} N*m (b.toml)"]
+
+
+def test_a_small_error_keeps_its_digits(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_csv(bench / "y.csv", t=T, tau_m=TAU_M, tau_j=expected() + 1.234e-6, omega_j=OMEGA)
+    assert tsa("y.csv", "--model", "a.toml") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "RMS error: 0.00000123 N*m (a.toml)"
+
+
+def test_json_is_one_object_with_the_keys_that_programs_rely_on(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert tsa("x.csv", "--model", "a.toml", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["schema"], found["log"]) == (1, "x.csv")
+    (model,) = found["models"]
+    assert model["model"] == "a.toml"
+    assert model["rms"] == pytest.approx(math.sqrt(np.mean(ERROR**2)))
+    assert (model["unit"], model["samples"], model["beyond_slack"]) == ("N*m", len(T), 0.0)
+    assert {"bias", "max_abs"} <= set(model)
+
+
+def test_without_a_joint_torque_it_predicts(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("no_joint.csv", "--model", "a.toml", "--out", "o.csv", "--json") == 0
+    (model,) = json.loads(capsys.readouterr().out)["models"]
+    assert (model["rms"], model["bias"], model["max_abs"]) == (None, None, None)
+    table = read_table("o.csv")
+    assert list(table.columns) == ["t", "tau_j_sim"]
+    np.testing.assert_allclose(table.columns["tau_j_sim"], expected(), atol=1e-12)
+
+
+def test_without_a_joint_torque_text_says_so(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("no_joint.csv", "--model", "a.toml") == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "predicted only: the log has no tau_j (a.toml)"
+
+
+def test_csv_of_one_model_has_its_columns(bench: Path) -> None:
+    assert tsa("x.csv", "--model", "a.toml", "--out", "o.csv") == 0
+    columns = read_table("o.csv").columns
+    assert list(columns) == ["t", "tau_j", "tau_j_sim", "residual"]
+    np.testing.assert_allclose(columns["residual"], ERROR, atol=1e-12)
+    np.testing.assert_allclose(columns["tau_j"], columns["tau_j_sim"] + columns["residual"], atol=1e-12)
+
+
+def test_csv_of_several_models_numbers_them(bench: Path) -> None:
+    assert tsa("x.csv", "--model", "a.toml", "--model", "b.toml", "--out", "o.csv.gz") == 0
+    columns = read_table("o.csv.gz").columns
+    assert list(columns) == ["t", "tau_j", "tau_j_sim_1", "tau_j_sim_2", "residual_1", "residual_2"]
+    np.testing.assert_allclose(columns["tau_j_sim_2"] - columns["tau_j_sim_1"], 0.01, atol=1e-12)
+
+
+@pytest.mark.parametrize("log", ["x.csv", "no_joint.csv"])
+def test_the_picture_is_a_png(bench: Path, log: str) -> None:
+    assert tsa(log, "--model", "a.toml", "--model", "b.toml", "--picture", "p.png") == 0
+    assert Path("p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_slack_is_said_with_its_share(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_csv(bench / "y.csv", t=T, tau_m=3.0 * TAU_M, omega_j=OMEGA)
+    (bench / "c.toml").write_text(MODEL + "[effects.tendon_slack]\n")
+    assert tsa("y.csv", "--model", "a.toml", "--model", "c.toml") == 0
+    out = capsys.readouterr().out
+    share = np.mean(np.abs(3.0 * TAU_M) >= 2.0 * PRETENSION * R_M)
+    assert f"{share:.1%} of the samples lie beyond abs(tau_m) = 2 T_p r_M" in out
+    assert "outside the domain of (3.55) (a.toml)" in out
+    assert "as [effects.tendon_slack] models (c.toml)" in out
+
+
+class TestPlainDrive:
+    def test_it_predicts_the_motor_torque(self, bench: Path) -> None:
+        result = simulate(load_log("drive.csv"), load_model("drive.toml"))
+        assert result.quantity == "tau_m"
+        assert result.rms == pytest.approx(0.004, rel=0.05)
+        assert result.beyond_slack == 0.0
+
+    def test_its_files_name_the_motor_torque(self, bench: Path) -> None:
+        assert tsa("drive.csv", "--model", "drive.toml", "--out", "o.csv", "--picture", "p.png") == 0
+        assert list(read_table("o.csv").columns) == ["t", "tau_m", "tau_m_sim", "residual"]
+
+    def test_it_is_not_set_beside_a_tendon_sheath(self, bench: Path) -> None:
+        omega = {"omega_m": 1.25 * OMEGA, "omega_j": OMEGA}
+        log = Dataset.from_arrays({"t": T, "tau_m": TAU_M, **omega})
+        models = [("a", load_model("a.toml")), ("d", RigidDrive(torque_offset=0.1))]
+        with pytest.raises(UsageError, match="in two calls"):
+            simulate_all(log, models)
+
+
+def test_models_of_one_name_are_told_apart_by_their_path() -> None:
+    assert labels(["a/m.toml", "b/m.toml", "c/n.toml"]) == ["a/m.toml", "b/m.toml", "n.toml"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("x.csv",), "Missing option '--model'"),
+        (("nope.csv", "--model", "a.toml"), "nope.csv: no such file"),
+        (("x.csv", "--model", "nope.toml"), "nope.toml: no such file"),
+        (("x.csv", "--model", "bad.toml"), "bad.toml:"),
+        (("drive.csv", "--model", "a.toml"), "column omega_j or q_j is missing"),
+        (("x.csv", "--model", "drive.toml"), "column omega_m or q_m is missing"),
+        (("x.csv", "--model", "needs.toml"), "needs column temperature"),
+        (("reversed.csv", "--model", "a.toml"), "column tau_j is reversed"),
+        (("x.csv", "--model", "a.toml", "--out", "no/such/o.csv"), "no/such/o.csv: cannot be written"),
+        (("x.csv", "--model", "a.toml", "--picture", "p.xyz"), "p.xyz: no picture of that kind"),
+        (("x.csv", "--model", "a.toml", "--picture", "no/such/p.png"), "no/such/p.png: cannot be written"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("more", [(), ("--json",)], ids=["text", "json"])
+def test_a_mistake_is_one_line_and_code_2(
+    bench: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], more: tuple[str, ...], said: str
+) -> None:
+    (bench / "bad.toml").write_text("[actuator]\nmotor_pulley_radius = -1\n")
+    thermal = "[effects.thermal_friction_drift]\ntemperature_coefficient = 0.01\n"
+    (bench / "needs.toml").write_text(MODEL + thermal)
+    write_csv(bench / "reversed.csv", t=T, tau_m=TAU_M, tau_j=-expected(), omega_j=OMEGA)
+    assert tsa(*arguments, *more) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert said in output.err
+    assert output.err.count("\n") == 1
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("--help") == 0
+    assert "Example: tsa simulate" in re.sub(r"\s+", " ", capsys.readouterr().out)
+
+
+def test_the_measured_cable_drive_as_given_has_the_published_error(data_dir: Path) -> None:
+    folder = data_dir / "davinci"
+    model = load_model(folder / "actuator.toml")
+    results = [simulate(load_log(path), model) for path in sorted(folder.glob("*.csv.gz"))]
+    assert len(results) == 25
+    samples = sum(len(result.predicted) for result in results)
+    squares = sum(float(np.sum(result.residual**2)) for result in results if result.residual is not None)
+    assert round(1e3 * math.sqrt(squares / samples)) == 61
+    slack = sum(result.beyond_slack * len(result.predicted) for result in results)
+    assert round(100.0 * slack / samples) == 39

@@ -1,0 +1,98 @@
+"""`tsa log info` and `tsa log convert`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.log.logs import write_log
+from tsa_ctrl.cli import main
+
+
+@pytest.fixture
+def log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    write_log(Path("run.mcap"))
+    return "run.mcap"
+
+
+def tsa(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as done:
+        main(list(arguments))
+    assert isinstance(done.value.code, int)
+    return done.value.code
+
+
+def test_info_prints_the_keys_that_programs_rely_on(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("log", "info", log, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["schema"] == 1
+    assert found["rate"] == pytest.approx(1000.0)
+    assert found["seconds"] == pytest.approx(0.399)
+    assert found["columns"] == ["t", "tau_m", "omega_j", "cycle", "state"]
+    assert found["axes"] == ["hip", "knee"]
+    assert found["jitter_percent"] == pytest.approx(0.0, abs=1e-6)
+    assert found["problems"] == []
+
+
+def test_info_for_people_names_axes_columns_and_units(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("log", "info", log) == 0
+    out = capsys.readouterr().out
+    assert "axis knee: 400 rows, 0.399 s at 1000 Hz" in out
+    assert "rad/s" in out
+
+
+def test_info_of_a_cut_log_says_so(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("cut.mcap").write_bytes(Path(log).read_bytes()[:-300])
+    assert tsa("log", "info", "cut.mcap") == 0
+    assert "cut off" in capsys.readouterr().out
+
+
+def test_info_of_a_table_has_no_axes(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("t,tau_m,mark\n" + "".join(f"{i / 100},{i},on\n" for i in range(20)))
+    assert tsa("log", "info", str(tmp_path / "x.csv"), "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["axes"], found["columns"]) == ([], ["t", "tau_m", "mark"])
+
+
+def test_convert_prints_the_files_that_it_wrote(log: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("log", "convert", log, "--out", "out.csv") == 0
+    assert capsys.readouterr().out.split() == ["out_hip.csv", "out_knee.csv"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("info", "nope.csv"), "nope.csv: no such file"),
+        (("info", "."), "is a folder"),
+        (("info", "x.xlsx"), "unknown kind of log '.xlsx'"),
+        (("info", "empty.csv"), "is empty"),
+        (("info", "notime.csv"), "column t is missing (found: tau_m)"),
+        (("info", "back.csv"), "column t, row 3 (line 4): time 0.5 s does not increase"),
+        (("info", "run.mcap:elbow"), "holds no axis 'elbow'"),
+        (("info", "bad.parquet"), "is no readable Parquet file"),
+        (("convert", "run.mcap", "--out", "x.txt"), "unknown kind of file"),
+        (("convert", "run.mcap"), "Missing option '--out'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_code_2(
+    log: str, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
+    Path("x.xlsx").write_text("x")
+    Path("empty.csv").touch()
+    Path("notime.csv").write_text("tau_m\n1\n2\n")
+    Path("back.csv").write_text("t,tau_m\n0,1\n1,1\n0.5,1\n")
+    Path("bad.parquet").write_text("x")
+    assert tsa("log", *arguments) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert said in output.err
+    assert output.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", ["info", "convert"])
+def test_help_has_an_example(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("log", verb, "--help") == 0
+    assert "Example: tsa log" in capsys.readouterr().out

@@ -1,0 +1,152 @@
+"""Logs to tables and back."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from tests.log.logs import HEADER, records, write_log
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.convert import convert
+from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.reader import read_axis
+from tsa_ctrl.log.table import read_table
+
+ONE = LogHeader(axes=("hip",), rate=1000.0, codes=HEADER.codes, started=0.0)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.mcap"
+    write_log(path)
+    return path
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+@given(
+    values=hnp.arrays(np.float64, st.tuples(st.integers(2, 30), st.just(3)), elements=st.floats(allow_infinity=False)),
+    ending=st.sampled_from([".csv", ".csv.gz", ".parquet"]),
+)
+@settings(max_examples=60)
+def test_a_table_holds_the_log_to_the_last_bit(
+    tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, ending: str
+) -> None:
+    folder = tmp_path_factory.mktemp("convert")
+    signals = {"tau_m": values[:, 0], "tau_j": values[:, 1], "pdo_age": values[:, 2]}
+    file = McapFile(folder / "x.mcap", ONE)
+    file.write([records(len(values), **signals)])
+    file.finish()
+    convert(folder / "x.mcap", folder / f"y{ending}")
+    expected = read_axis(folder / "x.mcap", "hip").columns
+    found = read_table(folder / f"y{ending}").columns
+    assert list(found) == [name for name in expected if name != "state"]
+    for name, column in found.items():
+        np.testing.assert_array_equal(column, expected[name])
+
+
+def test_several_axes_give_one_file_each(log: Path, tmp_path: Path) -> None:
+    written = convert(log, tmp_path / "out" / "table.csv.gz")
+    assert names(tmp_path / "out") == ["table_hip.csv.gz", "table_knee.csv.gz"]
+    assert [file.path.name for file in written] == names(tmp_path / "out")
+
+
+def test_a_folder_gets_one_csv_per_axis(log: Path, tmp_path: Path) -> None:
+    convert(log, tmp_path / "tables")
+    assert names(tmp_path / "tables") == ["run_hip.csv", "run_knee.csv"]
+
+
+def test_one_named_axis_goes_to_the_very_file(log: Path, tmp_path: Path) -> None:
+    convert(f"{log}:knee", tmp_path / "knee.csv")
+    assert read_table(tmp_path / "knee.csv").columns["tau_m"].tolist() == [1.0] * 400
+
+
+def test_columns_that_were_never_there_are_left_out(log: Path, tmp_path: Path) -> None:
+    convert(f"{log}:hip", tmp_path / "x.csv")
+    assert (tmp_path / "x.csv").read_text().splitlines()[0] == "t,tau_m,omega_j,cycle,state"
+
+
+def test_a_state_is_written_as_its_name(log: Path, tmp_path: Path) -> None:
+    convert(f"{log}:hip", tmp_path / "x.csv")
+    convert(f"{log}:hip", tmp_path / "x.parquet")
+    assert (tmp_path / "x.csv").read_text().splitlines()[1] == "0.0,0.0,1.0,0,operation_enabled"
+    assert pq.read_table(tmp_path / "x.parquet").column("state")[0].as_py() == "operation_enabled"
+
+
+def test_a_code_without_a_name_stays_a_number(tmp_path: Path) -> None:
+    file = McapFile(tmp_path / "x.mcap", ONE)
+    file.write([records(2, state=5.0)])
+    file.finish()
+    convert(tmp_path / "x.mcap", tmp_path / "x.csv")
+    assert (tmp_path / "x.csv").read_text().splitlines()[1] == "0.0,0,5"
+
+
+def test_a_cut_log_converts_up_to_its_last_chunk(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    convert(f"{cut}:hip", tmp_path / "x.csv")
+    assert len(read_table(tmp_path / "x.csv")) in (100, 200)
+
+
+def test_progress_ends_at_one(log: Path, tmp_path: Path) -> None:
+    shares: list[float] = []
+    convert(log, tmp_path / "out", shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_what_a_table_cannot_hold_is_named(log: Path, tmp_path: Path) -> None:
+    convert(f"{log}:hip", tmp_path / "x.csv")
+    assert convert(tmp_path / "x.csv", tmp_path / "y.parquet")[0].left_out == ("state",)
+
+
+@pytest.mark.parametrize(
+    ("out", "said"),
+    [
+        ("x.txt", "unknown kind of file"),
+        ("file/x.csv", "cannot be written"),
+        ("file/x.parquet", "cannot be written"),
+    ],
+)
+def test_a_place_that_cannot_be_used_is_one_line(log: Path, tmp_path: Path, out: str, said: str) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=said):
+        convert(f"{log}:hip", tmp_path / out)
+
+
+def test_a_log_is_not_converted_onto_itself(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("t,tau_m\n0,1\n")
+    with pytest.raises(UsageError, match="is the log itself"):
+        convert(path, path)
+    assert path.read_text() == "t,tau_m\n0,1\n"
+
+
+def test_a_failed_conversion_leaves_what_was_there(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "x.csv"
+    out.write_text("old\n")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(UsageError, match="No space left on device"):
+        convert(f"{log}:hip", out)
+    assert out.read_text() == "old\n"
+    assert names(tmp_path) == ["run.mcap", "x.csv"]
+
+
+def test_a_log_without_records_is_one_line(tmp_path: Path) -> None:
+    McapFile(tmp_path / "x.mcap", ONE).finish()
+    with pytest.raises(UsageError, match="holds no records"):
+        convert(tmp_path / "x.mcap", tmp_path / "x.csv")
