@@ -39,7 +39,9 @@ ensure_venv() {
         fi
         "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --retries 2 \
             --editable "$root[dev]" >"$log" 2>&1 ||
-            die "pip could not install the project: $(grep -m1 ERROR "$log" || tail -n1 "$log"); all of it in $log"
+            die "pip could not install the project: $(grep -m1 ERROR "$log" || tail -n1 "$log")$(
+                if grep -q 'connection broken' "$log"; then echo ' (a registry was not reached)'; fi
+            ); all of it in $log"
         printf '%s\n' "$stamp" >"$venv/installed"
     fi
     exec 9>&-
