@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.demo.rig import FADE_IN
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.log.table import read_table
 
 FloatArray = NDArray[np.float64]
 
+LEAST_CYCLES = 100  # with torque
+STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
 SHOWN = 2  # repetitions of the motion in the picture
 
 
@@ -38,17 +40,22 @@ class Course:
         return float(np.sqrt(np.mean(np.square(self.error))))
 
 
-def read_course(folder: Path, summary: dict[str, Any]) -> Course:
-    """A run's log after the fade-in, torque permitted; raises BusError when it holds too little."""
+def read_course(folder: Path, summary: dict[str, Any], seconds: float) -> Course:
+    """A run's log from the end of the fade-in to the begin of the stop, `seconds` s after the enable.
+
+    Raises BusError when it holds too little.
+    """
     log = folder / str(summary["log"])
-    dataset = load_log(log)
-    wanted, t = dataset["tau_j_des"], dataset["t"]
-    active = np.flatnonzero((wanted != 0.0) | (dataset["tau_m_cmd"] != 0.0))
-    if active.size < 100:
+    columns = read_table(
+        log, ("t", "tau_j_des", "tau_m_cmd", "tau_j")
+    ).columns  # cycles that were lost are just not there
+    wanted, t = columns["tau_j_des"], columns["t"]
+    active = np.flatnonzero((wanted != 0.0) | (columns["tau_m_cmd"] != 0.0))
+    if active.size < LEAST_CYCLES:
         raise BusError(f"demo: {log.name} holds no torque; {summary['cause']}")
-    start, end = t[active[0]] + FADE_IN, t[active[-1]]
-    chosen = (t >= start) & (t <= end)
-    return Course(t[chosen] - t[active[0]], wanted[chosen], dataset["tau_j"][chosen], log, summary)
+    enabled = t[active[0]]
+    chosen = (t >= enabled + FADE_IN) & (t <= enabled + seconds - STOP_MARGIN) & np.isfinite(columns["tau_j"])
+    return Course(t[chosen] - enabled, wanted[chosen], columns["tau_j"][chosen], log, summary)
 
 
 @dataclass(frozen=True)

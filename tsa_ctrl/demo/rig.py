@@ -35,6 +35,7 @@ channel = "{channel}"
 
 [physics]
 start = "first_enable"           # the same motion in every run
+priority = 90                    # above the controller's: a real machine does not wait for it either
 
 [[axis]]
 name = "joint"
@@ -59,6 +60,7 @@ CONTROLLER = """\
 [controller]
 name = "demo"
 rate = {rate}
+settle_cycles = 20               # a busy machine may not give 100 in a row
 after_fault = "exit"
 
 [bus]

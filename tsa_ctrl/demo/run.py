@@ -10,7 +10,7 @@ from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.demo.outcome import Outcome, read_course
-from tsa_ctrl.demo.processes import daemon, plant
+from tsa_ctrl.processes import daemon, plant
 
 RUNS = {"without": ("nominal.toml", 0.0), "with": ("nominal.toml", 0.95)}
 
@@ -29,7 +29,7 @@ def demo(folder: Path, bus: BusChoice, play: Play, seconds: float, rate: float, 
         say(f"{name} compensation: starting the plant", number / len(RUNS))
         with plant(folder):
             summary = daemon(folder, name, seconds, partial(_tick, say, name, number))
-        courses.append(read_course(folder, summary))
+        courses.append(read_course(folder, summary, seconds))
     outcome = Outcome(bus.name, courses[0], courses[1], folder / "demo.png")
     outcome.draw(float(play.t[-1]))
     return outcome
