@@ -1,0 +1,91 @@
+"""The whole loop over serial lines: drive and encoder behind a serial CAN adapter, a load cell that sends text."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.serial_line.adapters import AdapterPair
+from tests.serial_line.lines import Line, wait_for
+from tsa_ctrl.bus.connect import open_bus
+from tsa_ctrl.bus.seam import Bus, Frame
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.outcome import read_course
+from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.log.table import read_table
+from tsa_ctrl.processes import daemon, plant
+
+RATE = 100.0  # Hz: ten frames per cycle through two interpreters
+SECONDS = 6.0
+LOAD_CELL = """
+[[axis.serial]]
+quantity = "t1"
+port = "{port}"
+pattern = '^(?P<value>\\S+) (?P<unit>\\w+)$'
+unit = "kgf"
+scale = 9.80665
+rate = 20
+timeout = 2.0
+"""
+
+
+def test_frames_cross_a_pair_of_adapters_both_ways() -> None:
+    with AdapterPair() as ports:
+        first, second = (
+            open_bus(BusSettings(interface="slcan", channel=port, options={"sleep_after_open": 0.0})) for port in ports
+        )
+        try:
+            for sender, receiver in ((first, second), (second, first)):
+                frames: list[Frame] = []
+
+                def arrived(receiver: Bus = receiver, frames: list[Frame] = frames) -> bool:
+                    frame = receiver.recv(0.05)
+                    if frame is not None:
+                        frames.append(frame)
+                    return bool(frames)
+
+                wait_for(arrived, lambda sender=sender: sender.send(0x201, b"\x0f\x00\xfa\x00"))
+                assert frames[0] == (0x201, b"\x0f\x00\xfa\x00")
+        finally:
+            first.close()
+            second.close()
+
+
+@pytest.mark.hil
+@pytest.mark.slow
+def test_torque_is_controlled_and_a_load_cell_is_logged_over_pseudo_terminals(tmp_path: Path) -> None:
+    cell = Line(tmp_path / "cell")
+    end = threading.Event()
+
+    def send() -> None:
+        while not end.wait(0.05):
+            cell.send(b"4.5 kgf\r\n")
+
+    thread = threading.Thread(target=send)
+    with AdapterPair() as (ours, theirs):
+        rig.write(tmp_path, BusChoice("slcan", ours), gait(), RATE, "full", {"with": ("nominal.toml", 0.95)})
+        plant_file, controller = tmp_path / "plant.toml", tmp_path / "controller-with.toml"
+        plant_file.write_text(plant_file.read_text().replace(ours, theirs))
+        controller.write_text(controller.read_text() + LOAD_CELL.format(port=cell.path))
+        thread.start()
+        try:
+            with plant(tmp_path):
+                summary = daemon(tmp_path, "with", SECONDS, lambda share: None)
+        finally:
+            end.set()
+            thread.join()
+            cell.unplug()
+    assert not summary["failed"]
+    course = read_course(tmp_path, summary)
+    ideal_alone = 0.45  # N*m RMS without compensation on this motion
+    assert course.rms < 0.5 * ideal_alone
+    t1 = read_table(course.log).columns["t1"]
+    assert np.nanmax(t1) == np.nanmin(t1) == pytest.approx(4.5 * 9.80665)
+    assert np.mean(np.isfinite(t1)) > 0.9
+    assert load_log(course.log).rate == pytest.approx(RATE)
