@@ -162,9 +162,11 @@ class TestDaemonLog:
         assert "3 cycles (0.75%) that the daemon skipped are filled" in found.notes[0]
         assert np.max(np.abs(found["tau_j"] - np.cos(5.0 * T))) < 1e-4
 
-    def test_a_long_gap_is_an_error(self, tmp_path: Path) -> None:
-        with pytest.raises(UsageError, match=r"row 101: a step of 0\.051 s"):
-            self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), np.arange(100, 150)))
+    def test_at_a_long_gap_the_longest_stretch_is_used_and_said(self, tmp_path: Path) -> None:
+        found = self.recorded(tmp_path / "x.mcap", np.delete(np.arange(N), np.arange(100, 150)))
+        assert len(found) == N - 150
+        assert found["t"][0] == pytest.approx(T[150])
+        assert "100 rows are left out" in found.notes[0]
 
     def test_rows_before_the_devices_reported_are_left_out(self, tmp_path: Path) -> None:
         late = np.where(T < 0.02, np.nan, 0.5)

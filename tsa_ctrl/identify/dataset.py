@@ -133,6 +133,16 @@ def _dataset(table: Table, name: str, sha256: str) -> Dataset:
     if start:
         columns = {key: value[start:] for key, value in columns.items()}
         notes.append(f"the first {start} rows, before every device had reported, are left out")
+    if table.recorded:
+        first, end = _longest_piece(columns["t"])
+        if end - first < len(columns["t"]):
+            missing = len(columns["t"]) - (end - first)
+            columns = {key: value[first:end] for key, value in columns.items()}
+            start += first
+            notes.append(
+                f"the daemon stood still for more than {1e3 * LONGEST_SKIP:g} ms at least once: the longest stretch "
+                f"without is used, {missing} rows are left out"
+            )
     _check_numbers(table, columns, start)
     columns, period, jitter = _uniform(table, columns, start, notes)
     derivatives: dict[str, Array] = {
@@ -175,6 +185,15 @@ def _first_complete(columns: Mapping[str, Array]) -> int:
     present = [np.isfinite(values) for name, values in columns.items() if name in SIGNAL_NAMES]
     complete = np.logical_and.reduce(present)
     return int(np.argmax(complete)) if complete.any() else 0
+
+
+def _longest_piece(t: Array) -> tuple[int, int]:
+    """First and end index of the longest stretch of a daemon's log without a gap above LONGEST_SKIP."""
+    steps = np.diff(t)
+    gaps = np.flatnonzero(steps > LONGEST_SKIP + 1.5 * float(np.median(steps))) + 1
+    edges = np.concatenate([[0], gaps, [len(t)]])
+    longest = int(np.argmax(np.diff(edges)))
+    return int(edges[longest]), int(edges[longest + 1])
 
 
 def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> None:
