@@ -201,10 +201,10 @@ class Axis:
     def _store_torque(self, values: tuple[Any, ...]) -> None:
         self.image.tau_j = values[0] * self._sensor_scale - self._sensor_offset
 
-    def settle(self, sampled: float, now: float, complete: bool) -> None:
-        """Close a cycle: derive what follows from positions sampled at `sampled`, and judge freshness at `now`."""
+    def settle(self, sampled: float, complete: bool) -> None:
+        """Close a cycle: judge what is fresh, and derive what follows from positions sampled at `sampled`."""
         image = self.image
-        image.now = now
+        image.now = sampled
         fresh = joint_fresh = True
         if not complete:
             fresh, joint_fresh = self._count_misses()
@@ -228,10 +228,10 @@ class Axis:
         else:
             image.misses += 1
             image.missed += 1
-        image.pdo_age = now - self._sampled
+        image.pdo_age = sampled - self._sampled
         image.silent = None
         for health in image.nodes:
-            if now - health.heard > health.timeout:
+            if sampled - health.heard > health.timeout:
                 image.silent = health
                 break
 

@@ -71,7 +71,8 @@ def prove(rig: Rig, period: float, cycles: int = 50) -> None:
     for _ in range(cycles):
         begin = rig.wait(begin + period)
         rig.sync(begin)
-        rig.heartbeat(rig.collect(begin + 0.8 * period))
+        rig.collect(begin + 0.8 * period)
+        rig.heartbeat(begin)
     for axis in rig.axes:
         for health in axis.image.nodes:
             answered = cycles - health.missed

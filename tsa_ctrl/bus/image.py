@@ -94,12 +94,12 @@ class Image:
         self.q_j = math.nan  # rad, joint
         self.omega_j = math.nan  # rad/s, joint; filtered, see EncoderSettings.velocity_cutoff
         self.tau_j = math.nan  # N*m, torque sensor
-        self.now = 0.0  # s, monotonic time of the end of the last collect
+        self.now = 0.0  # s, monotonic time of the last SYNC
         self.fresh = False  # all PDOs of drive and encoder answered this cycle's SYNC
         self.joint_fresh = False  # the encoder's did
         self.misses = 0  # cycles in a row in which `fresh` was False
         self.missed = 0  # such cycles since the start
-        self.pdo_age = math.inf  # s since the SYNC at which the drive's values were sampled
+        self.pdo_age = math.inf  # s, how much older than the last SYNC the values are; 0 when fresh
         self.drops = 0  # commands in a row that could not be sent
         self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue

@@ -21,7 +21,9 @@ from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
-_WITHOUT_CLOCK = 64  # frames taken one after the other before the deadline is looked at
+_GUESS = 0.125  # share of the window in which the next of several answers is expected
+_OTHERS = 16  # emergencies and heartbeats that may stand between answers that came in time
+_LOOK_AT_CLOCK = 8  # frames between two looks at the clock: at most one window later than the deadline
 _ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
 _NO_DATA = b""
@@ -119,15 +121,25 @@ class Rig:
         return self.bus.send(cia301.SYNC, _NO_DATA)
 
     def collect(self, deadline: float) -> float:
-        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the time now.
+        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the SYNC's time.
 
-        The clock is read only before something is waited for: on some machines that costs as much as a frame.
+        The clock is read only when it matters: in a virtual machine that can cost as much as receiving a frame. After
+        the first frame the wait for each next one is a short guess; only one that fails asks for the time left.
         """
         recv, receive, clock = self.bus.recv, self._receive, self._clock
         pending = 0 if self._flooded_now else self._expected
-        spare = _WITHOUT_CLOCK
-        frame = recv(deadline - self._synced) if pending else None
-        while frame is not None:
+        window = deadline - self._synced
+        guess = window * _GUESS
+        frame = recv(window) if pending else None
+        taken, most = 0, _MAX_WAITING
+        while pending > 0:
+            if frame is None:
+                window = deadline - clock()
+                if guess == 0.0 or window <= 0.0:
+                    break
+                frame = recv(window)
+                if frame is None:
+                    break
             handler = receive.get(frame[0])
             if handler is not None:
                 pending -= handler(frame[1])
@@ -135,29 +147,27 @@ class Rig:
                     break
             else:
                 self._take_other(frame)
-            spare -= 1
-            frame = recv(0.0) if spare > 0 else None
-            if frame is None:
-                remaining = deadline - clock()
-                if remaining <= 0.0:
-                    break
-                frame = recv(remaining)
-                spare = _WITHOUT_CLOCK
-        now = clock()
+            taken += 1
+            if taken >= most:
+                break
+            if taken % _LOOK_AT_CLOCK == 0 and guess > 0.0 and clock() >= deadline:
+                guess = 0.0  # wait no longer, but take what came in time
+                most = taken + pending + _OTHERS
+            frame = recv(guess)
         complete = pending <= 0 and self._expected == len(self._inboxes) and not self._flooded_now
         if self._flooded_now:
             self.flooded += 1
             self._flooded_now = False
         fault = self.bus.fault
         for axis in self.axes:
-            axis.settle(self._synced, now, complete)
+            axis.settle(self._synced, complete)
             if fault is not None:
                 axis.image.bus_fault = fault
         if not complete:
             for inbox in self._inboxes:
                 inbox.awaited = int(inbox.health.misses <= _ABANDONED)
             self._expected = sum(inbox.awaited for inbox in self._inboxes)
-        return now
+        return self._synced
 
     def heartbeat(self, now: float) -> None:
         """Send our heartbeat when it is due; call it every cycle, and never hand it to a timer of the kernel."""

@@ -26,15 +26,15 @@ def shut_down(rig: Rig, period: float, timeout: float = 1.0) -> list[str]:
     while after < _LAST_COMMANDS:
         begin = rig.wait(begin + period)  # after a stall no burst of SYNCs
         rig.sync(begin)
-        now = rig.collect(begin + 0.8 * period)
+        rig.collect(begin + 0.8 * period)
         for axis in rig.axes:
             state = cia402.decode(axis.image.statusword)
             if axis.image.fresh and state in _OFF:
                 off.add(axis.name)
             enabled = state is PowerState.OPERATION_ENABLED
             axis.command(Controlword.SHUTDOWN if enabled else Controlword.DISABLE_VOLTAGE, 0.0)
-        rig.heartbeat(now)
-        if len(off) == len(rig.axes) or now - start > timeout or rig.bus.fault is not None:
+        rig.heartbeat(begin)
+        if len(off) == len(rig.axes) or begin - start > timeout or rig.bus.fault is not None:
             after += 1
     for axis in rig.axes:
         for health in axis.image.nodes:

@@ -60,7 +60,6 @@ class SocketCan:
         self._send = self._socket.send
         self._recv_into = self._socket.recv_into
         self._readers = [self._fd]
-        self._more = False  # whether a frame may be waiting
 
     def _open(self, channel: str, send_queue: int) -> None:
         raw = self._socket
@@ -94,21 +93,12 @@ class SocketCan:
         return True
 
     def recv(self, timeout: float) -> Frame | None:
-        # Answers to a SYNC come in bursts: after a frame the next is tried for at once, after none it is waited for.
-        # select() waits with microseconds, poll() only with milliseconds.
         try:
-            if self._more:
-                try:
-                    self._recv_into(self._buffer)
-                except BlockingIOError:
-                    self._more = False
-            if not self._more:
-                if timeout > 0.0 and not select(self._readers, _NOTHING, _NOTHING, timeout)[0]:
-                    return None
-                self._recv_into(self._buffer)
-                self._more = True
+            # select() waits with microseconds, poll() only with milliseconds
+            if timeout > 0.0 and not select(self._readers, _NOTHING, _NOTHING, timeout)[0]:
+                return None
+            self._recv_into(self._buffer)
         except OSError as error:
-            self._more = False
             self._note(error)
             return None
         can_id, length, data = FRAME.unpack(self._buffer)
