@@ -90,13 +90,16 @@ def run(options: argparse.Namespace, more: list[str]) -> int:
     frequency = re.search(r"([\d.]+)Hz", options.trial)
     log = load_log(measured)
     play = excerpt(log, 1.0 / float(frequency[1]) if frequency else log.seconds - SETTLING - log.period)
-    options.out.mkdir(parents=True, exist_ok=True)
     setpoint = options.out / "setpoint.csv"
-    play.write(setpoint)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        play.write(setpoint)
+    except OSError as error:
+        raise UsageError(f"{setpoint}: cannot be written ({error.strerror}); choose another --out") from None
     print(
         f"{setpoint}: {play.t[-1]:.2f} s of {options.trial} in whole periods at {RATE:g} Hz; joint torque times "
-        f"{play.torque_scale:.2f} (peak {PEAK:g} N*m), joint angle shifted by {play.angle_shift:+.3f} rad and not scaled, "
-        f"both low-passed at {CUTOFF:g} Hz with zero phase"
+        f"{play.torque_scale:.2f} (peak {PEAK:g} N*m), joint angle shifted by {play.angle_shift:+.3f} rad and not "
+        f"scaled, both low-passed at {CUTOFF:g} Hz with zero phase"
     )
     print("data: O'Neill, Stephens, Kowalewski, IEEE RA-L 3(4):3027-3034, 2018 (Open Database License 1.0)")
     if options.file_only:
