@@ -82,7 +82,7 @@ def test_torque_is_controlled_and_a_load_cell_is_logged_over_pseudo_terminals(tm
             thread.join()
             cell.unplug()
     assert not summary["failed"]
-    course = read_course(tmp_path, summary)
+    course = read_course(tmp_path, summary, SECONDS)
     ideal_alone = 0.45  # N*m RMS without compensation on this motion
     assert course.rms < 0.5 * ideal_alone
     t1 = read_table(course.log).columns["t1"]

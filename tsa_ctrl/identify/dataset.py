@@ -51,13 +51,16 @@ class Dataset:
     label: str = ""
 
     @staticmethod
-    def from_arrays(columns: Mapping[str, ArrayLike], name: str = "arrays") -> Dataset:
-        """A dataset from arrays of one length; checked as a file is. Raises UsageError."""
+    def from_arrays(columns: Mapping[str, ArrayLike], name: str = "arrays", recorded: bool = False) -> Dataset:
+        """A dataset from arrays of one length; checked as a file is. Raises UsageError.
+
+        `recorded`: from the daemon's own log, in which single cycles may be missing.
+        """
         arrays = {key: np.ascontiguousarray(value, dtype=np.float64) for key, value in columns.items()}
         for key, array in arrays.items():
             if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
                 raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
-        return _dataset(Table(name, arrays), name, "")
+        return _dataset(Table(name, arrays, recorded=recorded), name, "")
 
     def __len__(self) -> int:
         return len(self.columns["t"])
