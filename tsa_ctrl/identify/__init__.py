@@ -1,0 +1,24 @@
+"""Off-line work with logs: datasets, simulation, calibration, diagnosis.
+
+from tsa_ctrl.identify import diagnose
+result = diagnose([{"t": t, "tau_m": ..., "tau_j": ..., "omega_j": ...}], load_model("actuator.toml"))
+print(result.verdict, result.sentence)
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+
+__all__ = ["Diagnosis", "diagnose"]
+
+
+def __getattr__(name: str) -> Any:
+    """Loads the diagnosis on first use: `tsa simulate` and `tsa calibrate` do not need it."""
+    if name in __all__:
+        from tsa_ctrl.identify import diagnosis
+
+        return getattr(diagnosis, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,160 @@
+"""The base model as a seam: what it predicts, what recalibration may change in it, and how that is written down.
+
+Two bases: the tendon-sheath (3.55)-(3.56), in which recalibration frees x = mu Theta and T_p within [uncertainty], and
+the plain drive tau_M = J domega/dt + tau_c sign(omega) + b omega + c, in which all that the file names is free.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import Signals
+
+WIDE = 20.0  # factor: recalibration without regard to [uncertainty], to see what an error of parameters could explain
+STEP = 1e-4  # of a coordinate, for derivatives
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One free number of a fit, in its own scale: bounds, and the step of finite differences."""
+
+    name: str
+    low: float
+    high: float
+    step: float = STEP
+
+
+class Base(Protocol):
+    """What the diagnosis needs to know of a base model."""
+
+    given: Model
+    target: str  # column that is predicted
+
+    def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]: ...
+
+    def start(self) -> Array:
+        """The file's own values."""
+        ...
+
+    def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
+        """A model with these coordinates; `effects` come on top of the file's own."""
+        ...
+
+    def direction_weight(self, model: Model, signals: Signals) -> Array:
+        """Torque by which the prediction changes when sigma goes from 0 to 1, shape (n,), N*m."""
+        ...
+
+    def quantities(self, values: Array) -> dict[str, tuple[float, float, str]]:
+        """name: (nominal, value, unit) of what the coordinates mean in the file, and combinations of them."""
+        ...
+
+
+@dataclass(frozen=True)
+class TendonBase:
+    """Coordinates: ln(x / nominal x), ln(T_p0 / nominal T_p0)."""
+
+    given: TendonSheath
+    target: str = "tau_j"
+
+    def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]:
+        free = []
+        for name, value, uncertainty in (
+            ("friction_angle", self.given.friction_angle, self.given.friction_angle_uncertainty),
+            ("pretension", self.given.pretension, self.given.pretension_uncertainty),
+        ):
+            if value > 0.0:
+                span = math.log(WIDE if wide else 1.0 + uncertainty)
+                free.append(Coordinate(name, -span, span))
+        return tuple(free)
+
+    def start(self) -> Array:
+        return np.zeros(len(self.coordinates()))
+
+    def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
+        model = self.given
+        for coordinate, value in zip(self.coordinates(), values, strict=True):
+            factor = math.exp(float(value))
+            if coordinate.name == "friction_angle":
+                model = model.recalibrated(friction_angle=model.friction_angle * factor)
+            else:
+                model = model.recalibrated(pretension=model.pretension * factor)
+        return model.with_effects({**self.given.effects, **effects}) if effects else model
+
+    def direction_weight(self, model: Model, signals: Signals) -> Array:
+        return _half_difference(dataclasses.replace(model, effects={}), signals)
+
+    def quantities(self, values: Array) -> dict[str, tuple[float, float, str]]:
+        model = self.build(values, {})
+        assert isinstance(model, TendonSheath)
+        given = self.given
+        ratio = given.joint_pulley_radius / given.motor_pulley_radius
+        return {
+            "friction_angle": (given.friction_angle, model.friction_angle, "1"),
+            "pretension": (given.pretension, model.pretension, "N"),
+            "slope": (ratio * math.cosh(given.friction_angle), ratio * math.cosh(model.friction_angle), "1"),
+            "half_loop_torque": (_half_loop(given), _half_loop(model), "N*m"),
+        }
+
+
+_RIGID: Mapping[str, str] = {
+    "inertia": "kg*m^2",
+    "coulomb_friction": "N*m",
+    "viscous_friction": "N*m*s/rad",
+    "torque_offset": "N*m",
+}
+
+
+@dataclass(frozen=True)
+class RigidBase:
+    """Coordinates: the drive's parameters that the file names, in units of `scales`; Coulomb friction always."""
+
+    given: RigidDrive
+    scales: Mapping[str, float]  # size of each parameter that moves this log's torque
+    target: str = "tau_m"
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        return tuple(n for n in _RIGID if n == "coulomb_friction" or getattr(self.given, n) is not None)
+
+    def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]:
+        return tuple(
+            Coordinate(name, -math.inf if name == "torque_offset" else 0.0, math.inf, 1e-3) for name in self.free
+        )
+
+    def start(self) -> Array:
+        return np.array([(getattr(self.given, name) or 0.0) / self.scales[name] for name in self.free])
+
+    def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
+        changed: dict[str, Any] = {
+            name: float(value) * self.scales[name] for name, value in zip(self.free, values, strict=True)
+        }
+        return dataclasses.replace(self.given, **changed, effects={**self.given.effects, **effects})
+
+    def direction_weight(self, model: Model, signals: Signals) -> Array:
+        assert isinstance(model, RigidDrive)
+        return np.full(len(signals), model.coulomb_friction or 0.0)
+
+    def quantities(self, values: Array) -> dict[str, tuple[float, float, str]]:
+        model = self.build(values, {})
+        return {
+            name: (getattr(self.given, name) or 0.0, float(getattr(model, name)), _RIGID[name]) for name in self.free
+        }
+
+
+def _half_loop(model: TendonSheath) -> float:
+    return 2.0 * model.pretension * model.joint_pulley_radius * math.sinh(model.friction_angle)
+
+
+def _half_difference(model: Model, signals: Signals) -> Array:
+    forward = dataclasses.replace(signals, omega_j=np.ones(len(signals)))
+    backward = dataclasses.replace(signals, omega_j=-np.ones(len(signals)))
+    return 0.5 * (predict(model, forward) - predict(model, backward))

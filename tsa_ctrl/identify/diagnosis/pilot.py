@@ -1,0 +1,74 @@
+"""The first noise model: from what the whole catalogue cannot explain, before anything is named.
+
+A spectrum taken from the residual of the base model would hold the hidden effect and hide it; so all responses are
+projected out first, then, in the colours found so, only those that matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.fit import Fit, fit
+from tsa_ctrl.identify.diagnosis.noise import Noise, estimate
+from tsa_ctrl.identify.diagnosis.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.screen import Response, scores
+from tsa_ctrl.model.functions import Array
+
+WORTH = 12.0  # decrease of the sum of squares for which a column is taken into the pilot model
+MOST_COLUMNS = 16
+MOST_SHARE = 0.1  # of the samples, that saturation may span
+
+
+def pilot_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tuple[Problem, Fit]:
+    """The problem under its noise model, and the base fitted anew under it."""
+    taken = _saturated(problem, fitted, found)
+    for chosen in (None, WORTH, WORTH):
+        basis = taken if chosen is None else _pursuit(problem, fitted, found)
+        noise = noise_after(problem, fitted.residual, basis)
+        problem = problem.with_noise(noise)
+        fitted = fit(problem, fitted.hypothesis, fitted.point)
+    return problem, fitted
+
+
+def noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
+    """Noise from the white residual (m,) once `basis` (m, k) is projected out."""
+    rest = residual - basis @ (basis.T @ residual)
+    count = len(problem.frame)
+    full, spread = np.zeros(count), np.zeros((count, basis.shape[1]))
+    full[problem.mask], spread[problem.mask] = rest, basis
+    frame = problem.frame
+    return estimate(full, spread, problem.mask, frame.slices, frame.period, problem.noise)
+
+
+def _saturated(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
+    """Basis of the fitted parameters and the leading directions of all responses."""
+    columns = np.concatenate([score.columns for score in scores(problem, fitted, found)], axis=1)
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 1e-9 * max(norms.max(initial=0.0), 1e-300)]
+    columns = columns / np.linalg.norm(columns, axis=0)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    most = max(4, int(MOST_SHARE * problem.count))
+    keep = np.flatnonzero(values > 1e-4 * values[-1])[-most:]
+    return orthonormal(np.concatenate([fitted.jacobian, columns @ vectors[:, keep]], axis=1))
+
+
+def _pursuit(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
+    """Basis of the fitted parameters and of the responses that orthogonal matching pursuit picks."""
+    basis = orthonormal(fitted.jacobian)
+    residual = fitted.residual - basis @ (basis.T @ fitted.residual)
+    blocks = [score.columns for score in scores(problem, fitted, found)]
+    columns = np.concatenate(blocks, axis=1)
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
+    for _ in range(MOST_COLUMNS):
+        sizes = np.sum(columns**2, axis=0)
+        overlap = np.where(sizes > 1e-4, (columns.T @ residual) ** 2 / np.maximum(sizes, 1e-4), 0.0)
+        best = int(np.argmax(overlap))
+        if overlap[best] < WORTH:
+            break
+        new = columns[:, best] / np.sqrt(sizes[best])
+        residual = residual - new * float(new @ residual)
+        columns = columns - np.outer(new, new @ columns)
+        basis = np.column_stack([basis, new])
+    return np.asarray(basis)

@@ -1,0 +1,324 @@
+"""`diagnose`: audit, noise, recalibration, selection, groups, what is left, parameters, gain, verdict.
+
+Each stage is a function from data to data in a module of its own; this one strings them together.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.admit import admit
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis import changes, features
+from tsa_ctrl.identify.diagnosis.audit import Audit, audit
+from tsa_ctrl.identify.diagnosis.base import Base, RigidBase, TendonBase
+from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
+from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
+from tsa_ctrl.identify.diagnosis.experiment import advice
+from tsa_ctrl.identify.diagnosis.fit import Fit, fit
+from tsa_ctrl.identify.diagnosis.grouping import Group, groups
+from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
+from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
+from tsa_ctrl.identify.diagnosis.noise import white_noise
+from tsa_ctrl.identify.diagnosis.nuisance import nuisance
+from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
+from tsa_ctrl.identify.diagnosis.prepare import Frame, prepare
+from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
+from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit
+from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, Experiment, ParameterError, Rms, Verdict
+from tsa_ctrl.identify.diagnosis.screen import responses, scores
+from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, select
+from tsa_ctrl.identify.diagnosis.show import details
+from tsa_ctrl.identify.diagnosis.split import Split, split
+from tsa_ctrl.identify.diagnosis.words import insufficient_sentence, sentence
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model, RigidDrive
+
+Log = Dataset | Mapping[str, ArrayLike]
+Progress = Callable[[str], None]
+
+PILOT_NOISE = 0.02  # of the torque, before anything is known of the noise
+BLIND = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
+BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
+PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
+
+
+def diagnose(
+    logs: Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]],
+    model: Model,
+    *,
+    hold_out: str | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """What the simulation with `model` gets wrong on these logs, why, and what it gains to know.
+
+    logs: datasets, or mappings from column name to an array of shape (n,), SI units (several: a list, or name: columns).
+    hold_out: pattern of the logs that nothing is fitted on; default every third by name, or stretches of one or two
+    logs. seed fixes every draw. progress is called with the name of each stage.
+
+    Raises UsageError for logs that cannot be right, one line that names log and column. Logs that say nothing give the
+    verdict `insufficient`, not an error.
+    """
+    say = progress or (lambda _: None)
+    datasets = _datasets(logs)
+    target = "tau_m" if isinstance(model, RigidDrive) else "tau_j"
+    for log in datasets:
+        _admit(log, model, target)
+    say("audit")
+    parts = split(prepare(datasets, target), hold_out)
+    found = audit(parts.frame)
+    if found.insufficient:
+        return _insufficient(model, found, found.insufficient)
+    rng = np.random.default_rng(seed)
+    scales = scales_of(parts.frame)
+    catalogue, not_testable = candidates(parts.frame, model, scales)
+    say("noise and recalibration")
+    problem, base = _begun(parts.frame, _base(model, parts.frame, scales), scales, catalogue)
+    blind = _blind(problem, base)
+    if blind:
+        return _insufficient(model, found, blind, not_testable)
+    say("causes")
+    chosen = select(problem, base, catalogue, rng, lambda fitted: _full_rms(parts, fitted))
+    base = fit(chosen.problem, base.hypothesis, base.point)
+    say("what cannot be told apart")
+    grouped = groups(chosen.problem, chosen.fitted, catalogue)
+    say("what is left")
+    findings = _left(chosen, parts.frame, rng)
+    say("parameters and gain")
+    shipped = refit(chosen.problem, chosen.fitted)
+    share = max((finding.share for finding in findings if finding.found), default=0.0)
+    errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
+    limits, invisible = _limits(chosen, parts)
+    not_testable = {
+        **not_testable,
+        **dict.fromkeys(invisible, "it would change nothing in the motion and load of these logs"),
+    }
+    return _assembled(
+        model, parts, found, scales, base, chosen, grouped, findings, shipped, errors, limits, not_testable, seed
+    )
+
+
+def _datasets(logs: Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]]) -> list[Dataset]:
+    if isinstance(logs, Mapping):
+        return [Dataset.from_arrays(columns, name) for name, columns in logs.items()]
+    out = []
+    for number, log in enumerate(logs):
+        out.append(log if isinstance(log, Dataset) else Dataset.from_arrays(log, f"log_{number + 1}"))
+    if not out:
+        raise UsageError("diagnose: no log given; name at least one")
+    names = [log.name for log in out]
+    doubled = sorted({name for name in names if names.count(name) > 1})
+    if doubled:
+        raise UsageError(f"diagnose: two logs are named {doubled[0]}; give each a name of its own")
+    return out
+
+
+def _admit(log: Dataset, model: Model, target: str) -> None:
+    if target not in log:
+        raise UsageError(
+            f"{log.label or log.name}: column {target} is missing; the diagnosis of a tendon-sheath needs the measured "
+            'joint torque (N*m): add it, or describe a drive without torque sensor as [actuator] kind = "rigid_drive"'
+        )
+    admit(log, model, target)
+
+
+def _base(model: Model, frame: Frame, scales: Scales) -> Base:
+    if isinstance(model, RigidDrive):
+        sizes = {
+            "inertia": scales.torque / scales.acceleration,
+            "coulomb_friction": scales.torque,
+            "viscous_friction": scales.torque / scales.speed,
+            "torque_offset": scales.torque,
+        }
+        return RigidBase(model, sizes)
+    return TendonBase(model)
+
+
+def _begun(frame: Frame, base: Base, scales: Scales, catalogue: Catalogue) -> tuple[Problem, Fit]:
+    """The noise model from what the catalogue cannot explain, and the recalibrated base under it."""
+    start = Hypothesis(base)
+    empty = np.zeros((len(frame), 0))
+    problem = Problem(frame, base, white_noise(PILOT_NOISE * scales.torque), empty, frame.train)
+    fitted = fit(problem, start, base.start())
+    columns = nuisance(frame, base, start.model(fitted.point))
+    problem = dataclasses.replace(problem, nuisance=columns)
+    fitted = fit(problem, start, fitted.point)
+    variants = [variant for options in catalogue.values() for variant in options]
+    return pilot_noise(problem, fitted, responses(problem, fitted, variants))
+
+
+def _blind(problem: Problem, base: Fit) -> str:
+    """Why not even the base model's friction can be seen; empty when it can."""
+    found = base_quantities(refit(problem, base))
+    name = "half_loop_torque" if "half_loop_torque" in found else "coulomb_friction"
+    quantity = found[name][1]
+    if not base.free.any() or quantity.value <= 0.0:
+        return ""
+    width = 0.5 * (quantity.high - quantity.low) / quantity.value
+    if width > BLIND and np.all(base.free):
+        return "friction does not show: the motion or the load is too small beside the noise, or goes one way only"
+    return ""
+
+
+def _full_rms(parts: Split, fitted: Fit) -> float:
+    """RMS of the residual at the logs' own rate, N*m, less what wrong directions add (a median, not a mean)."""
+    residual = np.concatenate(full_residuals(parts.frame, fitted.hypothesis.model(fitted.point)))
+    return float(np.median(np.abs(residual))) / 0.6745
+
+
+def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Finding]:
+    """All tests of what the causes found leave."""
+    problem, fitted = chosen.problem, chosen.fitted
+    predicted = problem.predicted(fitted.hypothesis.model(fitted.point))
+    sigma, load = features.direction_and_load(frame, predicted)
+    families = features.families(frame, predicted, rng)
+    families["time"] = features.time_family(frame, sigma, load)
+    sizes = [family.shape[1] for family in families.values()]
+    white = problem.whiten(np.concatenate(list(families.values()), axis=1))
+    pieces = np.split(white, np.cumsum(sizes)[:-1], axis=1)
+    columns = dict(zip(families, pieces, strict=True))
+    findings = dependence(fitted.residual, fitted.jacobian, columns, problem.blocks, rng)
+    mask = problem.mask
+    factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
+    times = [run.count * run.period for run in frame.runs]
+    findings.append(changes.steps(fitted.residual, fitted.jacobian, factors, frame.slices, times, problem.whiten, rng))
+    masked = {name: factor[mask] for name, factor in factors.items()}
+    findings.append(changes.lines(fitted.residual, masked, frame.period))
+    findings.append(changes.bursts(fitted.residual, frame.period))
+    rest = frame.target - predicted
+    basis = problem.nuisance
+    if basis.shape[1]:
+        rest = rest - basis @ np.linalg.lstsq(basis[mask], rest[mask], rcond=None)[0]
+    findings.append(changes.drift(rest, mask, frame.slices, frame.period, problem.noise.rms))
+    return findings
+
+
+def _limits(chosen: Selection, parts: Split) -> tuple[dict[str, float], tuple[str, ...]]:
+    problem, stage = chosen.problem, chosen.stages[0]
+    fitted = stage.fitted
+    tangents = _tangents(problem, fitted)
+    screened = scores(problem, fitted, stage.found)
+    raw = {
+        position: without_recalibration(response.columns[problem.mask], tangents)
+        for position, response in enumerate(stage.found)
+    }
+    return detection_limits(problem, screened, raw, stage.threshold, _full_rms(parts, chosen.fitted))
+
+
+def _tangents(problem: Problem, fitted: Fit) -> Array:
+    """d prediction / d base coordinates that no bound holds, (m, p) in N*m, not whitened."""
+    present = problem.predicted(fitted.hypothesis.model(fitted.point))
+    columns = []
+    for i, free in enumerate(fitted.free[: len(fitted.hypothesis.base.coordinates())]):
+        if free:
+            moved = fitted.point.copy()
+            moved[i] += 1e-3
+            columns.append((problem.predicted(fitted.hypothesis.model(moved)) - present)[problem.mask])
+    return np.column_stack(columns) if columns else np.zeros((problem.count, 0))
+
+
+def _assembled(
+    model: Model,
+    parts: Split,
+    found: Audit,
+    scales: Scales,
+    base: Fit,
+    chosen: Selection,
+    grouped: Sequence[Group],
+    findings: Sequence[Finding],
+    shipped: Refit,
+    errors: HeldOut,
+    limits: Mapping[str, float],
+    not_testable: Mapping[str, str],
+    seed: int,
+) -> Diagnosis:
+    named = bool(chosen.fitted.names)
+    left = sorted((f for f in findings if f.found), key=lambda f: -f.share)
+    verdict = (
+        (Verdict.PARTLY_EXPLAINED if left else Verdict.EXPLAINED)
+        if named
+        else (Verdict.UNEXPLAINED if left else Verdict.CONSISTENT)
+    )
+    parameters = effect_quantities(shipped)
+    causes = [
+        Cause(
+            effect=group.name,
+            alternatives=tuple(rival.name for rival in group.alternatives),
+            probability=group.probability,
+            parameters=parameters[group.name],
+            explained_fraction=errors.lost[index],
+        )
+        for index, group in enumerate(grouped)
+    ]
+    order = np.argsort([-proof.gain for proof in chosen.evidence], kind="stable")
+    causes = [causes[i] for i in order]
+    rms = Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor)
+    result = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=tuple(causes),
+        parameter_errors=_parameter_errors(shipped, parts.frame, model),
+        unexplained=_description(left),
+        not_testable=dict(sorted(not_testable.items())),
+        detection_limit=dict(sorted(limits.items())),
+        experiment=advice(model, verdict, causes, found, not_testable, scales, seed),
+        rms=rms,
+        gain=min(errors.gain, 1.0) if named else 0.0,
+        model=shipped.fitted.hypothesis.model(shipped.fitted.point),
+        details=details(parts, found, base, chosen, grouped, findings, shipped),
+    )
+    return dataclasses.replace(result, sentence=sentence(result))
+
+
+def _parameter_errors(shipped: Refit, frame: Frame, model: Model) -> dict[str, ParameterError]:
+    """The base model's numbers; x and T_p only where a varied bending angle parts them."""
+    quantities = base_quantities(shipped)
+    out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}
+    if isinstance(model, RigidDrive):
+        return out
+    angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
+    varied = bool(angles) and float(np.ptp(np.concatenate(angles))) > BENDING_VARIED * model.bending_angle
+    for name, width in (
+        ("friction_angle", model.friction_angle_uncertainty),
+        ("pretension", model.pretension_uncertainty),
+    ):
+        quantity = out[name].found
+        half = 0.5 * (quantity.high - quantity.low) / max(quantity.value, 1e-12)
+        if not varied or half > PARTED * width or half == 0.0:
+            del out[name]
+    return out
+
+
+def _description(left: Sequence[Finding]) -> str:
+    if not left:
+        return ""
+    first = left[0]
+    what = first.what
+    told = f"what is left depends on {what}" if not what.startswith(("a ", "bursts")) else f"what is left is {what}"
+    more = [finding.what for finding in left[1:3]]
+    return f"{told} ({first.share:.0%} of its mean square)" + (f"; also on {' and '.join(more)}" if more else "")
+
+
+def _insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[str, str] | None = None) -> Diagnosis:
+    suspicion = "; ".join([reason, *found.suspicions])
+    return Diagnosis(
+        verdict=Verdict.INSUFFICIENT,
+        sentence=insufficient_sentence(suspicion),
+        causes=(),
+        parameter_errors={},
+        unexplained="",
+        not_testable=dict(sorted((not_testable or {}).items())),
+        detection_limit={},
+        experiment=Experiment(
+            "reversals at 0.1, 0.5 and 2 rad/s over the whole range, under torques of both signs, for a minute"
+        ),
+        rms=Rms(),
+        gain=0.0,
+        model=model,
+    )

@@ -1,0 +1,166 @@
+"""Forward, swap and backward selection of causes; every entry must pass all of `confirm`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.candidates import Variant
+from tsa_ctrl.identify.diagnosis.confirm import Evidence, evidence, family_threshold
+from tsa_ctrl.identify.diagnosis.fit import Fit, fit, safely
+from tsa_ctrl.identify.diagnosis.nuisance import nuisance
+from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
+from tsa_ctrl.identify.diagnosis.problem import Problem
+from tsa_ctrl.identify.diagnosis.profile import refined
+from tsa_ctrl.identify.diagnosis.screen import Response, Score, best_by_effect, responses, scores
+
+Catalogue = Mapping[str, tuple[Variant, ...]]
+
+MOST_CAUSES = 4
+FITTED = 5  # best candidates of one stage that are fitted in full
+WITHIN = 0.25  # of the best gain: candidates below are not fitted
+BLOCK_T = 4.5  # t of 23 degrees of freedom: 0.02 % two-sided
+KEPT = 0.4  # share of the gain that must hold on blocks not fitted on
+SPREAD = 0.4  # share of the gain that must be left without the best block
+SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
+PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
+SMALLEST_GAIN = 0.008  # of the number of samples
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the selection: what could be added to `fitted`, best first, and the threshold it must pass."""
+
+    fitted: Fit
+    ranked: tuple[tuple[Score, Fit], ...]
+    screened: tuple[Score, ...]
+    found: tuple[Response, ...]
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The causes found, in the order of their entry; `stages` is how it came to them."""
+
+    problem: Problem
+    fitted: Fit
+    evidence: tuple[Evidence, ...]
+    stages: tuple[Stage, ...]
+
+
+def select(
+    problem: Problem,
+    start: Fit,
+    catalogue: Catalogue,
+    rng: np.random.Generator,
+    noise_rms: Callable[[Fit], float],
+) -> Selection:
+    """Causes that the data demand. `noise_rms`: RMS of the residual at the full rate, N*m."""
+    fitted = start
+    stages: list[Stage] = []
+    while True:
+        stage = _stage(problem, fitted, catalogue, rng)
+        stages.append(stage)
+        if len(fitted.names) >= MOST_CAUSES:
+            break
+        entry = next((found for score, found in stage.ranked if _enters(problem, stage, score, found, noise_rms)), None)
+        if entry is None:
+            break
+        problem, fitted = _renoised(problem, entry, catalogue)
+        problem, fitted = _settled(problem, fitted, catalogue)
+    return Selection(problem, fitted, _evidence(problem, fitted), tuple(stages))
+
+
+def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Stage:
+    variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
+    found = responses(problem, fitted, variants)
+    screened = scores(problem, fitted, found)
+    best = sorted((refined(problem, fitted, s, found) for s in best_by_effect(screened)), key=lambda s: -s.gain)
+    promising = [s for s in best if s.gain > WITHIN * best[0].gain][:FITTED]
+    ranked = []
+    for score in promising:
+        larger = safely(problem, fitted.hypothesis.plus(score.variant), np.concatenate([fitted.point, score.start]))
+        if larger is not None:
+            ranked.append((score, larger))
+    ranked.sort(key=lambda pair: pair[1].rss + PER_COORDINATE * len(pair[1].point))
+    return Stage(fitted, tuple(ranked), tuple(best), tuple(found), family_threshold(rng, screened))
+
+
+def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Fit], float]) -> bool:
+    proof = evidence(problem, stage.fitted, found)
+    return (
+        proof.gain > max(stage.threshold, SMALLEST_GAIN * problem.count)
+        and proof.block_t > BLOCK_T
+        and proof.kept > KEPT
+        and proof.spread > SPREAD
+        and proof.size > SMALLEST * noise_rms(found)
+    )
+
+
+def _renoised(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
+    """Nuisance and noise model as the causes found so far leave them, and the fit under them."""
+    for _ in range(2):  # a delay moves the moments of unknown direction, and they bias the delay
+        columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
+        problem = dataclasses.replace(problem, nuisance=columns)
+        fitted = fit(problem, fitted.hypothesis, fitted.point)
+    variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
+    return pilot_noise(problem, fitted, responses(problem, fitted, variants))
+
+
+def _settled(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
+    """Causes that the others make unnecessary are dropped, and each is swapped for a better one where there is one."""
+    for _ in range(2 * MOST_CAUSES):
+        if len(fitted.names) < 2:
+            return problem, fitted
+        changed = _dropped(problem, fitted) or _swapped(problem, fitted, catalogue)
+        if changed is None:
+            return problem, fitted
+        problem, fitted = _renoised(problem, changed, catalogue)
+    return problem, fitted
+
+
+def _dropped(problem: Problem, fitted: Fit) -> Fit | None:
+    for index in range(len(fitted.names)):
+        smaller = without(problem, fitted, index)
+        proof = evidence(problem, smaller, fitted)
+        if proof.gain < SMALLEST_GAIN * problem.count or proof.block_t < BLOCK_T or proof.kept < KEPT:
+            return smaller
+    return None
+
+
+def _swapped(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit | None:
+    for index in range(len(fitted.names) - 1):
+        smaller = without(problem, fitted, index)
+        for rival in rivals(problem, smaller, catalogue, fitted.names, 3):
+            if rival.rss + PER_COORDINATE * len(rival.point) < fitted.rss + PER_COORDINATE * len(fitted.point) - 2.0:
+                return rival
+    return None
+
+
+def rivals(problem: Problem, smaller: Fit, catalogue: Catalogue, barred: Sequence[str], most: int) -> list[Fit]:
+    """The best fits of `smaller` with one more effect that is not barred, best first."""
+    variants = [v for name, options in catalogue.items() if name not in barred for v in options]
+    found = responses(problem, smaller, variants)
+    best = best_by_effect(scores(problem, smaller, found))
+    best = sorted((refined(problem, smaller, s, found) for s in best), key=lambda s: -s.gain)
+    fits = []
+    for score in best[:most]:
+        rival = safely(problem, smaller.hypothesis.plus(score.variant), np.concatenate([smaller.point, score.start]))
+        if rival is not None:
+            fits.append(rival)
+    return sorted(fits, key=lambda f: f.rss)
+
+
+def without(problem: Problem, fitted: Fit, index: int) -> Fit:
+    """The fit with one effect taken out."""
+    hypothesis = fitted.hypothesis.without(index)
+    base = len(hypothesis.base.coordinates())
+    own = fitted.hypothesis.own(fitted.point)
+    return fit(problem, hypothesis, np.concatenate([fitted.point[:base], *own[:index], *own[index + 1 :]]))
+
+
+def _evidence(problem: Problem, fitted: Fit) -> tuple[Evidence, ...]:
+    return tuple(evidence(problem, without(problem, fitted, i), fitted) for i in range(len(fitted.names)))

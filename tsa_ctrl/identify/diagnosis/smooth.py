@@ -1,0 +1,43 @@
+"""Noise of an angle or a velocity, and a zero-phase low-pass that takes most of it away."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import low_pass
+
+LOWEST = 8.0  # Hz, cut-off; joints move below 5 Hz and reverse within tens of milliseconds
+MARGIN = 8.0  # spectral density above the noise floor that still counts as motion
+SEGMENT = 4.0  # s, of one periodogram
+
+
+def denoised(y: Array, period: float, highest: float) -> tuple[Array, float]:
+    """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of the noise that is left.
+
+    `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is.
+    """
+    if len(y) < 128 or not np.ptp(y) > 0.0:
+        return y, 0.0
+    edge, floor = _edge_and_floor(y, period)
+    cutoff = min(highest, max(LOWEST, 1.5 * edge))
+    if cutoff > 0.2 / period:
+        return y, float(np.sqrt(floor * 0.5 / period))
+    return low_pass(y, period, cutoff), float(np.sqrt(floor * cutoff))
+
+
+def _edge_and_floor(y: Array, period: float) -> tuple[float, float]:
+    """The frequency in Hz above which the signal does not stand out of its noise, and the noise's density per Hz."""
+    length = min(len(y), round(SEGMENT / period))
+    window = np.hanning(length)
+    slope = np.linspace(0.0, 1.0, length)
+    parts = []
+    for start in range(0, len(y) - length + 1, max(1, length // 2)):
+        piece = y[start : start + length]
+        piece = piece - (piece[0] + (piece[-1] - piece[0]) * slope)
+        parts.append(np.abs(np.fft.rfft(window * piece)) ** 2)
+    density = 2.0 * period * np.mean(parts, axis=0) / float(window @ window)
+    frequency = np.fft.rfftfreq(length, period)
+    floor = float(np.median(density[frequency > 0.3 / period]))
+    above = np.flatnonzero(density > MARGIN * max(floor, 1e-30))
+    return (float(frequency[above[-1]]) if above.size else 0.0), floor
