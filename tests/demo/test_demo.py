@@ -85,15 +85,18 @@ def test_without_a_vcan_the_bus_needs_no_rights(monkeypatch: pytest.MonkeyPatch)
 
 def test_the_files_that_the_demo_writes_are_valid(tmp_path: Path) -> None:
     bus = BusChoice("socketcan", "vcan0")
-    rig.write(tmp_path, bus, gait(), 1000.0, "full", {"with": ("nominal.toml", 0.95)})
+    rig.write(
+        tmp_path, gait(), rig.plant(bus, "full"), {"with": rig.controller(bus, "with", 1e3, "nominal.toml", 0.95)}
+    )
     assert load_configuration(tmp_path / "controller-with.toml").models[0].pretension == 45.0
     assert len(check_plant(tmp_path / "plant.toml").axis) == 1
 
 
 def test_the_plant_is_not_the_controllers_model() -> None:
     """The demo would prove nothing if truth and model were the same."""
-    assert "friction_coefficient = 1.08" in rig.PLANT
-    assert 'curvature = "uniform"' in rig.PLANT
+    axis = rig.plant(BusChoice("socketcan", "vcan0"), "full")["axis"][0]
+    assert axis["perturbation"]["friction_coefficient"] == 1.08
+    assert axis["tendon"]["curvature"] == "uniform"
 
 
 def course(error: float) -> Course:

@@ -69,9 +69,9 @@ def test_torque_is_controlled_and_a_load_cell_is_logged_over_pseudo_terminals(tm
 
     thread = threading.Thread(target=send)
     with AdapterPair() as (ours, theirs):
-        rig.write(tmp_path, BusChoice("slcan", ours), gait(), RATE, "full", {"with": ("nominal.toml", 0.95)})
-        plant_file, controller = tmp_path / "plant.toml", tmp_path / "controller-with.toml"
-        plant_file.write_text(plant_file.read_text().replace(ours, theirs))
+        tables = rig.controller(BusChoice("slcan", ours), "with", RATE, "nominal.toml", 0.95)
+        rig.write(tmp_path, gait(), rig.plant(BusChoice("slcan", theirs), "full"), {"with": tables})
+        controller = tmp_path / "controller-with.toml"
         controller.write_text(controller.read_text() + LOAD_CELL.format(port=cell.path))
         thread.start()
         try:

@@ -1,140 +1,94 @@
-"""The demo's files: a plant whose parameters are NOT the controller's, controllers with and without compensation."""
+"""The demo's files as data: a plant whose parameters are NOT the controller's, and controllers to compare on it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import tomlkit
 
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import Play
+from tsa_ctrl.model.parameters import TendonSheath, save_model
 
 MOST_TORQUE = 1.1  # N*m at the joint: within the tendons' domain at the pretension below
-
-NOMINAL = """\
-[actuator]
-motor_pulley_radius = 0.020      # m
-joint_pulley_radius = 0.025      # m
-
-[tendon]
-axial_stiffness = 60e3           # N
-unstrained_length = 1.2          # m
-diameter = 0.6e-3                # m
-
-[sheath]
-friction_coefficient = 0.10      # 1
-bending_angle = 2.6              # rad
-contact_offset = 0.4e-3          # m
-
-[pretension]
-value = 45.0                     # N
-"""
-
-PLANT = """\
-[bus]
-interface = "{interface}"
-channel = "{channel}"
-
-[physics]
-start = "first_enable"           # the same motion in every run
-priority = 90                    # above the controller's: a real machine does not wait for it either
-
-[[axis]]
-name = "joint"
-actuator = "nominal.toml"
-
-[axis.perturbation]              # the truth is not nominal
-friction_coefficient = 1.08
-pretension = 0.95
-axial_stiffness = 0.9
-
-[axis.tendon]
-kind = "{tendon}"
-curvature = "uniform"
-
-[axis.motion]
-kind = "file"
-file = "motion.csv"
-repeat = true
-"""
-
-CONTROLLER = """\
-[controller]
-name = "demo"
-rate = {rate}
-settle_cycles = 20               # a busy machine may not give 100 in a row
-after_fault = "exit"
-
-[bus]
-interface = "{interface}"
-channel = "{channel}"
-
-[bus.supervision]
-tolerated_misses = 50            # a busy machine stalls plant or daemon for 10 ms and more
-tolerated_drops = 50
-
-[realtime]
-allow_without = true             # a demonstration may run without real-time rights
-
-[log]
-folder = "."
-
-[socket]
-path = "{socket}"
-
-[[axis]]
-name = "joint"
-model = "{model}"
-
-[axis.drive]
-node_id = 1
-max_torque = 3.0
-host_timeout = 0.5               # for the same reason
-rpdo_timeout = 0.2
-heartbeat_timeout = 1.0
-
-[axis.encoder]
-node_id = 32
-heartbeat_timeout = 1.0
-
-[axis.torque_sensor]
-node_id = 64
-heartbeat_timeout = 1.0
-
-[axis.setpoint]
-kind = "file"
-file = "setpoint.csv"
-loop = true
-
-[axis.law]
-compensation = {compensation}
-fade_in = {fade_in}
-
-[axis.limits]
-torque = 2.5
-"""
-
 FADE_IN = 1.0  # s
 
+NOMINAL = TendonSheath(
+    motor_pulley_radius=0.020,
+    joint_pulley_radius=0.025,
+    axial_stiffness=60e3,
+    unstrained_length=1.2,
+    diameter=0.6e-3,
+    contact_offset=0.4e-3,
+    friction_coefficient=0.10,
+    bending_angle=2.6,
+    pretension=45.0,
+    source="nominal.toml",
+)
+TRUTH = {"friction_coefficient": 1.08, "pretension": 0.95, "axial_stiffness": 0.9}  # factors: the truth is not nominal
 
-def write(
-    folder: Path, bus: BusChoice, play: Play, rate: float, tendon: str, models: dict[str, tuple[str, float]]
-) -> None:
-    """Write the nominal model, the plant and one controller per entry of `models`.
+Tables = dict[str, Any]
 
-    `models`: name -> (model file, compensation factor).
-    """
-    (folder / "nominal.toml").write_text(NOMINAL, encoding="utf-8")
+
+def plant(bus: BusChoice, tendon: str, axis: Mapping[str, Mapping[str, Any]] | None = None) -> Tables:
+    """The plant's configuration; `tendon` is its kind, `axis` changes or adds tables of its one axis."""
+    tables: Tables = {
+        "name": "joint",
+        "actuator": "nominal.toml",
+        "perturbation": dict(TRUTH),
+        "tendon": {"kind": tendon, "curvature": "uniform"},
+        "motion": {"kind": "file", "file": "motion.csv", "repeat": True},
+    }
+    for name, values in (axis or {}).items():
+        tables[name] = {**tables.get(name, {}), **values}
+    return {
+        "bus": {"interface": bus.interface, "channel": bus.channel},
+        # The same motion in every run; and a real machine does not wait for the controller either.
+        "physics": {"start": "first_enable", "priority": 90},
+        "axis": [tables],
+    }
+
+
+def controller(bus: BusChoice, name: str, rate: float, model: str, compensation: float) -> Tables:
+    """A controller's configuration that bears a busy machine: stalls of 10 ms and more, no real-time rights."""
+    return {
+        "controller": {"name": "demo", "rate": rate, "settle_cycles": 20, "after_fault": "exit"},
+        "bus": {
+            "interface": bus.interface,
+            "channel": bus.channel,
+            "supervision": {"tolerated_misses": 50, "tolerated_drops": 50},
+        },
+        "realtime": {"allow_without": True},
+        "log": {"folder": "."},
+        "socket": {"path": f"{name}.sock"},
+        "axis": [
+            {
+                "name": "joint",
+                "model": model,
+                "drive": {
+                    "node_id": 1,
+                    "max_torque": 3.0,
+                    "host_timeout": 0.5,
+                    "rpdo_timeout": 0.2,
+                    "heartbeat_timeout": 1.0,
+                },
+                "encoder": {"node_id": 32, "heartbeat_timeout": 1.0},
+                "torque_sensor": {"node_id": 64, "heartbeat_timeout": 1.0},
+                "setpoint": {"kind": "file", "file": "setpoint.csv", "loop": True},
+                "law": {"compensation": compensation, "fade_in": FADE_IN},
+                "limits": {"torque": 2.5},
+            }
+        ],
+    }
+
+
+def write(folder: Path, play: Play, plant_tables: Tables, controllers: Mapping[str, Tables]) -> None:
+    """Write nominal model, set-point, motion, `plant.toml` and one `controller-NAME.toml` each."""
+    save_model(NOMINAL, folder / "nominal.toml")
     play.write_setpoint(folder / "setpoint.csv")
     play.write_motion(folder / "motion.csv")
-    plant = PLANT.format(interface=bus.interface, channel=bus.channel, tendon=tendon)
-    (folder / "plant.toml").write_text(plant, encoding="utf-8")
-    for name, (model, compensation) in models.items():
-        text = CONTROLLER.format(
-            interface=bus.interface,
-            channel=bus.channel,
-            rate=rate,
-            socket=f"{name}.sock",
-            model=model,
-            compensation=compensation,
-            fade_in=FADE_IN,
-        )
-        (folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
+    (folder / "plant.toml").write_text(tomlkit.dumps(plant_tables), encoding="utf-8")
+    for name, tables in controllers.items():
+        (folder / f"controller-{name}.toml").write_text(tomlkit.dumps(tables), encoding="utf-8")

@@ -1,18 +1,18 @@
-"""The demo itself: plant and daemon twice on the same motion, without and with compensation."""
+"""Runs of plant and daemon on the same motion; the demo is two of them, without and with compensation."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import Play
-from tsa_ctrl.demo.outcome import Outcome, read_course
+from tsa_ctrl.demo.outcome import Course, Outcome, read_course
 from tsa_ctrl.processes import daemon, plant
 
-RUNS = {"without": ("nominal.toml", 0.0), "with": ("nominal.toml", 0.95)}
+COMPENSATION = 0.95
 
 Progress = Callable[[str, float], None]
 
@@ -23,17 +23,34 @@ def demo(folder: Path, bus: BusChoice, play: Play, seconds: float, rate: float, 
     `seconds` of torque per run; `rate` of the loop in Hz; `tendon` is the plant's kind ("full" or "distributed").
     Raises BusError when plant or daemon fail.
     """
-    rig.write(folder, bus, play, rate, tendon, RUNS)
-    courses = []
-    for number, name in enumerate(RUNS):
-        say(f"{name} compensation: starting the plant", number / len(RUNS))
-        with plant(folder):
-            summary = daemon(folder, name, seconds, partial(_tick, say, name, number))
-        courses.append(read_course(folder, summary, seconds))
-    outcome = Outcome(bus.name, courses[0], courses[1], folder / "demo.png")
+    controllers = {
+        name: rig.controller(bus, name, rate, "nominal.toml", compensation)
+        for name, compensation in (("without", 0.0), ("with", COMPENSATION))
+    }
+    courses = compare(folder, play, rig.plant(bus, tendon), controllers, seconds, say)
+    outcome = Outcome(bus.name, courses["without"], courses["with"], folder / "demo.png")
     outcome.draw(float(play.t[-1]))
     return outcome
 
 
-def _tick(say: Progress, name: str, number: int, share: float) -> None:
-    say(f"{name} compensation", (number + share) / len(RUNS))
+def compare(
+    folder: Path,
+    play: Play,
+    plant_tables: rig.Tables,
+    controllers: Mapping[str, rig.Tables],
+    seconds: float,
+    say: Progress,
+) -> dict[str, Course]:
+    """Each controller for `seconds` on a plant that starts anew, with the same motion; their courses by name."""
+    rig.write(folder, play, plant_tables, controllers)
+    courses = {}
+    for number, name in enumerate(controllers):
+        say(f"{name} compensation: starting the plant", number / len(controllers))
+        with plant(folder):
+            summary = daemon(folder, name, seconds, partial(_tick, say, name, number, len(controllers)))
+        courses[name] = read_course(folder, summary, seconds)
+    return courses
+
+
+def _tick(say: Progress, name: str, number: int, runs: int, share: float) -> None:
+    say(f"{name} compensation", (number + share) / runs)
