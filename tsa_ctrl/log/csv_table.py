@@ -53,7 +53,7 @@ def _read(
     names, delimiter, above, rest = _header(path, stream)
     kept = [name for name in names if wanted is None or name in wanted]
     target = np.array([kept.index(name) if name in kept else -1 for name in names], dtype=np.int64)
-    parts: list[list[NDArray[np.float64]]] = [[] for _ in kept]
+    columns = [_Growing() for _ in kept]
     texts: dict[int, tuple[int, str]] = {}  # the first entry that is no number, per column
     out = np.empty((max(1, len(kept)), ROWS))
     odd = np.empty((max(ODD, len(names)), 4), dtype=np.int64)
@@ -71,8 +71,8 @@ def _read(
                     out[column, row] = _odd_number(token)
                 except ValueError:
                     texts.setdefault(column, (rows + row + 1, token.decode("utf-8", "replace")))
-            for column, part in enumerate(parts):
-                part.append(out[column, :done].copy())
+            for growing, values in zip(columns, out, strict=False):
+                growing.extend(values[:done])
             rows += done
             if outcome == numbers.BLANK_LINE and not block[position:].strip() and not stream.read(1 << 16).strip():
                 position = len(text)
@@ -84,12 +84,28 @@ def _read(
                 f"{path}: column {kept[column]}, row {row} (line {row + above}): found '{entry[:40]}' where a number "
                 f"is needed{_comma_hint(entry)}; correct it"
             )
-    columns: Columns = {}
-    for column, name in enumerate(kept):
-        if column not in texts:
-            columns[name] = np.concatenate(parts[column]) if parts[column] else np.empty(0)
-        parts[column] = []  # one column twice in memory at a time, not all
-    return columns, [name for name in names if name not in columns], above
+    whole = {name: columns[i].whole() for i, name in enumerate(kept) if i not in texts}
+    return whole, [name for name in names if name not in whole], above
+
+
+class _Growing:
+    """One column that grows in place, so that a file of gigabytes is in memory once."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(ROWS)
+        self._length = 0
+
+    def extend(self, values: NDArray[np.float64]) -> None:
+        end = self._length + len(values)
+        if end > len(self._values):
+            self._values.resize(max(end, len(self._values) * 5 // 4), refcheck=False)
+        self._values[self._length : end] = values
+        self._length = end
+
+    def whole(self) -> NDArray[np.float64]:
+        """The column; nothing may be added afterwards."""
+        self._values.resize(self._length, refcheck=False)
+        return self._values
 
 
 def _lines(rest: bytes, stream: BinaryIO | gzip.GzipFile) -> Iterator[bytes]:
