@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 import struct
@@ -82,23 +83,6 @@ class Drive(Responder):
         return [torque for _, torque in self.commands]
 
 
-class LoopClock:
-    """`tsa_ctrl.control.realtime.Clock` on the fake bus' clock; each look costs `TICK`."""
-
-    def __init__(self, clock: FakeClock) -> None:
-        self._clock = clock
-        self.late: dict[int, float] = {}  # s too late, by number of the sleep
-        self.sleeps = 0
-
-    def now(self) -> int:
-        self._clock.now += TICK
-        return round(self._clock.now * 1e9)
-
-    def sleep_until(self, deadline: int) -> None:
-        self.sleeps += 1
-        self._clock.now = max(self._clock.now, deadline * 1e-9) + self.late.get(self.sleeps, 0.0)
-
-
 class Machine:
     """Everything but processes: configuration, rig, axes, loop, and shared memory."""
 
@@ -124,7 +108,6 @@ class Machine:
         self.ring = RingWriter(len(self.axes))
         self.events = Events()
         telemetry = Telemetry(self.rig, self.axes, tuners, self.mailbox, self.ring, None, self.events)
-        self.clock = LoopClock(self.bus.clock)
         self.loop = Loop(
             self.rig,
             self.axes,
@@ -134,9 +117,19 @@ class Machine:
             self.events,
             file.controller,
             file.bus.supervision,
-            self.clock,
+            self._now,
         )
         self.rig.start()
+
+    def _now(self) -> int:
+        """The loop's clock: the bus' one, and each look costs `TICK`."""
+        self.bus.clock.now += TICK
+        return round(self.bus.clock.now * 1e9)
+
+    def wake_late(self, cycle: int, seconds: float) -> None:
+        """Let one wait last too long."""
+        wait, waits = self.rig.wait, itertools.count(1)
+        self.rig.wait = lambda until: wait(until + (seconds if next(waits) == cycle else 0.0))  # type: ignore[method-assign]
 
     def run(self, seconds: float = math.inf) -> None:
         self.loop.run(seconds)

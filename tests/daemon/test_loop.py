@@ -222,7 +222,7 @@ def test_socket_set_point_expires(build: Build) -> None:
 def test_overrun_skips_periods_and_is_counted(build: Build) -> None:
     """A wake-up three periods late loses three periods, is counted late, and the log keeps its grid."""
     machine = build(CONSTANT)
-    machine.clock.late[300] = 3.2e-3
+    machine.wake_late(300, 3.2e-3)
     machine.run(seconds=1.0)
     assert (machine.loop.skipped, machine.loop.overruns, machine.loop.late) == (3, 1, 1)
     cycle = machine.records()["cycle"]

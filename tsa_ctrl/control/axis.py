@@ -17,6 +17,7 @@ from tsa_ctrl.control.oscillation import OscillationMonitor
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
 
+_TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
 NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
 
 
@@ -31,6 +32,7 @@ class Terms:
     sigma: float = 0.0
     theta: float = 0.0
     reason: Reason = Reason.DISABLED
+    permitted: bool = False
 
 
 class ControlAxis:
@@ -117,6 +119,21 @@ class ControlAxis:
                 self.ramp = 0.0
                 self.request = Request.DISABLE
         return now - self._enabled_at
+
+    def follow(self, now: float) -> None:
+        """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""
+        image, terms, instruments = self.image, self.terms, self.instruments
+        instruments.update(now)
+        terms.theta = theta = self.bending.update()
+        if not terms.permitted:
+            self.release()
+            return
+        self.law.applied(terms.tau_m_cmd)
+        if terms.reason in _TRIPPING:
+            self.supervisor.trip(f"{terms.reason.name.lower().replace('_', '-')} at the limiter", now)
+        self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
+        self.adapt()
+        self.monitor.update(terms.omega_j, terms.tau_j_des)
 
     def release(self) -> None:
         """Torque is not permitted: forget everything, once. Disabled means reset."""

@@ -22,7 +22,7 @@ class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class Inverse(Protocol):
-    """The live inverse of a model (`tsa_ctrl.model.feedforward.Feedforward`)."""
+    """The live inverse of a model (`tsa_ctrl.model.feedforward`, or `simplified` where there are no effects)."""
 
     def update(
         self,
@@ -31,8 +31,7 @@ class Inverse(Protocol):
         omega_j: float,
         q_j: float = ...,
         q_m: float = ...,
-        temperature: float = ...,
-        theta: float = ...,
+        *,
         t: float = ...,
     ) -> float: ...
 

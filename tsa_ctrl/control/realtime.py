@@ -12,7 +12,7 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -51,7 +51,10 @@ class Rights:
 
 
 def acquire(settings: RealtimeSettings) -> Rights:
-    """Take real-time scheduling and lock the memory; raise BusError when refused and not allowed to run without."""
+    """Take real-time scheduling and lock the memory; raise BusError when refused and not allowed to run without.
+
+    Threads and processes started afterwards run without (SCHED_RESET_ON_FORK): none of them may hold up the loop.
+    """
     missing: list[str] = []
     if settings.cpu is not None:
         try:
@@ -59,7 +62,7 @@ def acquire(settings: RealtimeSettings) -> Rights:
         except OSError as error:
             missing.append(f"processor {settings.cpu} refused ({error.strerror}); give one that exists")
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(settings.priority))
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(settings.priority))
     except OSError as error:
         missing.append(
             f"SCHED_FIFO {settings.priority} refused ({error.strerror}); "
@@ -83,7 +86,7 @@ def freeze_garbage() -> None:
 
 def in_force(missing: tuple[str, ...] = ()) -> Rights:
     """Scheduling policy and locked memory of this process as the kernel reports them."""
-    policy = os.sched_getscheduler(0) & ~getattr(os, "SCHED_RESET_ON_FORK", 0)
+    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     locked = 0
     for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():
         if line.startswith("VmLck:"):
@@ -106,21 +109,6 @@ def sleep_until(deadline: int) -> None:
     while _libc.clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, ctypes.byref(request), None) != 0:
         if time.monotonic_ns() >= deadline:
             return
-
-
-class Clock(Protocol):
-    """Time as the loop sees it, ns; tests give one that moves only when told."""
-
-    def now(self) -> int: ...
-
-    def sleep_until(self, deadline: int) -> None: ...
-
-
-class SystemClock:
-    """CLOCK_MONOTONIC."""
-
-    now = staticmethod(time.monotonic_ns)
-    sleep_until = staticmethod(sleep_until)
 
 
 class Ticker:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from tsa_ctrl.bus.cia402 import PowerState
 from tsa_ctrl.bus.rig import Rig
@@ -12,7 +12,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
-from tsa_ctrl.control.law import Law
+from tsa_ctrl.control.law import Inverse, Law
 from tsa_ctrl.control.limiter import Limiter, Reason
 from tsa_ctrl.control.live import Tuner, parameters_of
 from tsa_ctrl.control.oscillation import OscillationMonitor
@@ -23,6 +23,7 @@ from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.simplified import SimplifiedFeedforward
 
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
@@ -48,7 +49,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 direction=Direction(settings.direction, period),
                 bending=Bending(settings.bending, model.bending_angle),
                 estimator=estimator_of(settings, model, period),
-                law=Law(Feedforward(model, period, signals), ratio, settings.law, period),
+                law=Law(inverse_of(model, period, signals), ratio, settings.law, period),
                 limiter=Limiter(settings.limits, period),
                 monitor=OscillationMonitor(settings.oscillation, period),
                 period=period,
@@ -61,6 +62,11 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
         gains = settings.bending.gains
         axis.bending.connect(tuple((gain, _joint_angle(by_name[name])) for name, gain in gains.items()))
     return tuple(axes)
+
+
+def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:
+    """The model's live inverse; `signals` are the optional ones that the axis measures."""
+    return Feedforward(model, period, signals) if model.effects else SimplifiedFeedforward(model)
 
 
 def _joint_angle(axis: ControlAxis) -> Callable[[], float]:

@@ -1,9 +1,10 @@
-"""The real-time loop: sleep to an absolute deadline, one cycle, record, one command, and what follows from faults."""
+"""The real-time loop: wait for an absolute deadline, one cycle, record, one command, and what follows from faults."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
 from tsa_ctrl.bus.rig import Rig
 from tsa_ctrl.bus.settings import SupervisionSettings
@@ -12,7 +13,7 @@ from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import run_cycle
 from tsa_ctrl.control.live import Tuner
-from tsa_ctrl.control.realtime import Clock, SystemClock, Ticker
+from tsa_ctrl.control.realtime import Ticker
 from tsa_ctrl.control.timing import count
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
@@ -38,7 +39,7 @@ class Loop:
         events: Events,
         settings: ControllerSection,
         supervision: SupervisionSettings,
-        clock: Clock | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.phase = LoopPhase.SETTLING
         self.cause: str | None = None
@@ -46,7 +47,7 @@ class Loop:
         self.cycles = 0
         self.late = 0  # cycles begun later than half a period
         self.recover = False  # the bus has to be brought up again before `run` goes on
-        self._clock = clock or SystemClock()
+        self._clock = clock
         self._rig = rig
         self._axes = axes
         self._tuners = tuners
@@ -60,6 +61,7 @@ class Loop:
         self._publish_every = max(1, round(settings.rate / STATUS_RATE))
         self._check_every = self._publish_every * round(STATUS_RATE)
         self._settled = 0
+        self._ran = False
         self._since = 0.0
         self._stop_time = settings.stop_time + supervision.disable_timeout + STOP_TIME
         self._reset_time = supervision.reset_timeout + RESET_TIME
@@ -87,12 +89,12 @@ class Loop:
 
     def note(self, text: str) -> None:
         """Keep an event that happened outside of the cycles."""
-        self.events.add((self._clock.now() - self._start) * 1e-9, "", text)
+        self.events.add((self._clock() - self._start) * 1e-9, "", text)
 
     def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
         """Run until stopped, or for `seconds` of torque or fault; again after a new bring-up, from RESETTING."""
         ticker, telemetry = self._ticker, self._telemetry
-        clock, sleep_until = self._clock.now, self._clock.sleep_until
+        clock, wait = self._clock, self._rig.wait
         ticker.deadline = clock() + ticker.period
         if self._start == 0:
             self._start = ticker.deadline
@@ -105,7 +107,7 @@ class Loop:
         start, period, half = self._start, ticker.period, ticker.period // 2
         while self.phase is not LoopPhase.ENDED and not self.recover:
             planned = ticker.deadline
-            sleep_until(planned)
+            wait(planned * 1e-9)
             woke = clock()
             now = woke * 1e-9
             run_cycle(self._rig, self._axes, now, now + self._collect)
@@ -126,10 +128,11 @@ class Loop:
         self.publish(ticker.deadline)
 
     def publish(self, planned: int) -> None:
-        """Write the status for the socket server; once a second, look after the log."""
+        """Write the status for the socket server; once a second, look after log and serial sensors."""
         ticker = self._ticker
         if self.cycles % self._check_every == 0:
             self._telemetry.check_log(self._t(planned), self.cycles * len(self._axes))
+            self._telemetry.check_sensors(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
 
@@ -175,6 +178,7 @@ class Loop:
         if self._settled >= self._settings.settle_cycles:
             for axis in self._axes:
                 axis.enable()
+            self._ran = True
             self._enter(LoopPhase.RUNNING, planned)
         elif planned * 1e-9 - self._since > self._settings.settle_cycles * self._period + SETTLE_TIME:
             self.events.add(self._t(planned), "", "the nodes do not answer every SYNC", fault=True)
@@ -224,7 +228,7 @@ class Loop:
         """One axis' fault ramps all others to 0: they move the same limb."""
         for axis in self._axes:
             axis.stop()
-        if self._settings.after_fault == "exit":
+        if self._settings.after_fault == "exit" or not self._ran:  # a start that fails is not worth waiting for
             self.stop(f"fault: {self.events.faults[0].text}")
         if self.phase not in (LoopPhase.STOPPING, LoopPhase.RESETTING):
             self._enter(LoopPhase.FAULTED, planned)
