@@ -15,7 +15,7 @@ from tsa_ctrl.identify.diagnosis.leftover import LEAST_SHARE, Finding
 from tsa_ctrl.identify.diagnosis.problem import orthonormal
 from tsa_ctrl.model.functions import Array
 
-STEP_TIMES = 60  # of each run at which a step may be
+STEP_TIMES = 60  # of all runs at which a step may be; at least 12 of each
 STEP_MARGIN = 0.06  # of the run's length at either end
 CHANCE = 1e-4  # that noise alone is found, per test
 DRAWS = 200
@@ -46,7 +46,9 @@ def steps(
     for number, part in enumerate(slices):
         count = part.stop - part.start
         margin = max(2, round(STEP_MARGIN * count))
-        for at in np.unique(np.linspace(margin, count - margin, STEP_TIMES).round().astype(int)):
+        for at in np.unique(
+            np.linspace(margin, count - margin, max(12, STEP_TIMES // len(slices))).round().astype(int)
+        ):
             for name, factor in factors.items():
                 column = np.zeros(len(factor))
                 column[part.start + at : part.stop] = factor[part.start + at : part.stop]

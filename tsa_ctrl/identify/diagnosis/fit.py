@@ -74,14 +74,16 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
 
 def _jacobian(problem: Problem, hypothesis: Hypothesis, point: Array, residual: Array) -> Array:
     """d prediction / d coordinates, white, by one-sided differences away from the nearer bound."""
-    columns = np.empty((problem.count, len(point)))
+    if len(point) == 0:
+        return np.zeros((problem.count, 0))
+    steps, moved = [], []
     for i, step in enumerate(hypothesis.steps):
-        moved = point.copy()
-        ahead = point[i] + step <= hypothesis.high[i]
-        moved[i] += step if ahead else -step
-        here = problem.measured - problem.whiten(problem.predicted(hypothesis.model(moved)))
-        columns[:, i] = (residual - here) / (moved[i] - point[i])
-    return columns
+        there = point.copy()
+        there[i] += step if point[i] + step <= hypothesis.high[i] else -step
+        steps.append(there[i] - point[i])
+        moved.append(problem.predicted(hypothesis.model(there)))
+    columns = problem.whiten(np.column_stack(moved)) - (problem.measured - residual)[:, None]
+    return np.asarray(columns / np.array(steps))
 
 
 def _step(jacobian: Array, residual: Array, point: Array, hypothesis: Hypothesis, damping: float) -> Array:

@@ -50,6 +50,20 @@ class Noise:
                 out[part.start : part.start + head] = solve_triangular(factor, piece[:head], lower=True)
         return out
 
+    def whiten_short(self, start: int, values: Array, part: slice) -> tuple[int, Array]:
+        """White version of a column that is 0 but for `values` from stacked sample `start` on, within one run.
+
+        Returns where the white column starts and its values.
+        """
+        lags = len(self.filter) - 1
+        stop = min(start + len(values) + lags, part.stop)
+        begin = start if start - part.start >= lags else part.start
+        piece = np.zeros(stop - begin)
+        piece[start - begin : start - begin + len(values)] = values
+        if begin == part.start:
+            return begin, self.whiten(piece, [slice(0, len(piece))])
+        return begin, np.asarray(lfilter(self.filter, [1.0], piece)) / self.deviation
+
     def draw(self, rng: np.random.Generator, lengths: Sequence[int]) -> Array:
         """Stacked noise of this kind, N*m, shape (sum of lengths,)."""
         run_in = 10 * len(self.filter)

@@ -1,17 +1,25 @@
 """What is always projected out: torque errors from a direction that the log does not tell.
 
 Near standstill the sign of a noisy velocity is wrong; that is no effect, but it fakes Stribeck friction and lags. Two
-kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the velocity
-noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a sample.
+kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the
+velocity noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a
+sample. The latter are many but short, and are kept as such.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csc_matrix
 from scipy.special import erf
 
 from tsa_ctrl.identify.diagnosis.base import Base
+from tsa_ctrl.identify.diagnosis.noise import Noise
 from tsa_ctrl.identify.diagnosis.prepare import Frame, Run
 from tsa_ctrl.model.effects.memory import TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
@@ -21,32 +29,88 @@ from tsa_ctrl.model.signals import hold_direction
 
 NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
-MOST_COLUMNS = 300
+MOST_COLUMNS = 600
 MOST_PIECES = 4  # columns for one stretch of unknown direction
+RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
 
 
-def nuisance(frame: Frame, base: Base, model: Model) -> Array:
-    """Columns (n, k), N*m at the score rate; `model` gives the torque that hangs on the direction.
+@dataclass(frozen=True)
+class Moment:
+    """One short column: `values` (N*m) from score sample `start` of the stack on, 0 elsewhere."""
+
+    start: int
+    values: Array
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """`smooth` (n, k) over all score samples, N*m, and short columns."""
+
+    smooth: Array
+    moments: tuple[Moment, ...] = ()
+
+    def projection(self, noise: Noise, mask: NDArray[np.bool_], slices: Sequence[slice]) -> Projection:
+        """What takes all columns out of vectors that are whitened and masked."""
+        where = np.cumsum(mask) - 1
+        rows, columns, data = [], [], []
+        used = 0
+        for moment in self.moments:
+            part = next(part for part in slices if part.start <= moment.start < part.stop)
+            start, white = noise.whiten_short(moment.start, moment.values, part)
+            inside = mask[start : start + len(white)]
+            size = float(np.linalg.norm(white[inside]))
+            if size <= 0.0:
+                continue
+            rows.append(where[start : start + len(white)][inside])
+            data.append(white[inside] / size)
+            columns.append(np.full(int(inside.sum()), used))
+            used += 1
+        count = int(mask.sum())
+        if used:
+            short = csc_matrix(
+                (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(count, used)
+            )
+            gram = (short.T @ short).toarray() + RIDGE * np.eye(used)
+            bare = Projection(short, cho_factor(gram), np.zeros((count, 0)))
+        else:
+            bare = Projection(None, None, np.zeros((count, 0)))
+        dense = bare.apply(noise.whiten(self.smooth, slices)[mask])
+        norms = np.linalg.norm(dense, axis=0)
+        kept = dense[:, norms > 1e-6 * max(float(norms.max(initial=0.0)), 1e-12)]
+        return Projection(bare.short, bare.factor, np.linalg.qr(kept)[0] if kept.shape[1] else kept)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Takes the nuisance out of white vectors (m,) or (m, k)."""
+
+    short: csc_matrix | None
+    factor: tuple[Array, bool] | None
+    dense: Array  # (m, j) orthonormal, and orthogonal to the short columns
+
+    def apply(self, white: Array) -> Array:
+        if self.short is not None and self.factor is not None:
+            white = white - self.short @ cho_solve(self.factor, self.short.T @ white)
+        if self.dense.shape[1]:
+            white = white - self.dense @ (self.dense.T @ white)
+        return np.asarray(white)
+
+
+def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
+    """Columns in N*m at the score rate; `model` gives the torque that hangs on the direction.
 
     A lag of the velocity and a delay of the torque in `model` move the moments at which the direction is unknown.
     """
-    weights = [base.direction_weight(model, run.signals) for run in frame.runs]
-    velocities = [_velocity(run, model) for run in frame.runs]
-    columns = []
-    for factor in NOISE_FACTORS:
-        parts = [
-            _expected(run, omega, weight, factor)
-            for run, omega, weight in zip(frame.runs, velocities, weights, strict=True)
-        ]
-        parts = [_late(run, part, model) for run, part in zip(frame.runs, parts, strict=True)]
-        columns.append(frame.stack(parts))
-    smooth = np.column_stack(columns)
-    smooth = smooth[:, np.linalg.norm(smooth, axis=0) > 0.0]
-    patterns = [
-        _late(run, np.where(uncertain(run, omega), weight, 0.0), model)
-        for run, omega, weight in zip(frame.runs, velocities, weights, strict=True)
-    ]
-    return np.column_stack([smooth, _moments(frame, patterns)])
+    smooth: list[list[Array]] = [[] for _ in NOISE_FACTORS]
+    patterns = []
+    for run in frame.runs:
+        weight = base.direction_weight(model, run.signals)
+        omega = _velocity(run, model)
+        for column, factor in zip(smooth, NOISE_FACTORS, strict=True):
+            column.append(_late(run, _expected(run, omega, weight, factor), model))
+        patterns.append(_late(run, np.where(uncertain(run, omega), weight, 0.0), model))
+    columns = np.column_stack([frame.stack(column) for column in smooth])
+    return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], _moments(frame, patterns))
 
 
 def _velocity(run: Run, model: Model) -> Array:
@@ -81,27 +145,21 @@ def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     return np.asarray(out)
 
 
-def _moments(frame: Frame, patterns: list[Array]) -> Array:
+def _moments(frame: Frame, patterns: list[Array]) -> tuple[Moment, ...]:
     """One column for each stretch in which a pattern is not 0, more for a long one; at most MOST_COLUMNS."""
-    stretches: list[tuple[int, int, int]] = []
-    levels = []
+    stretches: list[tuple[int, int, Array]] = []
     for part, run, pattern in zip(frame.slices, frame.runs, patterns, strict=True):
         level = run.average(pattern)
-        levels.append(level)
         inside = np.concatenate([[False], level != 0.0, [False]]).astype(np.int8)
         edges = np.flatnonzero(np.diff(inside))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            stretches.append((part.start + int(start), part.start + int(stop), int(stop - start)))
-    level = np.concatenate(levels)
+            stretches.append((part.start + int(start), int(stop - start), level[start:stop]))
     pieces = MOST_PIECES
-    while pieces > 1 and sum(min(pieces, length) for _, _, length in stretches) > MOST_COLUMNS:
+    while pieces > 1 and sum(min(pieces, length) for _, length, _ in stretches) > MOST_COLUMNS:
         pieces -= 1
-    stretches = sorted(stretches, key=lambda s: -s[2])[:MOST_COLUMNS]
-    columns = []
-    for start, stop, length in stretches:
-        cuts = np.linspace(start, stop, min(pieces, length) + 1).round().astype(int)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True):
-            column = np.zeros(len(frame))
-            column[a:b] = level[a:b]
-            columns.append(column)
-    return np.column_stack(columns) if columns else np.zeros((len(frame), 0))
+    stretches = sorted(stretches, key=lambda stretch: -stretch[1])[:MOST_COLUMNS]
+    moments = []
+    for start, length, level in stretches:
+        cuts = np.linspace(0, length, min(pieces, length) + 1).round().astype(int)
+        moments += [Moment(start + int(a), level[a:b]) for a, b in pairwise(cuts)]
+    return tuple(moments)

@@ -23,13 +23,19 @@ MOST_SHARE = 0.1  # of the samples, that saturation may span
 
 def pilot_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tuple[Problem, Fit]:
     """The problem under its noise model, and the base fitted anew under it."""
-    taken = _saturated(problem, fitted, found)
-    for chosen in (None, WORTH, WORTH):
-        basis = taken if chosen is None else _pursuit(problem, fitted, found)
-        noise = noise_after(problem, fitted.residual, basis)
-        problem = problem.with_noise(noise)
-        fitted = fit(problem, fitted.hypothesis, fitted.point)
+    for span in (_saturated, _pursuit):
+        problem, fitted = _under(problem, fitted, span(problem, fitted, found))
     return problem, fitted
+
+
+def renewed_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tuple[Problem, Fit]:
+    """The same once the noise is roughly known: only responses that matter are taken out."""
+    return _under(problem, fitted, _pursuit(problem, fitted, found))
+
+
+def _under(problem: Problem, fitted: Fit, basis: Array) -> tuple[Problem, Fit]:
+    problem = problem.with_noise(noise_after(problem, fitted.residual, basis))
+    return problem, fit(problem, fitted.hypothesis, fitted.point)
 
 
 def noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
@@ -57,18 +63,19 @@ def _saturated(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Arra
 def _pursuit(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
     """Basis of the fitted parameters and of the responses that orthogonal matching pursuit picks."""
     basis = orthonormal(fitted.jacobian)
-    residual = fitted.residual - basis @ (basis.T @ fitted.residual)
-    blocks = [score.columns for score in scores(problem, fitted, found)]
-    columns = np.concatenate(blocks, axis=1)
+    columns = np.concatenate([score.columns for score in scores(problem, fitted, found)], axis=1)
     columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
+    gram = columns.T @ columns
+    slope = columns.T @ (fitted.residual - basis @ (basis.T @ fitted.residual))
+    chosen: list[int] = []
     for _ in range(MOST_COLUMNS):
-        sizes = np.sum(columns**2, axis=0)
-        overlap = np.where(sizes > 1e-4, (columns.T @ residual) ** 2 / np.maximum(sizes, 1e-4), 0.0)
-        best = int(np.argmax(overlap))
-        if overlap[best] < WORTH:
+        sizes = np.diag(gram)
+        worth = np.where(sizes > 1e-4, slope**2 / np.maximum(sizes, 1e-4), 0.0)
+        best = int(np.argmax(worth))
+        if worth[best] < WORTH:
             break
-        new = columns[:, best] / np.sqrt(sizes[best])
-        residual = residual - new * float(new @ residual)
-        columns = columns - np.outer(new, new @ columns)
-        basis = np.column_stack([basis, new])
-    return np.asarray(basis)
+        chosen.append(best)
+        ratio = gram[best] / gram[best, best]
+        slope = slope - ratio * slope[best]
+        gram = gram - np.outer(gram[best], ratio)
+    return np.column_stack([basis, orthonormal(columns[:, chosen])])

@@ -25,7 +25,7 @@ from tsa_ctrl.identify.diagnosis.grouping import Group, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
 from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
 from tsa_ctrl.identify.diagnosis.noise import white_noise
-from tsa_ctrl.identify.diagnosis.nuisance import nuisance
+from tsa_ctrl.identify.diagnosis.nuisance import Nuisance, nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.prepare import Frame, prepare
 from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
@@ -143,11 +143,10 @@ def _base(model: Model, frame: Frame, scales: Scales) -> Base:
 def _begun(frame: Frame, base: Base, scales: Scales, catalogue: Catalogue) -> tuple[Problem, Fit]:
     """The noise model from what the catalogue cannot explain, and the recalibrated base under it."""
     start = Hypothesis(base)
-    empty = np.zeros((len(frame), 0))
-    problem = Problem(frame, base, white_noise(PILOT_NOISE * scales.torque), empty, frame.train)
+    nothing = Nuisance(np.zeros((len(frame), 0)))
+    problem = Problem(frame, base, white_noise(PILOT_NOISE * scales.torque), nothing, frame.train)
     fitted = fit(problem, start, base.start())
-    columns = nuisance(frame, base, start.model(fitted.point))
-    problem = dataclasses.replace(problem, nuisance=columns)
+    problem = dataclasses.replace(problem, nuisance=nuisance(frame, base, start.model(fitted.point)))
     fitted = fit(problem, start, fitted.point)
     variants = [variant for options in catalogue.values() for variant in options]
     return pilot_noise(problem, fitted, responses(problem, fitted, variants))
@@ -192,11 +191,17 @@ def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Fin
     findings.append(changes.lines(fitted.residual, masked, frame.period))
     findings.append(changes.bursts(fitted.residual, frame.period))
     rest = frame.target - predicted
-    basis = problem.nuisance
-    if basis.shape[1]:
-        rest = rest - basis @ np.linalg.lstsq(basis[mask], rest[mask], rcond=None)[0]
-    findings.append(changes.drift(rest, mask, frame.slices, frame.period, problem.noise.rms))
+    findings.append(changes.drift(_known(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
     return findings
+
+
+def _known(problem: Problem, residual: Array) -> Array:
+    """A residual (n,) in N*m with the moments of unknown direction filled by straight lines."""
+    inside = np.ones(len(residual), dtype=np.bool_)
+    for moment in problem.nuisance.moments:
+        inside[moment.start : moment.start + len(moment.values)] = False
+    index = np.arange(len(residual))
+    return np.where(inside, residual, np.interp(index, index[inside], residual[inside])) if inside.any() else residual
 
 
 def _limits(chosen: Selection, parts: Split) -> tuple[dict[str, float], tuple[str, ...]]:

@@ -23,7 +23,7 @@ from tsa_ctrl.model.signals import Signals, hold_direction
 COMPUTE_RATE = 500.0  # Hz at most: reversals are placed to 2 ms
 COMPUTE_SAMPLES = 90_000  # of all logs together at most
 SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
-SCORE_SAMPLES = 24_000  # of all logs together at most
+SCORE_SAMPLES = 12_000  # of all logs together at most
 BLOCKS = 24  # for block-robust statistics
 HIGHEST = {"tau_m": 100.0}  # Hz, cut-off of the denoising: torques follow a reversal at once
 ANGLE_HIGHEST = 40.0  # Hz, of angles and velocities

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.diagnosis.base import Base, Coordinate
 from tsa_ctrl.identify.diagnosis.candidates import Variant
 from tsa_ctrl.identify.diagnosis.noise import Noise
+from tsa_ctrl.identify.diagnosis.nuisance import Nuisance, Projection
 from tsa_ctrl.identify.diagnosis.prepare import Frame
 from tsa_ctrl.model.catalogue import Value
 from tsa_ctrl.model.functions import Array
@@ -77,13 +77,13 @@ class Problem:
     frame: Frame
     base: Base
     noise: Noise
-    nuisance: Array  # (n, k) columns at the score rate, N*m, not whitened
+    nuisance: Nuisance
     mask: NDArray[np.bool_]  # (n) samples that count
 
     @cached_property
-    def _nuisance_basis(self) -> Array:
-        white = self.noise.whiten(self.nuisance, self.frame.slices)[self.mask]
-        return orthonormal(white)
+    def projection(self) -> Projection:
+        """What takes the nuisance out of white vectors."""
+        return self.nuisance.projection(self.noise, self.mask, self.frame.slices)
 
     @property
     def count(self) -> int:
@@ -100,9 +100,7 @@ class Problem:
 
     def whiten(self, y: Array) -> Array:
         """(n,) or (n, k) in N*m to white units over the samples that count, the nuisance projected out."""
-        white = self.noise.whiten(y, self.frame.slices)[self.mask]
-        basis = self._nuisance_basis
-        return np.asarray(white - basis @ (basis.T @ white))
+        return self.projection.apply(self.noise.whiten(y, self.frame.slices)[self.mask])
 
     @cached_property
     def measured(self) -> Array:
@@ -124,9 +122,6 @@ def orthonormal(columns: Array, tolerance: float = 1e-7) -> Array:
     values, vectors = np.linalg.eigh(gram)
     keep = values > tolerance**2 * max(values[-1], 1e-300) + 1e-10
     basis = scaled @ (vectors[:, keep] / np.sqrt(values[keep]))
-    return np.asarray(np.linalg.qr(basis)[0])
-
-
-def stacked(columns: Sequence[Array], count: int) -> Array:
-    """Columns side by side, shape (count, k); k may be 0."""
-    return np.column_stack(columns) if columns else np.zeros((count, 0))
+    gram = basis.T @ basis  # once more: the first pass leaves what the smallest values amplify
+    values, vectors = np.linalg.eigh(gram)
+    return np.asarray(basis @ (vectors / np.sqrt(values)))
