@@ -42,6 +42,7 @@ def test_info_for_people_names_axes_columns_and_units(log: str, capsys: pytest.C
     out = capsys.readouterr().out
     assert "axis knee: 400 rows, 0.399 s at 1000 Hz" in out
     assert "rad/s" in out
+    assert "operation_enabled" in out
 
 
 def test_info_of_a_cut_log_says_so(log: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,7 +43,7 @@ def info(log: str, as_json: bool) -> None:
         for column in axis.columns:
             span = "no number" if column.low is None else f"{column.low:12.6g} to {column.high:12.6g} {column.unit}"
             gaps = f"  ({column.missing} rows empty)" if column.missing else ""
-            click.echo(f"  {column.name:16s}{span}{gaps}")
+            click.echo(f"  {column.name:16s}{', '.join(column.names) or span}{gaps}")
         for name in axis.text_columns:
             click.echo(f"  {name:16s}text")
 
@@ -67,5 +67,5 @@ def convert(log: str, out: Path) -> None:
         written = convert_log(log, out)
     for file in written:
         click.echo(str(file.path))
-        if file.left_out:
-            click.echo(f"note: columns that are no numbers are left out: {', '.join(file.left_out)}", err=True)
+        for note in file.notes:
+            click.echo(f"note: {note}", err=True)

@@ -32,15 +32,15 @@ class _Source:
     codes: Codes
     rows: int
     blocks: Callable[[], Blocks]
-    left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Written:
-    """One file written, and the columns of the log that are no numbers and so not in it."""
+    """One file written, and what of the log is not in it, in words."""
 
     path: Path
-    left_out: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 class _Sink(Protocol):
@@ -77,7 +77,7 @@ def convert(log: str | Path, out: Path, progress: Progress = lambda share: None)
         finally:
             with contextlib.suppress(OSError):
                 beside.unlink(missing_ok=True)
-        written.append(Written(path, source.left_out))
+        written.append(Written(path, source.notes))
     return written
 
 
@@ -105,17 +105,19 @@ def _of_axis(contents: LogFile, axis: str, present: NDArray[np.bool_], rows: int
     def blocks() -> Blocks:
         return (block for name, block in contents.blocks(names) if name == axis)
 
-    return _Source(axis, names, contents.codes, rows, blocks)
+    return _Source(axis, names, contents.codes, rows, blocks, tuple(contents.problems))
 
 
 def _of_table(table: Table) -> _Source:
     names = list(table.columns)
+    text = ", ".join(table.left_out)
+    notes = (f"columns that are no numbers are left out: {text}",) if text else ()
 
     def blocks() -> Blocks:
         for start in range(0, len(table), ROWS):
             yield np.column_stack([values[start : start + ROWS] for values in table.columns.values()])
 
-    return _Source(None, names, {}, len(table), blocks, table.left_out)
+    return _Source(None, names, {}, len(table), blocks, notes)
 
 
 def _is_folder(out: Path) -> bool:

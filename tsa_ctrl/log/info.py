@@ -11,20 +11,27 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.columns import BY_NAME
+from tsa_ctrl.log.csv_out import coded
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
 from tsa_ctrl.log.timing import check_increasing, fit_grid
 
+Codes = dict[str, dict[int, str]]
+
 
 @dataclass(frozen=True)
 class ColumnRange:
-    """One column: unit ("" when unknown), smallest and largest value (None without any), rows without a value."""
+    """One column: unit ("" when unknown), smallest and largest value (None without any), rows without a value.
+
+    `names` are those of the codes that occur, for a coded column.
+    """
 
     name: str
     unit: str
     low: float | None
     high: float | None
     missing: int
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -91,14 +98,11 @@ def inspect(path: str | Path) -> LogInfo:
         values = np.concatenate(parts) if parts else np.empty((0, len(log.fields)))
         columns = {field: values[:, i] for i, field in enumerate(log.fields)}
         columns = {field: v for field, v in columns.items() if field == "t" or not np.isnan(v).all()}
-        infos.append(_axis_info(Table(f"{file}:{name}", columns, axis=name, recorded=True), np.inf))
-    problems = [] if log.complete else ["the file was cut off, or is still being written; read up to its last chunk"]
-    if log.damaged:
-        problems.append(f"{log.damaged} damaged chunks are left out")
-    return LogInfo(str(path), sha256, infos, log.about, problems)
+        infos.append(_axis_info(Table(f"{file}:{name}", columns, axis=name, recorded=True), np.inf, log.codes))
+    return LogInfo(str(path), sha256, infos, log.about, log.problems)
 
 
-def _axis_info(table: Table, longest_skip: float) -> AxisInfo:
+def _axis_info(table: Table, longest_skip: float, codes: Codes | None = None) -> AxisInfo:
     columns = table.columns
     if "t" not in columns:
         raise UsageError(f"{table.label}: column t is missing (found: {', '.join(columns) or 'none'}); add it")
@@ -107,14 +111,15 @@ def _axis_info(table: Table, longest_skip: float) -> AxisInfo:
         raise UsageError(f"{table.label}: holds {len(t)} rows; at least 2 are needed to tell a rate: give a longer log")
     check_increasing(table, t)
     grid = fit_grid(t, longest_skip)
-    ranges = [_range(name, values) for name, values in columns.items()]
+    ranges = [_range(name, values, (codes or {}).get(name, {})) for name, values in columns.items()]
     return AxisInfo(
         table.axis, grid.rate, float(t[-1] - t[0]), len(t), grid.jitter, grid.skipped, ranges, table.left_out
     )
 
 
-def _range(name: str, values: NDArray[np.float64]) -> ColumnRange:
+def _range(name: str, values: NDArray[np.float64], codes: dict[int, str]) -> ColumnRange:
     good = values[np.isfinite(values)]
     unit = BY_NAME[name].unit if name in BY_NAME else ""
     low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
-    return ColumnRange(name, unit, low, high, len(values) - len(good))
+    names = tuple(coded(np.unique(good), codes)) if codes else ()
+    return ColumnRange(name, unit, low, high, len(values) - len(good), names)

@@ -1,6 +1,6 @@
 """The daemon's MCAP logs read back, whole or cut off: everything up to the last whole chunk.
 
-Chunks are decoded as arrays, not message by message: an hour at 1 kHz takes about a second.
+Chunks are decoded as arrays, not message by message: an hour at 1 kHz takes seconds, not minutes.
 """
 
 from __future__ import annotations
@@ -75,6 +75,16 @@ class LogFile:
         """Names of the coded fields' values."""
         codes: dict[str, dict[str, str]] = self.about.get("codes", {})
         return {field: {int(code): name for code, name in names.items()} for field, names in codes.items()}
+
+    @property
+    def problems(self) -> list[str]:
+        """What is wrong with the file, in words; known after `blocks` has run to its end."""
+        problems = (
+            [] if self.complete else ["the log was cut off, or is still being written; read up to its last chunk"]
+        )
+        if self.damaged:
+            problems.append(f"{self.damaged} damaged chunks are left out")
+        return problems
 
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
         """Axis and records of each chunk in turn, shape (k, len(wanted)), the `wanted` fields in that order."""
