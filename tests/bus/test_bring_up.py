@@ -10,6 +10,7 @@ from tsa_ctrl.bus import bring_up as module
 from tsa_ctrl.bus.bring_up import bring_up
 from tsa_ctrl.bus.profile import DriveProfile, Identity, Units
 from tsa_ctrl.bus.report import Report
+from tsa_ctrl.bus.seam import BusFault
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.errors import BusError, UsageError
 
@@ -206,6 +207,38 @@ def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:
         nodes.nodes[1].object_dictionary[0x605E].access_type = "ro"
         with pytest.raises(BusError, match=r"refuses 0x605E:0 fault reaction: Attempt to write a read only object"):
             start(nodes)
+
+
+def test_bus_that_fails_meanwhile_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench() as nodes:
+        send, sent = nodes.bus.send, []
+
+        def fail_after_a_while(can_id: int, data: bytes) -> bool:
+            sent.append(can_id)
+            if len(sent) < 30:
+                return send(can_id, data)
+            nodes.bus.fault = BusFault.INTERFACE_DOWN
+            return False
+
+        monkeypatch.setattr(nodes.bus, "send", fail_after_a_while)
+        with pytest.raises(BusError, match="the interface is down; check adapter, cable and interface"):
+            start(nodes)
+
+
+def test_dropped_frame_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench() as nodes:
+        send, requests = nodes.bus.send, []
+
+        def drop_every_tenth_request(can_id: int, data: bytes) -> bool:
+            if can_id == 0x601:
+                requests.append(data)
+                if len(requests) % 10 == 0:
+                    return False
+            return send(can_id, data)
+
+        monkeypatch.setattr(nodes.bus, "send", drop_every_tenth_request)
+        start(nodes)
+        assert nodes.get(1, 0x6072) == 1000
 
 
 def test_another_master_on_the_bus_is_refused() -> None:

@@ -48,3 +48,14 @@ def test_node_that_stops_at_the_end_is_refused() -> None:
     bus._answer = answer
     with pytest.raises(BusError, match="answered 44 of 50"):
         prove(rig, 0.001, 50)
+
+
+def test_what_was_missed_before_is_forgiven() -> None:
+    rig, bus, nodes = one_axis_rig()
+    nodes.silent = {0x181}
+    for _ in range(300):
+        rig.sync()
+        rig.collect(bus.clock.now + 0.0006)
+    nodes.silent = set()
+    rig.start()
+    prove(rig, 0.001, 50)

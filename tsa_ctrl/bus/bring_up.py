@@ -67,25 +67,26 @@ def prove(rig: Rig, period: float, cycles: int = 50) -> None:
 
     A node must answer at least 80 % of `cycles` SYNCs, the last of them included, and each of them once.
     """
+    nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]
+    before = [(health.missed, health.repeated) for _, health in nodes]
     begin = rig.wait(0.0)
     for _ in range(cycles):
         begin = rig.wait(begin + period)
         rig.sync(begin)
         rig.collect(begin + 0.8 * period)
         rig.heartbeat(begin)
-    for axis in rig.axes:
-        for health in axis.image.nodes:
-            answered = cycles - health.missed
-            if answered < _LEAST_ANSWERED * cycles or health.misses:
-                raise BusError(
-                    f"axis '{axis.name}' {health}: answered {answered} of {cycles} SYNCs in time "
-                    f"(late {health.late}, wrong length {health.malformed}); check the bus load and the node's mapping"
-                )
-            if health.repeated > (1.0 - _LEAST_ANSWERED) * cycles:
-                raise BusError(
-                    f"axis '{axis.name}' {health}: sent {health.repeated} more PDOs than {cycles} SYNCs asked for; "
-                    "another node may have the same id"
-                )
+    for (name, health), (missed, repeated) in zip(nodes, before, strict=True):
+        answered = cycles - (health.missed - missed)
+        if answered < _LEAST_ANSWERED * cycles or health.misses:
+            raise BusError(
+                f"axis '{name}' {health}: answered {answered} of {cycles} SYNCs in time "
+                f"(late {health.late}, wrong length {health.malformed}); check the bus load and the node's mapping"
+            )
+        if health.repeated - repeated > (1.0 - _LEAST_ANSWERED) * cycles:
+            raise BusError(
+                f"axis '{name}' {health}: sent {health.repeated - repeated} more PDOs than {cycles} SYNCs asked for; "
+                "another node may have the same id"
+            )
 
 
 def _nodes(axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile]) -> Iterable[Node]:

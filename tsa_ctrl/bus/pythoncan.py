@@ -19,6 +19,7 @@ Option = str | int | float | bool
 
 _FLUSH_LIMIT = 100_000  # frames
 _ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
+_FAILED_PAUSE = 0.01  # s, as nothing is waited for on a bus that has failed
 _MAX_ECHOES = 64  # frames sent whose echo may be on its way
 
 
@@ -129,8 +130,8 @@ class SeamBus(can.BusABC):  # type: ignore[misc]  # python-can is not followed b
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         frame = self._seam.recv(0.1 if timeout is None else timeout)
         if frame is None:
-            if self._seam.fault is not None:
-                raise can.CanOperationError(f"{self._seam.name}: {self._seam.fault.value}")
+            if self._seam.fault is not None:  # which the session looks at: an exception here would end in a traceback
+                time.sleep(_FAILED_PAUSE)
             return None, False
         can_id, data = frame
         message = can.Message(

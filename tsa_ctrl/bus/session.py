@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from types import TracebackType
-from typing import TypeVar
 
 import can
 import canopen
@@ -25,8 +24,6 @@ from tsa_ctrl.bus.pythoncan import SeamBus
 from tsa_ctrl.bus.seam import Bus
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.errors import BusError
-
-T = TypeVar("T")
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no such subindex
 
@@ -108,7 +105,8 @@ class Session:
 
     def nmt(self, command: NmtCommand, node_id: int) -> None:
         """Send an NMT command."""
-        self._guarded(lambda: self._network.send_message(cia301.NMT, cia301.nmt(command, node_id)))
+        if not self._bus.send(cia301.NMT, cia301.nmt(command, node_id)):
+            raise self._failed()
 
     def boot(self, node_ids: Iterable[int], timeout: float) -> set[int]:
         """Reset the communication of these nodes; the nodes that did not boot up within `timeout` s."""
@@ -146,9 +144,9 @@ class Session:
 
     def _transfer(self, node_id: int, entry: Object, action: Callable[[SdoClient], bytes]) -> bytes:
         client = self._client(node_id)
-        for attempt in range(_ATTEMPTS):
+        for _ in range(_ATTEMPTS):
             try:
-                return self._guarded(lambda: action(client))
+                return action(client)
             except SdoAbortedError as error:
                 reason = SdoAbortedError.CODES.get(error.code, "unknown reason")
                 raise SdoRefusedError(
@@ -156,19 +154,19 @@ class Session:
                     error.code,
                 ) from None
             except SdoCommunicationError:
-                if attempt == _ATTEMPTS - 1:
-                    break
+                pass
+            except (can.CanError, OSError):  # a frame was dropped, or the bus failed
+                time.sleep(_POLL)
+            if self._bus.fault is not None:
+                raise self._failed()
         raise BusError(
             f"{self._bus.name}: node {node_id} does not answer to SDO requests ({entry}); "
             "check that it is powered, its node id and its bit rate"
         )
 
-    def _guarded(self, action: Callable[[], T]) -> T:
-        try:
-            return action()
-        except (can.CanError, OSError) as error:
-            reason = self._bus.fault.value if self._bus.fault is not None else str(error)
-            raise BusError(f"{self._bus.name}: {reason}; check adapter and cable and start again") from None
+    def _failed(self) -> BusError:
+        reason = "frames cannot be sent" if self._bus.fault is None else self._bus.fault.value
+        return BusError(f"{self._bus.name}: {reason}; check adapter, cable and interface, and start again")
 
     def _client(self, node_id: int) -> SdoClient:
         if node_id not in self._clients:
@@ -185,7 +183,8 @@ class Session:
             missing = {node_id for node_id in nodes if not reached(self._states[node_id])}
             if not missing or time.monotonic() > end:
                 return missing
-            self._guarded(self._network.check)
+            if self._bus.fault is not None:
+                raise self._failed()
             time.sleep(_POLL)
 
     def _on_heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:

@@ -244,11 +244,11 @@ def _code(error_code: int) -> str:
 
 
 def _stale(image: Image) -> str:
-    """Which node is to blame, and what came instead of its answers."""
-    words = [
-        f"{health}: {health.misses} cycles in a row (since start: late {health.late}, repeated {health.repeated}, "
-        f"wrong length {health.malformed})"
-        for health in image.nodes
-        if health.misses
-    ]
-    return "; ".join(words) if words else f"{image.misses} cycles in a row"
+    """Which node is to blame, and what came instead of its answers since the start."""
+    return "; ".join(_missing(health) for health in image.nodes if health.misses) or f"{image.misses} cycles in a row"
+
+
+def _missing(health: NodeHealth) -> str:
+    counts = (("late", health.late), ("repeated", health.repeated), ("wrong length", health.malformed))
+    instead = ", ".join(f"{name} {count}" for name, count in counts if count)
+    return f"{health}: {health.misses} cycles in a row" + (f" (since the start {instead})" if instead else "")
