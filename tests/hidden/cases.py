@@ -11,6 +11,7 @@ import numpy as np
 from .bench import Bench, HiddenLog, Recipe, draw_bench, record
 from .outside import STRANGERS, CatalogueSpan
 from .rig import model_file
+from .rivals import is_unique
 from .size import added_size, size
 from .strength import NAMES, Strength, draw_strength, solve
 
@@ -73,7 +74,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "transport_delay": {"sign_noise": 0.7},
     "sheath_asymmetry": {"torque": "independent"},
     "tendon_slack": {"torque": "independent", "level": (1.15, 1.9), "x": (0.2, 0.9)},
-    "elongation_coupling": {"bending": "varied", "x": (0.3, 0.9)},
+    "elongation_coupling": {"bending": "varied", "x": (0.4, 0.9)},
     "load_dependent_friction": {"torque": "independent", "x": (0.12, 0.35), "level": (0.65, 0.9)},
     "backlash": {"joint_angle": True, "sign_noise": 0.7},
     "gravity_load": {"joint_angle": True, "amplitude": 1.5},
@@ -124,7 +125,7 @@ def none_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def single_case(name: str, seed: int, short: bool = False) -> Case:
-    """One effect, well excited, one to six times the noise."""
+    """One effect, well excited, one to six times the noise, that no other effect imitates within the noise."""
     for attempt in range(40):
         rng = generator("single", name, seed, attempt)
         bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), short=short))
@@ -135,7 +136,8 @@ def single_case(name: str, seed: int, short: bool = False) -> Case:
         if reached > 8.0 * noise or noise < 1.2e-3 * bench.scale or not in_domain(bench, {name: parameters}):
             continue
         case = finish(rng, "single", name, seed, bench, {name: parameters}, noise, "rich")
-        if case.truth.size >= np.hypot(case.truth.noise, case.truth.sign_noise):
+        visible = case.truth.size >= np.hypot(case.truth.noise, case.truth.sign_noise)
+        if visible and is_unique(bench, {name: parameters}, case.truth.noise):
             return case
     raise RuntimeError(f"no case of {name} for seed {seed}")
 
@@ -149,7 +151,10 @@ def timing_case(name: str, seed: int, short: bool = False) -> Case:
 
 
 def pair_case(name: str, seed: int, short: bool = False) -> Case:
-    """Two effects, each visible beside the other; `name` is "a+b", or "any" for a drawn pair."""
+    """Two effects, each visible beside the other and without a rival that would do as well.
+
+    `name` is "a+b", or "any" for a drawn pair.
+    """
     for attempt in range(80):
         rng = generator("pair", name, seed, attempt)
         first, second = name.split("+") if name != "any" else _draw_pair(rng)
@@ -167,7 +172,8 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
             continue
         case = finish(rng, "pair", name, seed, bench, effects, noise, "rich")
         case.truth.sizes = sizes
-        if min(sizes.values()) >= np.hypot(case.truth.noise, case.truth.sign_noise):
+        visible = min(sizes.values()) >= np.hypot(case.truth.noise, case.truth.sign_noise)
+        if visible and is_unique(bench, effects, case.truth.noise):
             return case
     raise RuntimeError(f"no case of {name} for seed {seed}")
 

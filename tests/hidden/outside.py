@@ -13,6 +13,7 @@ from . import memory
 from .bench import Bench, Run, rms
 from .motion import smoothed
 from .plant import simulate
+from .rivals import Thinned, imitations
 
 Array = np.ndarray
 Torque = Callable[[Bench, Run, Array], Array]
@@ -123,13 +124,12 @@ def _kink(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
     return at
 
 
-def _quadratic_drag(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    def at(strength: float) -> Torque:
-        def torque(bench: Bench, run: Run, tau: Array) -> Array:
-            omega = run.scene.omega / bench.speed
-            return tau - strength * bench.scale * omega * np.abs(omega)
+def _sensor_hysteresis(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """The torque sensor's reading depends on whether the torque rose or fell before."""
+    width = rng.uniform(0.2, 0.6) * bench.scale
 
-        return torque
+    def at(strength: float) -> Torque:
+        return lambda bench, run, tau: tau + strength * bench.scale * memory.bristle(tau, width, 0.0)
 
     return at
 
@@ -223,7 +223,7 @@ STRANGERS: dict[str, Stranger] = {
     "viscoelastic_tendon": Stranger("the tendon creeps", _viscoelastic, 0.1, 0.5, {}),
     "sensor_resonance": Stranger("the torque sensor rings", _resonance, 1.0, 1.0, {}),
     "sheath_kink": Stranger("a kink in the sheath", _kink, 0.4, 3.0, {"joint_angle": True}),
-    "quadratic_drag": Stranger("drag with the square of the speed", _quadratic_drag, 0.2, 1.0, {}),
+    "sensor_hysteresis": Stranger("the torque sensor has a hysteresis", _sensor_hysteresis, 0.05, 0.3, {}),
     "sensor_dead_zone": Stranger("the torque sensor has a dead zone", _dead_zone, 0.1, 0.6, {}),
     "tension_beating": Stranger("the pretension beats", _beating, 0.1, 0.4, {"level": (0.2, 0.5)}),
     "frozen_samples": Stranger("torque telegrams get lost", _frozen, 1.0, 3.0, {}),
@@ -237,67 +237,15 @@ class CatalogueSpan:
     """What the whole catalogue together can imitate, as a linear space about the rig without effects."""
 
     def __init__(self, bench: Bench) -> None:
-        self.stride = max(1, round(sum(run.scene.t.size / run.every for run in bench.runs) / 8000.0))
-        base = self._thin(bench.ideal({}))
-        columns = [np.ones_like(base), base]
-        for effects in _imitations(bench):
-            columns.append(self._thin(bench.ideal(effects)) - base)
-        for rig in (
-            replace(bench.rig, mu=1.03 * bench.rig.mu),
-            replace(bench.rig, pretension=1.03 * bench.rig.pretension),
-        ):
-            columns.append(self._thin(replace(bench, rig=rig).ideal({})) - base)
-        columns = [column for column in columns if rms(column) > 1e-9 * bench.scale]
+        self.thin = Thinned(bench)
+        columns = [np.ones_like(self.thin.plain), self.thin.plain, *self.thin.recalibration()]
+        for imitation in imitations(self.thin):
+            columns += [column for column in imitation.columns if rms(column) > 1e-9 * bench.scale]
         matrix = np.stack([column / rms(column) for column in columns], axis=1)
         left, values, _ = np.linalg.svd(matrix, full_matrices=False)
         self.basis = left[:, values > 1e-5 * values[0]]
-        self.base = base
-
-    def _thin(self, torques: list[Array]) -> Array:
-        return np.concatenate([torque[:: self.stride] for torque in torques])
 
     def leftover(self, torques: list[Array]) -> float:
         """RMS in N·m of a change of the joint torque that no mixture of the catalogue imitates."""
-        change = self._thin(torques) - self.base
+        change = self.thin.join(torques) - self.thin.plain
         return rms(change - self.basis @ (self.basis.T @ change))
-
-
-def _imitations(bench: Bench) -> list[dict[str, dict[str, Any]]]:
-    """Every effect of the catalogue at several of its non-linear parameters, weak enough to superpose."""
-    speed, reach, path = bench.speed, bench.reach, bench.motor_reach if bench.motor_angle else bench.reach
-    rig, seconds = bench.rig, max(run.scene.t[-1] for run in bench.runs)
-    unit: list[tuple[str, dict[str, Any]]] = [
-        ("viscous_friction", {"coefficient": bench.scale / speed}),
-        ("direction_asymmetric_friction", {"viscous_difference": bench.scale / speed}),
-        ("inertia", {"inertia": bench.scale / speed}),
-        ("gravity_load", {"amplitude": bench.scale, "phase": 0.0}),
-        ("gravity_load", {"amplitude": bench.scale, "phase": 0.5 * np.pi}),
-        ("joint_stiffness", {"stiffness": bench.scale / reach, "rest_angle": 0.0}),
-        ("motor_side_friction", {"coulomb": 0.05 * rig.torque_limit}),
-        ("torque_constant_error", {"relative_error": 0.05}),
-        ("tension_dependent_friction", {"exponent": 0.2}),
-        ("load_dependent_friction", {"coefficient": 0.05}),
-        ("sheath_asymmetry", {"relative_difference": 0.1}),
-        ("elongation_coupling", {"curvature_profile": "uniform"}),
-        ("elongation_coupling", {"curvature_profile": "motor_end"}),
-        ("stiffness_nonlinearity", {"quadratic": 0.1 * rig.axial_stiffness / rig.pretension}),
-        ("tendon_slack", {}),
-        ("configuration_dependent_bending", {"bending_per_joint_angle": 0.05 * rig.bending / reach}),
-        ("thermal_friction_drift", {"temperature_coefficient": 0.003}),
-    ]
-    for share in (0.03, 0.1, 0.3):
-        for shape in (1.0, 2.0):
-            unit.append(
-                ("stribeck_friction", {"static_excess": 0.2, "stribeck_velocity": share * speed, "shape": shape})
-            )
-    for share in (0.005, 0.02, 0.08):
-        unit.append(("presliding_hysteresis", {"presliding_distance": share * path}))
-        unit.append(("presliding_hysteresis", {"presliding_distance": 4.0 * share * path, "elements": 4}))
-        unit.append(("backlash", {"gap": share * reach}))
-    for share in (0.1, 0.4, 1.5):
-        unit.append(("pretension_relaxation", {"relaxed_fraction": 0.1, "time_constant": share * seconds}))
-        drawn = {"relaxed_fraction": 0.05, "time_constant": 0.1 * share * seconds, "law": "logarithmic"}
-        unit.append(("pretension_relaxation", drawn))
-    for delay in (0.003, 0.01, 0.03):
-        unit.append(("transport_delay", {"delay": delay}))
-    return [{name: parameters} for name, parameters in unit]

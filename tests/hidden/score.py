@@ -177,6 +177,6 @@ def family_of(result: dict[str, Any]) -> str:
 
 def counted(target: Target, results: Iterable[dict[str, Any]]) -> tuple[int, int]:
     """Successes and trials of one line."""
-    answers = [target.success(r) for r in results if family_of(r) == target.family and not r.get("error")]
+    answers = [target.success(r) for r in results if family_of(r) == target.family]
     answers = [answer for answer in answers if answer is not None]
     return sum(bool(answer) for answer in answers), len(answers)

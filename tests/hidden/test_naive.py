@@ -1,0 +1,52 @@
+"""The naive strategies are real: they find a plain effect, and they accuse where there is nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from . import case
+from .naive import Bank, best_validation, forward_bic, lasso, name_effects, thresholded
+
+
+def bank(seed: int, signal: float) -> Bank:
+    """Twelve random features; the fourth and the eighth carry the signal, under white noise of 1."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((3000, 12))
+    residual = signal * (columns[:, 3] - 0.7 * columns[:, 7]) + rng.standard_normal(3000)
+    return Bank(columns, tuple(f"f{k}" for k in range(12)), residual)
+
+
+@pytest.mark.parametrize("strategy", [forward_bic, best_validation, lasso, thresholded])
+def test_finds_the_features_that_carry_the_signal(strategy) -> None:
+    assert {3, 7} <= set(strategy(bank(0, 2.0)))
+
+
+@pytest.mark.parametrize("strategy", [forward_bic, thresholded])
+def test_keeps_nothing_of_white_noise(strategy) -> None:
+    """With the noise that they assume, both are honest; measured noise is not white."""
+    assert strategy(bank(1, 0.0)) == []
+
+
+def test_lasso_path_solves_the_normal_equations_without_penalty() -> None:
+    from .naive import _descend
+
+    data = bank(2, 1.0)
+    gram = data.columns.T @ data.columns / 3000
+    moment = data.columns.T @ data.residual / 3000
+    beta = _descend(gram, moment, np.array([1e-9]))[0]
+    np.testing.assert_allclose(beta, np.linalg.solve(gram, moment), atol=1e-4)
+
+
+def test_bic_names_the_hidden_effect_among_others() -> None:
+    drawn = case("single", "viscous_friction", 1, short=True)
+    assert "viscous_friction" in name_effects(drawn.logs, drawn.model)["bic"]
+
+
+def test_bic_accuses_logs_without_effect() -> None:
+    """Coloured noise looks like structure to a criterion that takes it for white."""
+    accused = 0
+    for seed in range(5):
+        drawn = case("none", "rich", seed, short=True)
+        accused += bool(name_effects(drawn.logs, drawn.model)["bic"])
+    assert accused >= 3
