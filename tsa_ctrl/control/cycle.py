@@ -9,7 +9,7 @@ from tsa_ctrl.control.axis import ControlAxis
 
 
 def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float) -> None:
-    """SYNC out, answers in, and for every axis one command out; then whatever need not delay it.
+    """SYNC out, answers in, and for every axis one command out.
 
     `now`: monotonic time in s; `deadline`: until when answers are waited for. The torque sent here acts at the next
     SYNC, or on arrival, as the bus is configured.
@@ -31,6 +31,10 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
         torque, reason = axis.limiter.update(wanted, permitted, fresh, image.tau_m, image.omega_m, q_j, omega_j)
         axis.io.command(controlword, torque)
         terms.tau_m_cmd, terms.reason, terms.permitted = torque, reason, permitted
-    for axis in axes:  # what can wait until the commands are out: it acts from the next cycle on
+
+
+def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
+    """The rest of a cycle, which need not delay its commands: it acts from the next one on."""
+    for axis in axes:
         axis.follow(now)
     rig.heartbeat(now)

@@ -11,7 +11,7 @@ from tsa_ctrl.bus.settings import SupervisionSettings
 from tsa_ctrl.bus.supervisor import Phase, Request
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.cycle import run_cycle
+from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.control.realtime import Ticker
 from tsa_ctrl.control.timing import count
@@ -112,6 +112,7 @@ class Loop:
             now = woke * 1e-9
             run_cycle(self._rig, self._axes, now, now + self._collect)
             done = clock()
+            follow_up(self._rig, self._axes, now)
             count(lateness, woke - planned)
             if woke - planned > half:
                 self.late += 1

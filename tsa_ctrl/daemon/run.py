@@ -92,12 +92,12 @@ class Daemon:
         """Bring up, run, bring up again when asked to; then descend, whatever happened."""
         configuration = self._configuration
         period = configuration.period
+        realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
         try:
             self._bring_up(bus, rig)
             self._loop = loop
             if self._early_stop is not None:
                 loop.stop(self._early_stop)
-            realtime.freeze_garbage()
             try:
                 loop.run(seconds)
                 while loop.recover:
