@@ -1,0 +1,66 @@
+"""`tsa diagnose`: what the simulation gets wrong, why, the extended model, the gain."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report import PAGE
+from tsa_ctrl.model.parameters import load_model
+
+
+@click.command("diagnose", epilog="Example: tsa diagnose a.csv b.csv --model actuator.toml --out out/diagnosis")
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--model", required=True, type=click.Path(path_type=Path), help="Actuator model file.")
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
+@click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
+@click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on stdout, and nothing else there.")
+def command(logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | None, seed: int, as_json: bool) -> None:
+    """Say what the simulation of LOG files gets wrong, name the cause, extend the model, measure the gain."""
+    given = load_model(model)
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("reading logs", total=None)
+
+        def say(stage: str) -> None:
+            progress.update(task, description=stage)
+
+        datasets = [load_log(path) for path in logs]
+        result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
+        say("report")
+        result.write(out, model)
+    if as_json:
+        click.echo(result.to_json(), nl=False)
+    else:
+        _show(result, out)
+
+
+def _show(result: Diagnosis, out: Path) -> None:
+    console = Console()
+    console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
+    if result.causes:
+        table = Table("cause", "or", "parameter", "value", "95 % interval")
+        for cause in result.causes:
+            first = True
+            for name, value in cause.parameters.items() or (("", ""),):
+                shown = (
+                    ("", "")
+                    if isinstance(value, str)
+                    else (f"{value.value:.4g} {value.unit}", f"{value.low:.4g} to {value.high:.4g}")
+                )
+                text = (value, "") if isinstance(value, str) else shown
+                table.add_row(*((cause.effect, ", ".join(cause.alternatives)) if first else ("", "")), name, *text)
+                first = False
+        console.print(table)
+    console.print(
+        f"verdict: {result.verdict.value}; next experiment: {result.experiment.text}", soft_wrap=True, markup=False
+    )
+    console.print(f"report: {out / PAGE}", soft_wrap=True, markup=False)

@@ -1,0 +1,112 @@
+"""Writes a diagnosis to a folder: diagnosis.json, extended.toml, experiment.csv, pictures, and report.html.
+
+The page is one file that opens without a network; all that it says in numbers stands in diagnosis.json.
+"""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from tsa_ctrl import __version__, settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.details import Details
+from tsa_ctrl.identify.diagnosis.result import Diagnosis, Verdict
+from tsa_ctrl.identify.diagnosis.words import listed, spoken, summary_of
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import save_model
+
+JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
+WORDS = {
+    Verdict.CONSISTENT: "consistent: after recalibration nothing is left beyond noise",
+    Verdict.EXPLAINED: "explained: causes are named and nothing significant is left",
+    Verdict.PARTLY_EXPLAINED: "partly explained: causes are named, but structure is left",
+    Verdict.UNEXPLAINED: "unexplained: there is structure that nothing in the catalogue explains",
+    Verdict.INSUFFICIENT: "insufficient: the logs do not excite the system enough to say",
+}
+
+
+def write(result: Diagnosis, folder: Path, template: Path | None) -> None:
+    """Write everything; each file beside and renamed, so that a crash leaves whole files. Raises UsageError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".report.") as name:
+            pictures = {}
+            for caption, path in result.plot(name).items():
+                shutil.move(path, folder / path.name)
+                pictures[caption] = folder / path.name
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+    save_model(result.model, folder / MODEL, template, _provenance(result))
+    if result.experiment.t:
+        settings.write_text(folder / EXPERIMENT, result.experiment.csv())
+    settings.write_text(folder / PAGE, page(result, pictures))
+    settings.write_text(folder / JSON, result.to_json())
+
+
+def page(result: Diagnosis, pictures: dict[str, Path]) -> str:
+    """The text of report.html; `pictures` by caption are put into it."""
+    environment = Environment(
+        loader=PackageLoader("tsa_ctrl.identify.diagnosis"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(spoken=spoken, listed=listed, torque=_torque, percent=_percent, number=_number)
+    return environment.get_template("report.html.j2").render(
+        result=result,
+        data=result.to_dict(),
+        verdict=WORDS[result.verdict],
+        causes=[_cause(cause.effect, cause.parameters) for cause in result.causes],
+        pictures={caption: base64.b64encode(path.read_bytes()).decode("ascii") for caption, path in pictures.items()},
+        details=result.details,
+        experiment_file=EXPERIMENT if result.experiment.t else "",
+        version=__version__,
+    )
+
+
+def _cause(effect: str, parameters: Any) -> dict[str, Any]:
+    rows = []
+    for name, value in parameters.items():
+        if isinstance(value, Quantity):
+            known = value.high > value.low
+            interval = f"{_number(value.low)} to {_number(value.high)}" if known else "given"
+            rows.append((name, _number(value.value), interval, "" if value.unit == "1" else value.unit))
+        else:
+            rows.append((name, value, "chosen", ""))
+    return {"summary": summary_of(effect), "rows": rows}
+
+
+def _provenance(result: Diagnosis) -> dict[str, Any]:
+    details: Details | None = result.details
+    intervals = {
+        f"{cause.effect}.{name}": [value.low, value.high]
+        for cause in result.causes
+        for name, value in cause.parameters.items()
+        if isinstance(value, Quantity)
+    }
+    return {
+        "command": "diagnose",
+        "version": __version__,
+        "verdict": result.verdict.value,
+        "logs": {} if details is None else dict(details.logs),
+        "intervals": intervals,
+    }
+
+
+def _torque(value: float | None) -> str:
+    return "unknown" if value is None else f"{1e3 * value:.4g} mN·m"
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None else f"{100.0 * value:.0f} %"
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"
