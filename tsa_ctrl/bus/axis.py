@@ -18,45 +18,41 @@ from tsa_ctrl.bus.tracker import PositionTracker
 
 _COUNTER_RANGE = 1 << 32  # where 0x6064 wraps
 
-Handler = Callable[[bytes], int]
+Handler = Callable[[bytes], None]
 
 
 class Inbox:
-    """One TPDO: takes its first well-formed frame after a SYNC, counts the others."""
+    """One TPDO. A cycle takes its first well-formed frame after the SYNC; the others are counted here.
 
-    __slots__ = ("_length", "_store", "_unpack", "armed", "awaited", "health")
+    The rig's loop does the taking itself: `armed` until this cycle's answer has come, `awaited` 0 when a cycle does not
+    wait for it any longer.
+    """
+
+    __slots__ = ("armed", "awaited", "health", "length", "store", "unpack")
 
     def __init__(self, layout: Pdo, health: NodeHealth, store: Callable[[tuple[Any, ...]], None]) -> None:
         self.health = health
-        self.armed = False  # this cycle's answer has not come yet
-        self.awaited = 1  # 0 when a cycle does not wait for it any longer
-        self._length = layout.length
-        self._unpack = layout.struct.unpack
-        self._store = store
-
-    def receive(self, data: bytes) -> int:
-        """1 when the frame is an answer that this cycle waits for, else 0."""
-        if len(data) != self._length:
-            self.health.malformed += 1
-            return 0
-        if not self.armed:
-            self.health.repeated += 1
-            return 0
+        self.length = layout.length
+        self.unpack = layout.struct.unpack
+        self.store = store
         self.armed = False
-        self._store(self._unpack(data))
-        return self.awaited
+        self.awaited = 1
 
-    def stale(self, data: bytes) -> int:
-        """Count a frame that waited before the SYNC."""
-        if len(data) != self._length:
+    def refuse(self, data: bytes) -> None:
+        """Count a frame that cannot be this cycle's answer: of a wrong length, or after one that was taken."""
+        if len(data) != self.length:
             self.health.malformed += 1
-        elif self.armed:
-            self.health.late += 1
-            if not self.awaited:
-                self.health.misses = 0  # alive again: the next cycles wait for it
         else:
             self.health.repeated += 1
-        return 0
+
+    def refuse_stale(self, data: bytes) -> None:
+        """Count a frame that waited before the SYNC."""
+        if len(data) != self.length or not self.armed:
+            self.refuse(data)
+            return
+        self.health.late += 1
+        if not self.awaited:
+            self.health.misses = 0  # alive again: the next cycles wait for it
 
 
 class Guard:
@@ -69,12 +65,12 @@ class Guard:
         self._image = image
         self._clock = clock
 
-    def heartbeat(self, data: bytes) -> int:
+    def heartbeat(self, data: bytes) -> None:
         health = self._health
         state = cia301.heartbeat_state(data)
         if state is None:
             health.malformed += 1
-            return 0
+            return
         health.heard = self._clock()
         if state == NmtState.BOOT_UP:
             health.boot_ups += 1
@@ -82,9 +78,8 @@ class Guard:
         if state != health.nmt_state:
             health.nmt_state = state
             self._image.events += 1
-        return 0
 
-    def emergency(self, data: bytes) -> int:
+    def emergency(self, data: bytes) -> None:
         health = self._health
         found = emcy.decode(data)
         if found is None:
@@ -93,7 +88,6 @@ class Guard:
             health.emcy = found
             health.emcys += 1
             self._image.events += 1
-        return 0
 
 
 class Axis:
@@ -140,6 +134,7 @@ class Axis:
         self._joint_count = 0
         self._motor_count = 0
         self._sampled = -math.inf
+        self._look_again = -math.inf  # s, when a heartbeat may be overdue
         self._gaps = False  # whether a node missed the last cycle
         self._torque = self.scale.torque
         self._velocity = self.scale.velocity
@@ -180,6 +175,7 @@ class Axis:
         image.silent = image.intruder = image.bus_fault = None
         image.fresh = image.joint_fresh = False
         image.misses = image.drops = image.events = 0
+        self._look_again = -math.inf
         self._motor.reset()
         if self._joint is not None:
             self._joint.reset()
@@ -229,11 +225,19 @@ class Axis:
             image.misses += 1
             image.missed += 1
         image.pdo_age = sampled - self._sampled
+        if sampled >= self._look_again:
+            self._look_for_silence(sampled)
+
+    def _look_for_silence(self, now: float) -> None:
+        """Find a node whose heartbeat is overdue, and when the next one may be."""
+        image = self.image
         image.silent = None
+        self._look_again = math.inf
         for health in image.nodes:
-            if sampled - health.heard > health.timeout:
+            due = health.heard + health.timeout
+            self._look_again = min(self._look_again, due)
+            if image.silent is None and now > due:
                 image.silent = health
-                break
 
     def _count_misses(self) -> tuple[bool, bool]:
         """Charge each node with the answers that did not come; returns fresh, joint_fresh."""

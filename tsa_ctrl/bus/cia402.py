@@ -56,7 +56,7 @@ STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value,
     (0x4F, 0x0F, PowerState.FAULT_REACTION_ACTIVE),
     (0x4F, 0x08, PowerState.FAULT),
 )
-_STATE_BITS = 0x6F
+STATE_BITS = 0x6F  # all that any pattern looks at
 
 
 def _match(statusword: int) -> PowerState:
@@ -66,7 +66,7 @@ def _match(statusword: int) -> PowerState:
     return PowerState.UNKNOWN
 
 
-_STATES = tuple(_match(bits) for bits in range(_STATE_BITS + 1))
+_STATES = tuple(_match(bits) for bits in range(STATE_BITS + 1))
 
 _S = PowerState
 _C = Controlword
@@ -91,7 +91,7 @@ WALK: dict[PowerState, dict[PowerState, Controlword]] = {  # target -> state -> 
 
 def decode(statusword: int) -> PowerState:
     """The state that a statusword (0x6041) encodes."""
-    return _STATES[statusword & _STATE_BITS]
+    return _STATES[statusword & STATE_BITS]
 
 
 def next_controlword(state: PowerState, target: PowerState) -> Controlword:

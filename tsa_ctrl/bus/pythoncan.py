@@ -78,7 +78,6 @@ class PythonCan:
             return None
         if message is None:
             return None
-        self.counters.received += 1
         can_id = message.arbitration_id
         if message.is_error_frame:
             can_id |= ERROR_FLAG

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from tsa_ctrl.bus import cia301
-from tsa_ctrl.bus.axis import Axis, Handler
+from tsa_ctrl.bus.axis import Axis, Handler, Inbox
 from tsa_ctrl.bus.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.error_frames import ErrorClass, describe
 from tsa_ctrl.bus.profile import DriveProfile
@@ -52,24 +52,20 @@ class Rig:
         self._clock = clock
         self._settings = settings
         self._inboxes = tuple(inbox for axis in self.axes for inbox in axis.inboxes)
-        self._receive: dict[int, Handler] = {}
-        self._stale: dict[int, Handler] = {}
+        self._answers: dict[int, Inbox] = {}  # by identifier: TPDOs
+        self._messages: dict[int, Handler] = {}  # by identifier: what may come at any time
         for axis in self.axes:
-            for can_id, inbox in zip(axis.tpdo_ids, axis.inboxes, strict=True):
-                self._receive[can_id] = inbox.receive
-                self._stale[can_id] = inbox.stale
+            self._answers.update(zip(axis.tpdo_ids, axis.inboxes, strict=True))
             for health, guard in zip(axis.image.nodes, axis.guards, strict=True):
-                for table in (self._receive, self._stale):
-                    table[cia301.HEARTBEAT + health.node_id] = guard.heartbeat
-                    table[cia301.EMCY + health.node_id] = guard.emergency
+                self._messages[cia301.HEARTBEAT + health.node_id] = guard.heartbeat
+                self._messages[cia301.EMCY + health.node_id] = guard.emergency
         ours = [
             cia301.NMT,
             cia301.SYNC,
             cia301.HEARTBEAT + settings.host_node_id,
             *(axis.rpdo_id for axis in self.axes),
         ]
-        for can_id in ours:
-            self._receive[can_id] = self._stale[can_id] = partial(self._meet_intruder, can_id)
+        self._messages.update({can_id: partial(self._meet_intruder, can_id) for can_id in ours})
         self._heartbeat_id = cia301.HEARTBEAT + settings.host_node_id
         self._next_heartbeat = -math.inf
         self._expected = len(self._inboxes)
@@ -79,8 +75,11 @@ class Rig:
 
     def start(self) -> None:
         """Listen to the nodes of this rig only and forget what was received before; once, before the first cycle."""
-        self.bus.accept(self._receive)
+        self.bus.accept([*self._answers, *self._messages])
         self.bus.flush()
+        for inbox in self._inboxes:
+            inbox.awaited = 1
+        self._expected = len(self._inboxes)
         now = self._clock()
         for axis in self.axes:
             axis.rearm(now)
@@ -126,7 +125,7 @@ class Rig:
         The clock is read only when it matters: in a virtual machine that can cost as much as receiving a frame. After
         the first frame the wait for each next one is a short guess; only one that fails asks for the time left.
         """
-        recv, receive, clock = self.bus.recv, self._receive, self._clock
+        recv, answers, clock = self.bus.recv, self._answers, self._clock
         pending = 0 if self._flooded_now else self._expected
         window = deadline - self._synced
         guess = window * _GUESS
@@ -140,13 +139,18 @@ class Rig:
                 frame = recv(window)
                 if frame is None:
                     break
-            handler = receive.get(frame[0])
-            if handler is not None:
-                pending -= handler(frame[1])
+            can_id, data = frame
+            inbox = answers.get(can_id)
+            if inbox is None:
+                self._take_message(can_id, data)
+            elif inbox.armed and len(data) == inbox.length:
+                inbox.armed = False
+                inbox.store(inbox.unpack(data))
+                pending -= inbox.awaited
                 if pending <= 0:
                     break
             else:
-                self._take_other(frame)
+                inbox.refuse(data)
             taken += 1
             if taken >= most:
                 break
@@ -180,23 +184,26 @@ class Rig:
         return self.bus.send(cia301.NMT, cia301.nmt(command, node_id))
 
     def _take_stale(self, frame: Frame) -> None:
-        handler = self._stale.get(frame[0])
-        if handler is not None:
-            handler(frame[1])
-        else:
-            self._take_other(frame)
-
-    def _take_other(self, frame: Frame) -> None:
+        """A frame that came outside the window of a cycle: late answers are counted, messages taken."""
         can_id, data = frame
-        if can_id & ERROR_FLAG:
+        inbox = self._answers.get(can_id)
+        if inbox is None:
+            self._take_message(can_id, data)
+        else:
+            inbox.refuse_stale(data)
+
+    def _take_message(self, can_id: int, data: bytes) -> None:
+        handler = self._messages.get(can_id)
+        if handler is not None:
+            handler(data)
+        elif can_id & ERROR_FLAG:
             self.error_frames += 1
             self.bus.counters.error_frames += 1
             self.last_error = describe(can_id, data)
             if can_id & ErrorClass.BUS_OFF and self.bus.fault is None:
                 self.bus.fault = BusFault.BUS_OFF
 
-    def _meet_intruder(self, can_id: int, data: bytes) -> int:
+    def _meet_intruder(self, can_id: int, data: bytes) -> None:
         """A frame that only a master sends, and not ours: a bus hears its own frames never."""
         for axis in self.axes:
             axis.image.intruder = can_id
-        return 0

@@ -32,7 +32,6 @@ class Counters:
     """Frames since the bus was opened; `dropped` were given to `send` and never reached the wire."""
 
     sent: int = 0
-    received: int = 0
     dropped: int = 0
     error_frames: int = 0
 

@@ -13,6 +13,7 @@ from tsa_ctrl.bus.seam import BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
 
 FRAME = struct.Struct("=IB3x8s")  # struct can_frame: can_id, len, padding, data
+_pack, _unpack = FRAME.pack, FRAME.unpack
 FILTER = struct.Struct("=II")  # struct can_filter: can_id, can_mask
 _ID_MASK = 0xC00007FF  # standard data frames of exactly this identifier
 _CAN_RAW_ERR_FILTER = 2  # of linux/can/raw.h
@@ -84,7 +85,7 @@ class SocketCan:
 
     def send(self, can_id: int, data: bytes) -> bool:
         try:
-            self._send(FRAME.pack(can_id, len(data), data))
+            self._send(_pack(can_id, len(data), data))
         except OSError as error:
             self.counters.dropped += 1
             self._note(error)
@@ -101,8 +102,7 @@ class SocketCan:
         except OSError as error:
             self._note(error)
             return None
-        can_id, length, data = FRAME.unpack(self._buffer)
-        self.counters.received += 1
+        can_id, length, data = _unpack(self._buffer)
         return can_id, data[:length]
 
     def _note(self, error: OSError) -> None:

@@ -16,6 +16,9 @@ from tsa_ctrl.bus.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import SupervisionSettings
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
+_RUN = (Controlword.ENABLE_OPERATION, True, None)
+_TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
+_ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
 _MAX_FAULTS = 16  # the first is the cause; what follows from it is kept for the log up to this many
 
 
@@ -88,6 +91,10 @@ class Supervisor:
     def __init__(self, settings: SupervisionSettings, reports_following: bool = True) -> None:
         self._settings = settings
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
+        self._running_mask = cia402.STATE_BITS | self._following_mask
+        self._running_word = _ENABLED_BITS | self._following_mask
+        self._misses = settings.tolerated_misses
+        self._drops = settings.tolerated_drops
         self._events = 0
         self._emcys: dict[int, int] = {}
         self._since = 0.0
@@ -105,6 +112,19 @@ class Supervisor:
 
     def update(self, image: Image, now: float, request: Request) -> tuple[Controlword, bool, Fault | None]:
         """One cycle: (controlword, whether torque is permitted, the latched fault)."""
+        if (
+            self.phase is Phase.ENABLED
+            and request is Request.ENABLE
+            and image.statusword & self._running_mask == self._running_word
+            and image.mode == _TORQUE_MODE
+            and image.misses <= self._misses
+            and image.drops <= self._drops
+            and image.events == self._events
+            and image.silent is None
+            and image.bus_fault is None
+            and image.intruder is None
+        ):  # the usual cycle, decided without a call
+            return _RUN
         state = cia402.decode(image.statusword)
         self._reset_edge = request is Request.RESET and self._last_request is not Request.RESET
         self._last_request = request
@@ -120,7 +140,7 @@ class Supervisor:
         elif self.phase is Phase.ENABLED:
             self._check_running(image, state, now)
             if not self.faults:
-                return Controlword.ENABLE_OPERATION, True, None
+                return _RUN
         elif self.phase is Phase.ENABLING:
             controlword = self._enable(image, state, now)
             if not self.faults:
@@ -152,9 +172,9 @@ class Supervisor:
         if image.silent is not None:
             silent = image.silent
             self._latch(Cause.HEARTBEAT_LOST, f"{silent}: none for {1e3 * (now - silent.heard):.0f} ms", now)
-        if image.misses > self._settings.tolerated_misses:
+        if image.misses > self._misses:
             self._latch(Cause.STALE_PDO, _stale(image), now)
-        if image.drops > self._settings.tolerated_drops:
+        if image.drops > self._drops:
             self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
 
     def _examine(self, health: NodeHealth, now: float) -> None:
