@@ -23,12 +23,14 @@ from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split, least_err
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, prepare, varied
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 
 Split = Literal["keep", "fit"]
 
 HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
+EFFECT_ITERATIONS = 3  # of what the model's own effects add; each leaves a tenth of the error
 GAP = 1.0  # s left out between a held-out block and the rest
 
 
@@ -67,7 +69,7 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     if several and joint is not None:
         slope, half_loop = combinations_of(joint, model)
     else:
-        slope, half_loop = combinations(logs, model, lag)
+        slope, half_loop = _combinations(logs, model, lag)
     measured = from_tensions(logs, model, lag)
     found, condition = None, math.inf
     if measured is not None:
@@ -105,6 +107,16 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
         notes=tuple(notes),
         model=model.recalibrated(x.value, tension.value),
     )
+
+
+def _combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
+    """`combinations`; effects that depend on x and T_p are taken out at the values that follow from it."""
+    current = model
+    for _ in range(EFFECT_ITERATIONS if model.effects else 0):
+        _, half_loop = combinations(logs, current, lag)
+        x, tension = keep_split(model, half_loop, [])
+        current = model.recalibrated(x.value, tension.value)
+    return combinations(logs, current, lag)
 
 
 def _experiment(model: TendonSheath) -> str:

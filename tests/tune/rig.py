@@ -1,0 +1,35 @@
+"""A plant and a controller for tuning: the joint is moved from outside, and the truth is not the nominal file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.demo.motion import gait
+
+MODEL = "nominal.toml"
+CONTROLLER = "controller-tune.toml"
+TRUTH = {"friction_coefficient": 1.15, "pretension": 0.88, "axial_stiffness": 0.9}  # factors on nominal
+COMPENSATION = 0.95
+
+
+def write(
+    folder: Path,
+    bus: BusChoice,
+    rate: float,
+    tendon: str = "full",
+    axis: Mapping[str, Mapping[str, Any]] | None = None,
+    controller_axis: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write nominal.toml, plant.toml and the controller's file, which is returned.
+
+    `axis`: changes of the tables of the plant's axis; `controller_axis`: tables and values of the controller's.
+    """
+    plant = rig.plant(bus, tendon, {"perturbation": TRUTH, **(axis or {})})
+    controller = rig.controller(bus, "tune", rate, MODEL, COMPENSATION)
+    controller["axis"][0].update(controller_axis or {})
+    rig.write(folder, gait(), plant, {"tune": controller})
+    return folder / CONTROLLER

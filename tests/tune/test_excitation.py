@@ -1,0 +1,105 @@
+"""The excitation: within its bounds, gentle at both ends, away from the motion's frequencies, and refused in time."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.tune.excitation import FREQUENCIES, Bounds, Response, apart, design, most_torque, multi_sine, response
+
+BOUNDS = Bounds(torque=1.0, speed=4.0, travel=(-1.0, 1.0))
+MOVED = Response(peak_speed=0.5, rms_speed=0.3, angle=(-0.1, 0.1), frequency=0.6, by_torque=0.9)
+CARRIED = Response(peak_speed=3.0, rms_speed=1.0, angle=(0.0, 1.1), frequency=0.62, by_torque=0.05)
+
+
+def designed(found: Response, bounds: Bounds = BOUNDS) -> object:
+    return design(found, 0.2, bounds, 20.0, 8.0)
+
+
+def test_a_waveform_begins_and_ends_at_zero_and_reaches_its_peak() -> None:
+    wave = multi_sine(FREQUENCIES, 0.7, 20.0)
+    assert wave.tau_j_des[0] == wave.tau_j_des[-1] == 0.0
+    assert wave.peak == pytest.approx(0.7)
+    assert wave.seconds == pytest.approx(20.0)
+
+
+def test_both_tendons_pull_at_the_most_torque_even_if_the_pretension_is_a_fifth_less() -> None:
+    torque = most_torque(ACTUATOR, 100.0)
+    x = ACTUATOR.friction_angle
+    motor = (torque / ACTUATOR.joint_pulley_radius + 2.0 * ACTUATOR.pretension * np.sinh(x)) / np.cosh(x)
+    assert motor < 2.0 * 0.8 * ACTUATOR.pretension
+
+
+def test_the_motor_limit_bounds_the_torque() -> None:
+    assert most_torque(ACTUATOR, 0.8) < most_torque(ACTUATOR, 1.0) < most_torque(ACTUATOR, 100.0)
+
+
+def test_a_limit_below_the_friction_is_refused() -> None:
+    with pytest.raises(UsageError, match="hardly overcomes"):
+        most_torque(ACTUATOR, 0.1)
+
+
+def test_a_joint_that_stands_is_refused() -> None:
+    with pytest.raises(UsageError, match="hardly moves"):
+        designed(dataclasses.replace(MOVED, rms_speed=0.001))
+
+
+def test_a_joint_moved_from_outside_gets_the_full_torque_at_other_frequencies() -> None:
+    found = design(CARRIED, 0.2, BOUNDS, 20.0, 8.0)
+    assert found.excitation.peak == pytest.approx(1.0)
+    spectrum = np.abs(np.fft.rfft(found.excitation.tau_j_des))
+    frequency = np.fft.rfftfreq(found.excitation.t.size, 0.005)
+    assert abs(frequency[int(np.argmax(spectrum))] - CARRIED.frequency) > 0.05
+    assert "moved from outside" in found.reasons[0]
+
+
+def test_a_joint_moved_too_fast_from_outside_is_refused() -> None:
+    with pytest.raises(UsageError, match="moved at up to 3"):
+        design(CARRIED, 0.2, Bounds(1.0, 2.0), 20.0, 8.0)
+
+
+def test_a_joint_that_the_torque_moves_stays_below_its_speed() -> None:
+    found = design(MOVED, 0.2, Bounds(10.0, 1.0), 20.0, 8.0)
+    assert found.excitation.peak == pytest.approx(0.2 * 0.7 * 1.0 / 0.5)
+
+
+def test_a_joint_that_the_torque_moves_stays_within_its_travel() -> None:
+    found = design(MOVED, 0.2, Bounds(10.0, 100.0, (-0.2, 0.3)), 20.0, 8.0)
+    assert found.excitation.peak == pytest.approx(0.2 * 0.7 * 0.2 / 0.1)
+
+
+def test_the_verification_is_gentler_and_another_motion() -> None:
+    found = design(CARRIED, 0.2, BOUNDS, 20.0, 20.0)
+    assert found.verification.peak < found.excitation.peak
+    a, b = found.excitation.tau_j_des, found.verification.tau_j_des
+    assert abs(np.corrcoef(a, b)[0, 1]) < 0.3
+
+
+@pytest.mark.parametrize("motion", [0.1, 0.3, 0.53, 0.6, 1.0, 3.0])
+def test_frequencies_keep_their_distance_from_the_motion_and_its_harmonics(motion: float) -> None:
+    for frequency in FREQUENCIES:
+        moved = apart(frequency, motion)
+        order = max(1, round(moved / motion))
+        assert abs(moved - order * motion) > 0.1 * motion
+
+
+def record(omega: np.ndarray, tau_m: np.ndarray) -> Dataset:
+    t = np.arange(omega.size) / 200.0
+    return Dataset.from_arrays({"t": t, "tau_m": tau_m, "omega_j": omega, "q_j": np.cumsum(omega) / 200.0}, "probe")
+
+
+def test_a_response_tells_who_moves_the_joint() -> None:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 10.0, 0.005)
+    torque = 0.2 * np.sin(2.0 * np.pi * 0.5 * t)
+    own = record(0.8 * np.roll(torque, 40) + 0.01 * rng.normal(size=t.size), torque)
+    others = record(np.sin(2.0 * np.pi * 0.63 * t), torque)
+    assert response(own).by_torque > 0.9
+    assert response(others).by_torque < 0.2
+    assert response(others).frequency == pytest.approx(0.63, abs=0.06)
+    assert response(others).peak_speed == pytest.approx(1.0, abs=0.01)

@@ -1,0 +1,160 @@
+"""`tsa tune`: the guided procedure from a rig to a model file that fits it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from tsa_ctrl.tune.procedure import Outcome
+    from tsa_ctrl.tune.session import Session
+
+
+@click.command(
+    "tune",
+    epilog="Example: tsa tune config/controller.toml --seconds 20 --out out/tune",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.argument("controller", type=click.Path(path_type=Path))
+@click.option("--axis", "axis_name", metavar="NAME", help="Which axis, where the file has several.")
+@click.option("--torque", type=click.FloatRange(min=0.0, min_open=True), help="Most joint torque, N*m.")
+@click.option("--speed", type=click.FloatRange(min=0.0, min_open=True), help="Most joint speed, rad/s.")
+@click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
+@click.option("--seconds", default=20.0, show_default=True, type=click.FloatRange(8.0, 600.0), help="Of excitation.")
+@click.option(
+    "--verify-seconds",
+    default=10.0,
+    show_default=True,
+    type=click.FloatRange(4.0, 600.0),
+    help="Of each of three runs.",
+)
+@click.option("--certified-gain", is_flag=True, help="The gain of both torque channels is certified: the slope counts.")
+@click.option("--given-form", is_flag=True, help="Keep the transmission's form; do not try the full model (3.53).")
+@click.option("--extended", is_flag=True, help="Add the effects that the diagnosis names with certainty.")
+@click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: beside logs."
+)
+@click.option("--yes", is_flag=True, help="Write the new file without asking.")
+@click.option("--dry-run", is_flag=True, help="Checks and plan; with --from-log the estimate, too. Nothing is written.")
+@click.option("--undo", is_flag=True, help="Put back the model file that the last tuning replaced.")
+@click.option(
+    "--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing, writes only with --yes."
+)
+def command(
+    controller: Path,
+    axis_name: str | None,
+    torque: float | None,
+    speed: float | None,
+    travel: tuple[float, float] | None,
+    seconds: float,
+    verify_seconds: float,
+    certified_gain: bool,
+    given_form: bool,
+    extended: bool,
+    logs: tuple[str, ...],
+    out: Path | None,
+    yes: bool,
+    dry_run: bool,
+    undo: bool,
+    as_json: bool,
+) -> None:
+    """Excite the rig gently, estimate its friction, verify on another motion, and write the model file after a yes.
+
+    The limits default to those of CONTROLLER.toml and to where both tendons surely pull. Ctrl-C at any point leaves the
+    drive disabled and the files as they were.
+    """
+    from tsa_ctrl.tune.session import Plan, Session
+
+    plan = Plan(
+        torque=torque,
+        speed=speed,
+        travel=travel,
+        seconds=seconds,
+        verification_seconds=verify_seconds,
+        certified_gain=certified_gain,
+        forms=not given_form,
+        extended=extended,
+    )
+    session = Session(controller, axis_name, plan)
+    if undo:
+        kept = session.undo()
+        _tell(as_json, {"schema": 1, "undone": str(session.path)}, f"{session.path}: put back from {kept.name}")
+        return
+    if dry_run and not logs:
+        _tell(as_json, session.plan_dict(), session.plan_text())
+        return
+    with _interrupted_once():
+        _tune(session, logs, out, yes, dry_run, as_json)
+
+
+def _tell(as_json: bool, data: dict[str, object], text: str) -> None:
+    click.echo(json.dumps(data, allow_nan=False) if as_json else text)
+
+
+def _tune(session: Session, logs: tuple[str, ...], out: Path | None, yes: bool, dry_run: bool, as_json: bool) -> None:
+    from tsa_ctrl.tune import report
+
+    with session.workspace(out, keep=not dry_run):
+        outcome = session.from_logs(logs) if logs else _on_the_rig(session)
+        session.finish(outcome)
+        if not as_json:
+            report.show(outcome, session.difference(outcome), session.page)
+        written = None
+        if not dry_run and _wanted(session, outcome, yes, as_json):
+            written = session.write(outcome)
+        if as_json:
+            click.echo(json.dumps(report.to_dict(outcome, session.axis.name, session.page, written), allow_nan=False))
+        elif written is not None:
+            click.echo(f"written: {session.path}; the file before is {written.name} (back with --undo)")
+        else:
+            click.echo(f"{session.path} is as it was")
+
+
+def _on_the_rig(session: Session) -> Outcome:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("tune", total=1.0)
+        return session.run(lambda what, share: progress.update(task, description=what, completed=share))
+
+
+def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> bool:
+    """Whether to write: after a yes, and never a file that did worse."""
+    if not session.worth_writing(outcome):
+        click.echo("the new file does no better on data not used for the fit: nothing is written", err=True)
+        return False
+    if yes:
+        return True
+    if as_json or not sys.stdin.isatty():
+        click.echo("not written: no --yes, and nobody to ask", err=True)
+        return False
+    return click.confirm(f"write {session.path}?", default=False, err=True)
+
+
+@contextlib.contextmanager
+def _interrupted_once() -> Iterator[None]:
+    """The first SIGINT or SIGTERM ends everything in order; those after it change nothing."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,185 @@
+"""Gentle excitation: which joint torque shows what is not yet known, within the limits given.
+
+Friction angle and pretension show in tau_J = slope tau_M - half_loop sigma while the joint slides both ways and the
+load varies within each direction. A joint that others move (a wearer, a test bench) needs a torque at frequencies that
+are none of that motion's; a joint that the drive moves must move both ways without leaving its speed and travel. A
+probe with little torque tells which of the two it is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath
+
+FloatArray = NDArray[np.float64]
+
+RATE = 200.0  # Hz of the set-point file; the controller interpolates
+RAMP = 1.0  # s in which the torque grows and fades
+PROBE_FREQUENCIES = (0.45, 0.8)  # Hz
+PROBE_SHARES = (0.2, 0.5, 0.9)  # of the most torque, one after the other until the joint moves
+FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sensor delays, several periods in 15 s
+OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
+VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside what was learned from
+DOMAIN_SHARE = 0.7  # of 2 T_p r_M: nominal parameters may be 20 % off, and both tendons must pull
+MOVING = 0.05  # rad/s RMS; slower is called standing
+MOVED_BY_TORQUE = 0.3  # share of the velocity's variance that the torque explains
+HEADROOM = 0.7  # of the speed and travel that are left when a probe's response is scaled up
+APART = 0.12  # relative distance of a frequency from the motion's own and its harmonics
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What the excitation may do: joint torque (N*m), joint speed (rad/s), joint travel (rad, or None)."""
+
+    torque: float
+    speed: float
+    travel: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Waveform:
+    """A joint torque to play: `t` (n) in s from 0, `tau_j_des` (n) in N*m, 0 at both ends."""
+
+    t: FloatArray
+    tau_j_des: FloatArray
+
+    @property
+    def seconds(self) -> float:
+        return float(self.t[-1])
+
+    @property
+    def peak(self) -> float:
+        """N*m"""
+        return float(np.abs(self.tau_j_des).max())
+
+
+@dataclass(frozen=True)
+class Response:
+    """What a probe showed: speed (rad/s, peak and RMS), angle range (rad), the motion's main frequency (Hz)."""
+
+    peak_speed: float
+    rms_speed: float
+    angle: tuple[float, float] | None
+    frequency: float
+    by_torque: float  # share of the velocity's variance that the torque explains
+
+
+@dataclass(frozen=True)
+class Design:
+    """An excitation, the motion that verifies what is learned from it, and why they are as they are."""
+
+    excitation: Waveform
+    verification: Waveform
+    reasons: tuple[str, ...]
+
+
+def most_torque(model: TendonSheath, limit: float) -> float:
+    """Joint torque (N*m) up to which both tendons surely pull; `limit` is that of the motor torque in N*m."""
+    share = min(DOMAIN_SHARE, limit / max(2.0 * model.pretension * model.motor_pulley_radius, 1e-9))
+    x = model.friction_angle
+    torque = 2.0 * model.pretension * model.joint_pulley_radius * (share * math.cosh(x) - math.sinh(x))
+    if torque <= 0.0:
+        raise UsageError(
+            f"{model.source or 'model'}: a motor torque of {limit:g} N*m hardly overcomes the friction of the sheaths; "
+            "raise limits.torque or the pretension"
+        )
+    return torque
+
+
+def probe(bounds: Bounds, share: float, seconds: float) -> Waveform:
+    """A slow torque of `share` of what is allowed."""
+    return multi_sine(PROBE_FREQUENCIES, share * bounds.torque, seconds)
+
+
+def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> Waveform:
+    """Equal sines (Hz) with Schroeder's phases, for a low crest factor, scaled to `peak` N*m, ramped at both ends."""
+    t = np.arange(0.0, seconds + 0.5 / RATE, 1.0 / RATE)
+    count = len(frequencies)
+    phases = [-math.pi * k * (k + 1) / count for k in range(count)]
+    wave = np.sum([np.sin(2.0 * np.pi * f * t + p) for f, p in zip(frequencies, phases, strict=True)], axis=0)
+    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
+    wave = wave * 0.5 * (1.0 - np.cos(np.pi * edge))
+    return Waveform(t, peak * wave / max(float(np.abs(wave).max()), 1e-12))
+
+
+def response(run: Dataset) -> Response:
+    """What the joint did during a probe."""
+    omega, torque = run["omega_j"], run["tau_m"]
+    period = run.period
+    level = np.column_stack([torque, np.gradient(torque, period), np.cumsum(torque - torque.mean()) * period])
+    level = (level - level.mean(axis=0)) / np.maximum(level.std(axis=0), 1e-12)
+    centred = omega - omega.mean()
+    fitted = level @ np.linalg.lstsq(level, centred, rcond=None)[0]
+    variance = float(centred @ centred)
+    spectrum = np.abs(np.fft.rfft(centred * np.hanning(centred.size)))
+    frequencies = np.fft.rfftfreq(centred.size, period)
+    slow = frequencies < 5.0
+    angle = (float(run["q_j"].min()), float(run["q_j"].max())) if "q_j" in run else None
+    return Response(
+        peak_speed=float(np.quantile(np.abs(omega), 0.999)),
+        rms_speed=float(np.sqrt(np.mean(np.square(omega)))),
+        angle=angle,
+        frequency=float(frequencies[slow][int(np.argmax(spectrum[slow]))]),
+        by_torque=float(fitted @ fitted) / variance if variance > 0.0 else 0.0,
+    )
+
+
+def design(found: Response, probed: float, bounds: Bounds, seconds: float, verification_seconds: float) -> Design:
+    """Excitation after a probe of `probed` N*m peak; raises UsageError when the joint cannot show its friction."""
+    if found.rms_speed < MOVING:
+        raise UsageError(
+            f"tune: the joint hardly moves ({found.rms_speed:.3f} rad/s RMS at {probed:.2g} N*m), so friction cannot "
+            "show; move it, free it, or allow more --torque"
+        )
+    reasons = []
+    frequencies: tuple[float, ...] = FREQUENCIES
+    others: tuple[float, ...] = OTHER_FREQUENCIES
+    torque = bounds.torque
+    if found.by_torque >= MOVED_BY_TORQUE:
+        torque = min(torque, probed * HEADROOM * bounds.speed / max(found.peak_speed, 1e-9))
+        reasons.append(
+            f"the joint moves by the torque ({found.peak_speed:.2g} rad/s at {probed:.2g} N*m): {torque:.2g} N*m keeps "
+            f"it below {bounds.speed:.2g} rad/s"
+        )
+        if bounds.travel is not None and found.angle is not None:
+            middle = 0.5 * (found.angle[0] + found.angle[1])
+            reach = max(found.angle[1] - middle, middle - found.angle[0], 1e-6)
+            room = min(bounds.travel[1] - middle, middle - bounds.travel[0])
+            torque = min(torque, probed * HEADROOM * max(room, 0.0) / reach)
+            reasons.append(f"and {torque:.2g} N*m within its travel")
+    else:
+        if found.peak_speed > bounds.speed:
+            raise UsageError(
+                f"tune: the joint is moved at up to {found.peak_speed:.2g} rad/s, allowed are {bounds.speed:.2g} "
+                "rad/s; slow the motion down, or raise --speed and limits.joint_speed"
+            )
+        frequencies = tuple(apart(f, found.frequency) for f in FREQUENCIES)
+        others = tuple(apart(f, found.frequency) for f in OTHER_FREQUENCIES)
+        reasons.append(
+            f"the joint is moved from outside at {found.frequency:.2g} Hz: the load varies at "
+            f"{', '.join(f'{f:.2g}' for f in frequencies)} Hz, none of them that motion's"
+        )
+    if torque <= 0.0:
+        raise UsageError("tune: the joint is at the end of its travel; move it inside, or widen --travel")
+    return Design(
+        multi_sine(frequencies, torque, seconds),
+        multi_sine(others, VERIFICATION_SHARE * torque, verification_seconds),
+        tuple(reasons),
+    )
+
+
+def apart(frequency: float, motion: float) -> float:
+    """`frequency` (Hz), moved away from the motion's own and its harmonics where it lies too near to one."""
+    if motion <= 0.0:
+        return frequency
+    order = round(frequency / motion)
+    if order < 1 or abs(frequency - order * motion) > APART * motion:
+        return frequency
+    return (order + math.copysign(2.0 * APART, frequency - order * motion)) * motion

@@ -1,0 +1,159 @@
+"""One run of the daemon on the rig with a set-point file, from a copy of the user's configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from tsa_ctrl.config import AxisSettings, Configuration
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.log.columns import SIGNAL_NAMES
+from tsa_ctrl.log.table import read_table, sha256_of
+from tsa_ctrl.processes import daemon
+from tsa_ctrl.tune.excitation import Bounds, Waveform
+
+FloatArray = NDArray[np.float64]
+
+LONGEST_SKIP = 0.02  # s of cycles that a piece of a log may lack
+SHORTEST_PIECE = 1.5  # s between two longer skips, to be learned from
+STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run's log between fade-in and stop: torques (n) in N*m, `t` (n) in s since the enable.
+
+    `pieces` are its stretches without missing cycles, for the fits.
+    """
+
+    name: str
+    log: Path
+    t: FloatArray
+    wanted: FloatArray
+    delivered: FloatArray
+    pieces: tuple[Dataset, ...]
+
+    @property
+    def rms(self) -> float:
+        """RMS error of the joint torque over the whole motion, N*m."""
+        return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
+
+
+class RigRunner:
+    """Plays waveforms on one axis of a rig; everything that is written goes to `folder`."""
+
+    def __init__(self, configuration: Configuration, axis: AxisSettings, bounds: Bounds, folder: Path) -> None:
+        self._configuration = configuration
+        self._axis = axis
+        self._bounds = bounds
+        self._folder = folder
+        drives = configuration.folder / "drives"
+        if drives.is_dir():
+            (folder / "drives").symlink_to(drives.resolve(), target_is_directory=True)
+
+    def play(
+        self, name: str, model: Path, compensation: float, waveform: Waveform, tick: Callable[[float], None]
+    ) -> Run:
+        """Play once and read the log; raises BusError when daemon or rig fail."""
+        table = np.column_stack([waveform.t, waveform.tau_j_des])
+        setpoint = self._folder / f"{name}.csv"
+        np.savetxt(setpoint, table, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
+        text = self._controller(name, model, compensation, setpoint)
+        (self._folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
+        summary = daemon(self._folder, name, waveform.seconds, tick)
+        if summary["log"] is None or summary["failed"]:
+            raise BusError(f"the run '{name}' failed: {summary['cause']}")
+        log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
+        return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds)
+
+    def _controller(self, name: str, model: Path, compensation: float, setpoint: Path) -> str:
+        """The user's file with this axis alone, this model and set-point, and limits no wider than those given."""
+        data = tomllib.loads(self._configuration.text)
+        keep = {self._axis.name, *self._axis.bending.gains}
+        data["axis"] = [axis for axis in data["axis"] if axis["name"] in keep]
+        data["log"] = {"folder": "."}
+        data["controller"] = {**data.get("controller", {}), "name": f"tune-{name}"[:32], "after_fault": "exit"}
+        for axis in data["axis"]:
+            self._confine(axis)
+            if axis["name"] == self._axis.name:
+                axis["model"] = str(model.resolve())
+                axis["setpoint"] = {"kind": "file", "file": str(setpoint.resolve())}
+                axis["law"] = {**axis.get("law", {}), "compensation": compensation}
+            else:
+                axis["model"] = str((self._configuration.folder / axis["model"]).resolve())
+                axis["setpoint"] = {"kind": "constant"}
+                axis["law"] = {**axis.get("law", {}), "compensation": 0.0}
+        text: str = tomlkit.dumps(data)
+        return text
+
+    def _confine(self, axis: dict[str, Any]) -> None:
+        folder, drive = self._configuration.folder, axis["drive"]
+        for key in ("eds", "profile"):
+            if str(drive.get(key, "")).endswith((".eds", ".toml")):
+                drive[key] = str((folder / drive[key]).resolve())
+        if axis.get("estimator", {}).get("kind") in {"sensor", "motor"}:
+            axis["estimator"]["use"] = False  # what the file says is what is verified
+        if axis["name"] != self._axis.name:
+            return
+        limits = axis["limits"]
+        speed = min(self._bounds.speed, self._axis.limits.joint_speed)
+        limits["joint_speed"] = speed
+        limits["over_speed"] = max(min(self._axis.limits.over_speed, 2.0 * speed), 1.01 * speed)
+        if self._bounds.travel is not None:
+            limits["travel"] = list(self._bounds.travel)
+
+
+def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float) -> Run:
+    """Read a run of `seconds` s of torque; raises BusError when it holds too little."""
+    columns = read_table(f"{log}:{axis}", (*SIGNAL_NAMES, "tau_j_des", "tau_m_cmd")).columns
+    t = columns["t"]
+    active = np.flatnonzero((columns["tau_j_des"] != 0.0) | (columns["tau_m_cmd"] != 0.0))
+    if active.size == 0:
+        raise BusError(f"the run '{name}' held no torque; see {log}")
+    enabled = float(t[active[0]])
+    known = np.isfinite(columns["tau_j"])
+    if not known.any():
+        raise UsageError(f"axis '{axis}': its joint torque sensor sent nothing; check [axis.torque_sensor] or its line")
+    chosen = (t >= enabled + fade_in) & (t <= enabled + seconds - STOP_MARGIN) & known
+    if float(np.sum(chosen)) < 100:
+        raise BusError(f"the run '{name}' is too short; see {log}")
+    part = {key: value[chosen] for key, value in columns.items()}
+    return Run(name, log, part["t"] - enabled, part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
+
+
+def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
+    """Datasets between the skips that are too long to be bridged."""
+    t = columns["t"]
+    typical = float(np.median(np.diff(t)))
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) > LONGEST_SKIP + 1.5 * typical) + 1, [t.size]])
+    present = {
+        key: value for key, value in columns.items() if key in {"t", *SIGNAL_NAMES} and bool(np.isfinite(value).all())
+    }
+    pieces = []
+    for first, end in itertools.pairwise(edges):
+        if t[end - 1] - t[first] >= SHORTEST_PIECE:
+            arrays = {key: value[first:end] for key, value in present.items()}
+            pieces.append(Dataset.from_arrays(arrays, name, recorded=True))
+    if not pieces:
+        raise BusError(
+            f"the run '{name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; the machine is too busy"
+        )
+    if len(pieces) == 1:
+        return (dataclasses.replace(pieces[0], sha256=sha256),)
+    return tuple(
+        dataclasses.replace(piece, name=f"{name}-{n + 1}", sha256=f"{sha256}#{n + 1}") for n, piece in enumerate(pieces)
+    )
+
+
+def longest(pieces: Sequence[Dataset]) -> Dataset:
+    return max(pieces, key=lambda piece: piece.seconds)

@@ -1,0 +1,215 @@
+"""One call of `tsa tune`: checks, the folder that it works in, and what is left of it at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import shutil
+import signal
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tsa_ctrl.config import AxisSettings, load_configuration
+from tsa_ctrl.doctor import can_interface
+from tsa_ctrl.doctor.check import Result
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.tune import model_file
+from tsa_ctrl.tune.excitation import FREQUENCIES, OTHER_FREQUENCIES, Bounds, most_torque
+from tsa_ctrl.tune.page import write_page
+from tsa_ctrl.tune.pictures import draw
+from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
+from tsa_ctrl.tune.run import RigRunner
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the user asks for; None where the controller's file decides."""
+
+    torque: float | None = None  # N*m at the joint
+    speed: float | None = None  # rad/s of the joint
+    travel: tuple[float, float] | None = None  # rad of the joint
+    seconds: float = 20.0  # of excitation
+    verification_seconds: float = 10.0
+    certified_gain: bool = False
+    forms: bool = True
+    extended: bool = False
+
+
+class Session:
+    """Everything that is known before anything moves; `path` is the model file that may be written."""
+
+    def __init__(self, controller: Path, axis: str | None, plan: Plan) -> None:
+        """Read and check the configuration; raises UsageError."""
+        self._configuration = load_configuration(controller)
+        self.axis = self._chosen(controller, axis)
+        index = self._configuration.file.axes.index(self.axis)
+        self._model = self._configuration.models[index]
+        self.path = self._configuration.folder / self.axis.model
+        self.bounds = self._bounds(controller, plan)
+        self._settings = Settings(
+            seconds=plan.seconds,
+            verification_seconds=plan.verification_seconds,
+            compensation=self.axis.law.compensation,
+            certified_gain=plan.certified_gain,
+            forms=plan.forms,
+            extended=plan.extended,
+        )
+        self._folder = Path()
+        self._final: Path | None = None
+        self.page: Path | None = None
+
+    def _chosen(self, controller: Path, name: str | None) -> AxisSettings:
+        axes = {axis.name: axis for axis in self._configuration.file.axes}
+        if name is None and len(axes) == 1:
+            return next(iter(axes.values()))
+        if name not in axes:
+            found = "no --axis" if name is None else f"--axis {name}"
+            raise UsageError(f"{controller}: {found}; give one of {', '.join(axes)}")
+        return axes[name]
+
+    def _bounds(self, controller: Path, plan: Plan) -> Bounds:
+        limits = self.axis.limits
+        most = most_torque(self._model, limits.torque)
+        if plan.torque is not None and plan.torque > most:
+            raise UsageError(
+                f"{controller}: --torque {plan.torque:g} N*m is more than limits.torque and the pretension allow, "
+                f"{most:.3g} N*m at the joint; give less"
+            )
+        speed = limits.joint_speed if plan.speed is None else plan.speed
+        if speed > limits.joint_speed:
+            raise UsageError(
+                f"{controller}: --speed {speed:g} rad/s is above limits.joint_speed {limits.joint_speed:g} rad/s; "
+                "give less"
+            )
+        travel = limits.travel if plan.travel is None else plan.travel
+        if plan.travel is not None:
+            low, high = plan.travel
+            margin = 2.0 * limits.travel_margin
+            allowed = limits.travel or (-float("inf"), float("inf"))
+            if not (allowed[0] <= low and high <= allowed[1] and high - low > margin):
+                raise UsageError(
+                    f"{controller}: --travel {low:g} {high:g} rad must lie within limits.travel and be wider than two "
+                    f"travel margins ({margin:g} rad)"
+                )
+        return Bounds(most if plan.torque is None else plan.torque, speed, travel)
+
+    def undo(self) -> Path:
+        """Put the model file back that the last tuning replaced; raises UsageError when there is none."""
+        return model_file.undo(self.path)
+
+    def plan_dict(self) -> dict[str, Any]:
+        """What would be done, JSON-ready."""
+        settings = self._settings
+        return {
+            "schema": 1,
+            "axis": self.axis.name,
+            "model": str(self.path),
+            "bounds": {
+                "torque": self.bounds.torque,
+                "speed": self.bounds.speed,
+                "travel": None if self.bounds.travel is None else list(self.bounds.travel),
+            },
+            "seconds": {
+                "probe": PROBE_SECONDS,
+                "excitation": settings.seconds,
+                "verification": 3.0 * settings.verification_seconds,
+            },
+            "compensation": settings.compensation,
+        }
+
+    def plan_text(self) -> str:
+        """The same for people."""
+        bounds, settings = self.bounds, self._settings
+        travel = "any" if bounds.travel is None else f"{bounds.travel[0]:g} to {bounds.travel[1]:g} rad"
+        return "\n".join(
+            (
+                f"axis {self.axis.name}, model file {self.path}",
+                f"limits: {bounds.torque:.3g} N*m at the joint, {bounds.speed:g} rad/s, travel {travel}",
+                f"1. probe, {PROBE_SECONDS:g} s with a fifth of the torque: does the joint move, and by what",
+                f"2. excitation, {settings.seconds:g} s at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz without "
+                "compensation",
+                "3. estimate of friction angle and pretension",
+                f"4. verification, 3 x {settings.verification_seconds:g} s at "
+                f"{', '.join(f'{f:g}' for f in OTHER_FREQUENCIES)} Hz: without compensation, with the given and with "
+                f"the new file at {settings.compensation:g} of the friction term",
+                "5. a diff of the model file, and a question",
+                "dry run: nothing was moved, nothing written",
+            )
+        )
+
+    @contextlib.contextmanager
+    def workspace(self, out: Path | None, keep: bool) -> Iterator[None]:
+        """A folder for everything that is written on the way; it is gone again unless `finish` was reached."""
+        name = f"tune-{datetime.datetime.now():%Y%m%d-%H%M%S}"
+        final = out if out is not None else self._configuration.log_folder / name
+        if final.exists() and (not final.is_dir() or any(final.iterdir())):
+            raise UsageError(f"{final}: exists already and is not empty; choose another --out")
+        parent = next(folder for folder in final.resolve().parents if folder.is_dir())
+        try:
+            temporary = Path(tempfile.mkdtemp(prefix=".tune-", dir=parent))
+        except OSError as error:
+            raise UsageError(f"{parent}: cannot be written ({error.strerror}); choose another --out") from None
+        self._folder, self._final = temporary, final if keep else None
+        try:
+            yield
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+    def run(self, say: Progress) -> Outcome:
+        """The whole procedure on the rig; raises UsageError, BusError."""
+        self._check_ready()
+        runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder)
+        return Procedure(runner, self.path, self._model, self.bounds, self._settings, self._folder, say).run()
+
+    def _check_ready(self) -> None:
+        """The joint torque is measured, and the bus is there."""
+        by_serial = any(sensor.quantity == "tau_j" for sensor in self.axis.serial)
+        if self.axis.torque_sensor is None and not by_serial:
+            raise UsageError(
+                f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, which tuning learns "
+                "from; give [axis.torque_sensor] or an [[axis.serial]] of tau_j"
+            )
+        file = self._configuration.file
+        for check in can_interface.checks(file.bus, (self.axis,), file.controller.rate):
+            if check.result is Result.FAIL:
+                raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
+
+    def from_logs(self, logs: Sequence[str]) -> Outcome:
+        """The estimate from logs that exist; raises UsageError."""
+        return from_logs(self.path, self._model, [load_log(log) for log in logs], self._settings)
+
+    def difference(self, outcome: Outcome) -> str:
+        """Diff of the model file."""
+        return model_file.diff(self.path, outcome.text)
+
+    def worth_writing(self, outcome: Outcome) -> bool:
+        """Whether the new file did better, and the loop can use it."""
+        Feedforward(outcome.estimate.model, self._configuration.period)  # raises UsageError for what it cannot invert
+        return outcome.better
+
+    def finish(self, outcome: Outcome) -> None:
+        """Draw the page, and put everything in its place."""
+        pictures = draw(outcome, self._folder)
+        write_page(outcome, self.axis.name, self.path, self.difference(outcome), pictures, self._folder / "report.html")
+        if self._final is None:
+            return
+        (self._folder / "drives").unlink(missing_ok=True)
+        self._final.parent.mkdir(parents=True, exist_ok=True)
+        if self._final.is_dir():
+            self._final.rmdir()
+        self._folder.chmod(0o755)
+        self._folder.rename(self._final)
+        self.page = self._final / "report.html"
+
+    def write(self, outcome: Outcome) -> Path:
+        """Write the model file; returns where the one before is kept. A signal waits until both are done."""
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            return model_file.replace(self.path, outcome.text)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
