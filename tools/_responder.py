@@ -1,6 +1,7 @@
 """A process that answers each SYNC with the TPDOs of some axes, from constant bytes: the fastest nodes there can be.
 
-Usage: python tools/_responder.py INTERFACE AXES; says `ready` on stdout, ends when its stdin closes.
+Usage: python tools/_responder.py INTERFACE AXES [walk]; says `ready` on stdout, ends when its stdin closes. With `walk`
+it takes the commands, too, and the statusword follows the controlword.
 """
 
 from __future__ import annotations
@@ -16,33 +17,37 @@ FILTER = struct.Struct("=II")
 SYNC, ID_MASK = 0x080, 0xC00007FF
 PRIORITY = 70  # below the loop, above everything else
 BEATS = 20  # SYNCs between heartbeats
-STATUSWORD = 0x1237  # operation enabled, follows the command
+ENABLED = 0x1237  # statusword: operation enabled, follows the command
+STATUSWORDS = {0x0F: ENABLED, 0x07: 0x1233, 0x06: 0x1231}  # by controlword, else switch on disabled
+DISABLED = 0x1250
 
 
 def frame(can_id: int, data: bytes) -> bytes:
     return FRAME.pack(can_id, len(data), data)
 
 
-def answers(axis: int) -> list[bytes]:
+def answers(axis: int, statusword: int = ENABLED) -> list[bytes]:
     """TPDO1 and TPDO2 of the drive, TPDO1 of encoder and torque sensor: all at rest."""
     return [
-        frame(0x181 + axis, struct.pack("<Hhi", STATUSWORD, 0, 0)),
+        frame(0x181 + axis, struct.pack("<Hhi", statusword, 0, 0)),
         frame(0x281 + axis, struct.pack("<ibH", 0, 10, 0)),
         frame(0x1A0 + axis, struct.pack("<I", 0)),
         frame(0x1C0 + axis, struct.pack("<i", 0)),
     ]
 
 
-def main(interface: str, axes: int) -> None:
+def main(interface: str, axes: int, walk: bool) -> None:
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-    bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, FILTER.pack(SYNC, ID_MASK))
+    ids = [SYNC, *(0x201 + axis for axis in range(axes if walk else 0))]
+    filters = b"".join(FILTER.pack(can_id, ID_MASK) for can_id in ids)
+    bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
     bus.bind((interface,))
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:
         print("no real-time scheduling", file=sys.stderr)
     send, recv = bus.send, bus.recv
-    cyclic = [answer for axis in range(axes) for answer in answers(axis)]
+    cyclic = [answer for axis in range(axes) for answer in answers(axis, DISABLED if walk else ENABLED)]
     beats = [frame(0x700 + node + axis, b"\x05") for axis in range(axes) for node in (1, 32, 64)]
     os.write(1, b"ready\n")
     syncs = 0
@@ -51,7 +56,12 @@ def main(interface: str, axes: int) -> None:
             if select.select([0], [], [], 0.0)[0]:
                 return
             continue
-        recv(16)
+        can_id, _, data = FRAME.unpack(recv(16))
+        if can_id != SYNC:
+            axis = can_id - 0x201
+            statusword = STATUSWORDS.get(data[0], DISABLED)
+            cyclic[4 * axis] = frame(0x181 + axis, struct.pack("<Hhi", statusword, 0, 0))
+            continue
         for answer in cyclic:
             send(answer)
         syncs += 1
@@ -61,4 +71,4 @@ def main(interface: str, axes: int) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    main(sys.argv[1], int(sys.argv[2]), "walk" in sys.argv[3:])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import re
+import contextlib
 import shutil
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
@@ -15,10 +17,13 @@ model = "actuator.toml"
 [axis.drive]
 node_id = {drive}
 max_torque = 3.0
+{drive_more}
 [axis.encoder]
 node_id = {encoder}
+{more}
 [axis.torque_sensor]
 node_id = {sensor}
+{more}
 [axis.setpoint]
 kind = "sine"
 amplitude = 0.5
@@ -28,14 +33,24 @@ torque = 2.0
 """
 
 
-def controller_text(folder: str | Path, interface: str, axes: int, rate: float = 0.0, head: str = "") -> str:
-    """TOML of a controller whose files lie in `folder`; `rate` 0 is the highest that the bit rate carries."""
+PATIENT = ("rpdo_timeout = 1.0\nhost_timeout = 2.0\nheartbeat_timeout = 2.0", "heartbeat_timeout = 2.0")  # s
+TOLERANT = "[bus.supervision]\ntolerated_misses = 100"
+
+
+def controller_text(folder: str | Path, interface: str, axes: int, rate: float = 0.0, patient: bool = False) -> str:
+    """TOML of a controller whose files lie in `folder`; `rate` 0 is the highest that the bit rate carries.
+
+    `patient`: the machine's stalls shall be measured, not end the run.
+    """
     shutil.copy(CONFIG / "actuator.toml", folder)
+    drive_more, more = PATIENT if patient else ("", "")
     text = f"""
 [controller]
 rate = {rate or RATES[axes]}
+{"collect = 0.8" if patient else ""}
 [bus]
 channel = "{interface}"
+{TOLERANT if patient else ""}
 [realtime]
 allow_without = true
 [log]
@@ -43,12 +58,39 @@ folder = "logs"
 [socket]
 path = "{folder}/tsa.sock"
 """
-    nodes = [AXIS.format(n=n, drive=1 + n, encoder=32 + n, sensor=64 + n) for n in range(axes)]
-    return head_over(text, head) + "".join(nodes)
+    return text + "".join(
+        AXIS.format(n=n, drive=1 + n, encoder=32 + n, sensor=64 + n, drive_more=drive_more, more=more)
+        for n in range(axes)
+    )
 
 
-def head_over(text: str, head: str) -> str:
-    """`text` with the lines of `head` ("[section]" followed by keys) put into its sections."""
-    for section, keys in re.findall(r"(\[[\w.]+\])\n([^\[]*)", head):
-        text = text.replace(section + "\n", f"{section}\n{keys}", 1) if section in text else f"{text}{section}\n{keys}"
-    return text
+def plant_text(interface: str, axes: int) -> str:
+    """TOML of the plant to it: its axes follow a gait, and their truth is not the controller's model."""
+    axis = """
+[[axis]]
+name = "axis{n}"
+actuator = "actuator.toml"
+[axis.perturbation]
+friction_coefficient = 1.08
+pretension = 0.95
+"""
+    return f'[bus]\nchannel = "{interface}"\n' + "".join(axis.format(n=n) for n in range(axes))
+
+
+@contextlib.contextmanager
+def running_plant(path: Path) -> Iterator[None]:
+    """`tsa plant` as a process, from its word that it is ready to its end."""
+    plant = subprocess.Popen(["tsa", "plant", str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert plant.stdout is not None
+    said = []
+    for line in plant.stdout:
+        said.append(line)
+        if "ready" in line:
+            break
+    try:
+        if plant.poll() is not None:
+            raise SystemExit("".join(said) + plant.communicate()[1])
+        yield
+    finally:
+        plant.terminate()
+        plant.communicate(timeout=30)

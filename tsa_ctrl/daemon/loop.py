@@ -70,6 +70,11 @@ class Loop:
         self._back_offs = [0] * len(axes)
 
     @property
+    def start(self) -> float:
+        """Monotonic time of the first cycle, s."""
+        return self._start * 1e-9
+
+    @property
     def planned(self) -> int:
         """Periods run or skipped."""
         return self.cycles + self.skipped

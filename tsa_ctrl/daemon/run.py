@@ -30,19 +30,26 @@ from tsa_ctrl.errors import BusError
 Say = Callable[[str], None]
 
 
-def run(configuration: Configuration, seconds: float = math.inf, say: Say = lambda line: None) -> Summary:
+def run(
+    configuration: Configuration,
+    seconds: float = math.inf,
+    say: Say = lambda line: None,
+    configured: bool = False,
+) -> Summary:
     """Run the controller until it is stopped, or for `seconds` of torque; `say` gets a line for whoever watches.
 
+    `configured`: the nodes are operational and mapped as they should be; nothing is written to them.
     Raises UsageError or BusError for what fails before the first cycle; what happens later is in the summary.
     """
-    return Daemon(configuration, say).run(seconds)
+    return Daemon(configuration, say, configured).run(seconds)
 
 
 class Daemon:
     """One run; every way out of it goes through the same descent."""
 
-    def __init__(self, configuration: Configuration, say: Say) -> None:
+    def __init__(self, configuration: Configuration, say: Say, configured: bool) -> None:
         self._configuration = configuration
+        self._configured = configured
         self._say = say
         self._loop: Loop | None = None
         self._early_stop: str | None = None
@@ -112,9 +119,10 @@ class Daemon:
     def _bring_up(self, bus: Bus, rig: Rig) -> None:
         configuration = self._configuration
         file = configuration.file
-        report = bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)
-        for line in report.lines():
-            self._say(line)
+        if not self._configured:
+            report = bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)
+            for line in report.lines():
+                self._say(line)
         rig.start()
 
     def _recover(self, bus: Bus, rig: Rig, axes: tuple[ControlAxis, ...], loop: Loop, seconds: float) -> None:
@@ -158,6 +166,7 @@ class Daemon:
         return Summary(
             bus=configuration.file.bus.channel,
             rate=configuration.file.controller.rate,
+            start=loop.start,
             cause=loop.cause or "ended",
             failed=first is not None or bool(self._unconfirmed),
             planned=loop.planned,

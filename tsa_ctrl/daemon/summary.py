@@ -34,6 +34,7 @@ class Summary:
 
     bus: str
     rate: float  # Hz
+    start: float  # s, CLOCK_MONOTONIC of the first cycle: t = 0 of the log
     cause: str  # the first reason to end
     failed: bool  # whether that was a fault
     planned: int  # periods from the first cycle to the last
@@ -66,6 +67,7 @@ class Summary:
             "schema": SCHEMA,
             "bus": self.bus,
             "rate": self.rate,
+            "start": self.start,
             "cause": self.cause,
             "failed": self.failed,
             "cycles": {
