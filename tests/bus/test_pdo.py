@@ -72,5 +72,5 @@ def test_longer_answer_is_truncated_and_shorter_extended() -> None:
 
 
 def test_no_object_is_listed_twice() -> None:
-    assert len(objects.BY_KEY) == len(objects.TABLE)
+    assert len({entry.key for entry in objects.TABLE}) == len(objects.TABLE)
     assert len({entry.name for entry in objects.TABLE}) == len(objects.TABLE)

@@ -41,9 +41,6 @@ class Mode(IntEnum):
 
 CST_SUPPORTED = 1 << 9  # bit of object 0x6502
 
-FAULT_BIT = 1 << 3
-WARNING_BIT = 1 << 7
-INTERNAL_LIMIT_BIT = 1 << 11
 FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
 
 STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value, state

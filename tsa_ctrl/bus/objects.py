@@ -117,4 +117,3 @@ TOTAL_RANGE = Object(0x6002, 0, Type.U32, "total measuring range")
 ENCODER_POSITION = Object(0x6004, 0, Type.U32, "position value")
 
 TABLE: tuple[Object, ...] = tuple(value for value in dict(globals()).values() if isinstance(value, Object))
-BY_KEY: dict[tuple[int, int], Object] = {entry.key: entry for entry in TABLE}

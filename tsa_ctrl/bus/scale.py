@@ -20,8 +20,6 @@ class DriveScale:
     torque: float  # N*m per digit of 0x6071 and 0x6077
     position: float  # rad per digit of 0x6064
     velocity: float  # rad/s per digit of 0x606C
-    max_speed: float  # rad/s per digit of 0x6080, positive
-    rated_torque: float  # N*m of the motor per digit of 0x6076, positive
     max_torque_digits: int  # per mille of rated torque, 0x6072
     max_speed_digits: int  # 0x6080
 
@@ -48,8 +46,6 @@ def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> Driv
         torque=drive.torque_sign * torque,
         position=drive.position_sign * 2.0 * math.pi / (counts * ratio),
         velocity=drive.position_sign * profile.units.velocity.radians_per_second(counts) / ratio,
-        max_speed=max_speed,
-        rated_torque=profile.units.rated_torque,
         max_torque_digits=torque_digits,
         max_speed_digits=speed_digits,
     )
