@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import click
 
 from tsa_ctrl.errors import UsageError
@@ -16,14 +18,40 @@ from tsa_ctrl.ipc.client import Client
 )
 @click.argument("name")
 @click.argument("value", type=float)
+@click.option("--against", type=float, help="Compare VALUE (A) with this one (B) in alternating blocks, then put back.")
+@click.option("--with", "more", multiple=True, metavar="NAME=A,B", help="A further parameter of the two sets compared.")
+@click.option("--blocks", default=12, show_default=True, type=click.IntRange(6, 1000), help="Of a comparison.")
+@click.option("--block-seconds", default=4.0, show_default=True, type=click.FloatRange(1.0, 3600.0), help="Of each.")
+@click.option("--json", "as_json", is_flag=True, help="The comparison as one JSON object on stdout.")
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
-def command(name: str, value: float, path: str) -> None:
+def command(
+    name: str,
+    value: float,
+    against: float | None,
+    more: tuple[str, ...],
+    blocks: int,
+    block_seconds: float,
+    as_json: bool,
+    path: str,
+) -> None:
     """Change a parameter of a running daemon within its bounds; it moves there smoothly.
 
     NAME is a parameter as `tsa status` lists them, with its axis before a dot where there are several axes: KNEE.slew.
     "recover 1" asks for a new start after a latched fault.
+
+    With --against the joint torque errors of two values (or, with --with, sets of values) are compared on the motion
+    that is running, and a verdict with its 95 % interval is given: tsa set compensation 0.8 --against 0.95
     """
+    if more and against is None:
+        raise UsageError("--with belongs to a comparison; give --against, too")
     with Client(path) as client:
+        if against is not None:
+            sets = {"a": {name: value}, "b": {name: against}}
+            for text in more:
+                other, a, b = _pair(text)
+                sets["a"][other], sets["b"][other] = a, b
+            _compare(client, sets, blocks, block_seconds, as_json)
+            return
         if name == "recover":
             if value != 1.0:
                 raise UsageError(f"recover {value:g}: only 1 is possible, it asks for a new start after a fault")
@@ -32,3 +60,33 @@ def command(name: str, value: float, path: str) -> None:
             return
         answer = client.ask(protocol.Set(name, value))
     click.echo(f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g} {answer['unit']}")
+
+
+def _pair(text: str) -> tuple[str, float, float]:
+    name, _, values = text.partition("=")
+    try:
+        a, b = (float(value) for value in values.split(","))
+    except ValueError:
+        raise UsageError(f"--with: found '{text}'; write NAME=A,B, for example slew=60,90") from None
+    return name, a, b
+
+
+def _compare(
+    client: Client, sets: dict[str, dict[str, float]], blocks: int, block_seconds: float, as_json: bool
+) -> None:
+    from tsa_ctrl.tune.comparison import alternate
+    from tsa_ctrl.tune.live_blocks import LiveBlocks
+
+    live = LiveBlocks(client, sets, block_seconds)
+    try:
+        found = alternate(
+            blocks,
+            live.apply,
+            live.measure,
+            lambda number, name, error: click.echo(
+                f"block {number + 1}: {name.upper()} {1e3 * error:.1f} mN*m", err=True
+            ),
+        )
+    finally:
+        live.restore()
+    click.echo(json.dumps(found.to_dict(), allow_nan=False) if as_json else found.verdict)

@@ -93,7 +93,7 @@ class Procedure:
         designed = self._design()
         excited = self._play("excitation", self._path, 0.0, designed.excitation)
         self._say("estimate", self._done / self._total)
-        found = learn(excited.pieces, self._model, self._settings)
+        found = learn(excited.learnable(), self._model, self._settings)
         text = new_file(self._path, found, excited.pieces, "tune")
         new = self._folder / f"new-{self._path.name}"
         new.write_text(text, encoding="utf-8")
@@ -109,7 +109,7 @@ class Procedure:
         """Little torque first, more until the joint moves."""
         for number, share in enumerate(PROBE_SHARES):
             wave = probe(self._bounds, share, PROBE_SECONDS)
-            found = response(longest(self._play(f"probe-{number + 1}", self._path, 0.0, wave).pieces))
+            found = response(longest(self._play(f"probe-{number + 1}", self._path, 0.0, wave).learnable()))
             if found.rms_speed >= MOVING:
                 break
         settings = self._settings

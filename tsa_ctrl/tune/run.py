@@ -33,7 +33,7 @@ STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
 class Run:
     """One run's log between fade-in and stop: torques (n) in N*m, `t` (n) in s since the enable.
 
-    `pieces` are its stretches without missing cycles, for the fits.
+    `pieces` are its stretches without missing cycles, for the fits; on a busy machine there may be none.
     """
 
     name: str
@@ -47,6 +47,15 @@ class Run:
     def rms(self) -> float:
         """RMS error of the joint torque over the whole motion, N*m."""
         return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
+
+    def learnable(self) -> tuple[Dataset, ...]:
+        """The pieces; raises BusError when there is none."""
+        if not self.pieces:
+            raise BusError(
+                f"the run '{self.name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; "
+                "the machine is too busy: stop other work, or lower [controller] rate"
+            )
+        return self.pieces
 
 
 class RigRunner:
@@ -144,10 +153,6 @@ def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dat
         if t[end - 1] - t[first] >= SHORTEST_PIECE:
             arrays = {key: value[first:end] for key, value in present.items()}
             pieces.append(Dataset.from_arrays(arrays, name, recorded=True))
-    if not pieces:
-        raise BusError(
-            f"the run '{name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; the machine is too busy"
-        )
     if len(pieces) == 1:
         return (dataclasses.replace(pieces[0], sha256=sha256),)
     return tuple(

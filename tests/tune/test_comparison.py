@@ -1,0 +1,55 @@
+"""Comparing two parameter sets: order of the blocks, interval, verdict."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.tune.comparison import alternate, compare, order
+
+
+def test_blocks_alternate_so_that_a_drift_meets_both_alike() -> None:
+    assert order(8) == ("a", "b", "b", "a", "a", "b", "b", "a")
+    places = {name: [n for n, found in enumerate(order(8)) if found == name] for name in "ab"}
+    assert np.mean(places["a"]) == np.mean(places["b"])
+
+
+def blocks(a: float, b: float, noise: float, pairs: int, seed: int) -> list[tuple[str, float]]:
+    rng = np.random.default_rng(seed)
+    level = {"a": a, "b": b}
+    return [(name, level[name] + noise * float(rng.normal())) for name in order(2 * pairs)]
+
+
+@pytest.mark.parametrize(("a", "b", "better"), [(0.05, 0.08, "a"), (0.08, 0.05, "b"), (0.05, 0.05, None)])
+def test_the_better_set_is_named_only_when_the_interval_says_so(a: float, b: float, better: str | None) -> None:
+    found = compare(blocks(a, b, 0.005, 6, 1)).to_dict()
+    assert found["better"] == better
+    assert found["difference"]["low"] < found["difference"]["value"] < found["difference"]["high"]
+
+
+def test_the_interval_covers_the_true_difference() -> None:
+    """400 comparisons at 95 %: fewer than 360 hits has a chance below 1 in 10,000."""
+    hits = 0
+    for seed in range(400):
+        found = compare(blocks(0.05, 0.06, 0.01, 6, seed)).difference
+        hits += found.low <= 0.01 <= found.high
+    assert 360 <= hits <= 396
+
+
+def test_a_linear_drift_is_no_difference() -> None:
+    errors = [(name, 0.05 + 0.01 * n) for n, name in enumerate(order(16))]
+    found = compare(errors)
+    assert found.difference.value == pytest.approx(0.0, abs=1e-12)
+    assert "no difference found" in found.verdict
+
+
+def test_every_block_is_applied_measured_and_told() -> None:
+    done: list[str] = []
+    values = iter(0.05 + 0.001 * n for n in range(100))
+    found = alternate(6, done.append, lambda: next(values), lambda number, name, error: done.append(f"{number}{name}"))
+    assert done == ["a", "0a", "b", "1b", "b", "2b", "a", "3a", "a", "4a", "b", "5b"]
+    assert found.pairs == 3
+
+
+def test_too_few_blocks_become_three_pairs() -> None:
+    assert alternate(1, lambda name: None, lambda: 0.05, lambda *told: None).pairs == 3
