@@ -215,10 +215,13 @@ class Axis:
         image.joint_fresh = joint_fresh
         image.fresh = fresh
         if fresh:
-            self._motor.update(self._motor_count, sampled)
-            image.q_m = self._motor.angle
+            motor = self._motor
             if self._differentiate_motor:
-                image.omega_m = self._motor.velocity
+                motor.update(self._motor_count, sampled)
+                image.omega_m = motor.velocity
+            else:
+                motor.follow(self._motor_count)
+            image.q_m = motor.angle
             image.misses = 0
             self._sampled = sampled
         else:

@@ -35,19 +35,28 @@ class PositionTracker:
         self.angle = math.nan
         self.velocity = 0.0
 
-    def update(self, count: int, t: float) -> None:
-        """Take a sample: `count` as received, sampled at `t` in s."""
+    def follow(self, count: int) -> int:
+        """Take a position alone; returns the step in counts since the last one."""
         last = self._last
         self._last = count
         if last is None:
+            step = 0
             self._total = (count - self._zero + self._half) % self._range - self._half
-            self.angle = self._total * self._scale
-            self._time = t
-            return
-        step = (count - last + self._half) % self._range - self._half
-        self._total += step
+        else:
+            step = count - last
+            if not -self._half <= step < self._half:
+                step = (step + self._half) % self._range - self._half
+            self._total += step
         self.angle = self._total * self._scale
+        return step
+
+    def update(self, count: int, t: float) -> None:
+        """Take a position sampled at `t` in s, and derive the velocity."""
+        first = self._last is None
+        step = self.follow(count)
         dt = t - self._time
-        if dt > 0.0:
+        if first:
+            self._time = t
+        elif dt > 0.0:
             self._time = t
             self.velocity += (1.0 - math.exp(self._w * dt)) * (step * self._scale / dt - self.velocity)
