@@ -52,7 +52,7 @@ def coarse(bins: Sequence[int] | memoryview) -> list[tuple[float, int]]:
     result, start = [], 0
     for edge in edges:
         end = edge * 1000 // WIDTH
-        result.append((edge * 1e-6, sum(counts[start:end])))
+        result.append((edge / 1e6, sum(counts[start:end])))
         start = end
     result.append((float("inf"), sum(counts[start:])))
     return result

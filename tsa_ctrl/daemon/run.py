@@ -188,7 +188,7 @@ class Daemon:
             ),
             events=loop.events.all,
             unconfirmed=tuple(self._unconfirmed),
-            log=None if log is None else str(log.path),
+            log=None if log is None else str(log.path.resolve()),
             log_written=0 if health is None else health.written,
             log_lost=0 if health is None else records - health.written,
         )

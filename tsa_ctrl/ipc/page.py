@@ -124,17 +124,14 @@ class Page:
 
 
 def _times(status: dict[str, Any]) -> Table:
-    """Histograms of lateness and work in one line each."""
-    table = Table("", "p50", "p99", "p99.9", *(_edge(edge) for edge, _ in status["lateness"]["bins"]))
+    """Lateness and work: percentiles, and the histogram as bars whose height is the logarithm of the count."""
+    edges = [edge for edge, _ in status["lateness"]["bins"] if edge is not None]
+    table = Table("", "p50", "p99", "p99.9", f"up to {edges[0] * 1e6:g} us ... {edges[-1] * 1e6:g} us, above")
     for name in ("lateness", "work"):
         found = status[name]
         times = ("-" if found[p] is None else f"{found[p] * 1e6:.0f} us" for p in ("p50", "p99", "p999"))
-        table.add_row(name, *times, *(str(number) for _, number in found["bins"]))
+        table.add_row(name, *times, sparkline(deque(math.log1p(number) for _, number in found["bins"])))
     return table
-
-
-def _edge(edge: float | None) -> str:
-    return "above" if edge is None else f"{edge * 1e6:g} us"
 
 
 def sparkline(values: deque[float]) -> str:

@@ -1,0 +1,107 @@
+"""`tsa status`, `tsa set` and `tsa stop` against a socket server whose loop the test plays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from tests.daemon.serving import Serving
+from tests.daemon.test_server import loop_taking
+from tsa_ctrl.cli import cli
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.ipc.mailbox import RECOVER, Command
+from tsa_ctrl.ipc.page import Page, sparkline
+from tsa_ctrl.ipc.protocol import Set
+
+
+@pytest.fixture
+def serving(tmp_path: Path) -> Iterator[Serving]:
+    running = Serving(tmp_path / "tsa.sock", ["knee"])
+    yield running
+    running.end()
+
+
+def call(serving: Serving, *arguments: str) -> Result:
+    return CliRunner().invoke(cli, [*arguments, "--socket", serving.path])
+
+
+def test_status_json_is_one_object(serving: Serving) -> None:
+    """stdout holds one JSON object with the agreed keys, and nothing else."""
+    status = json.loads(call(serving, "status", "--json").output)
+    assert status["schema"] == 1
+    axis = status["axes"][0]
+    assert {"name", "state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(axis)
+    assert status["faults"] == []
+
+
+def test_status_page_once(serving: Serving) -> None:
+    """Without a terminal the page is printed once: values, parameters, histograms."""
+    output = call(serving, "status").output
+    for words in ("rig: running", "knee: operation_enabled", "tau_j_des", "compensation", "lateness", "p99"):
+        assert words in output
+
+
+def test_set_says_from_where_to_where(serving: Serving) -> None:
+    """The command prints old and new value with the unit."""
+    with loop_taking(serving) as taken:
+        result = call(serving, "set", "compensation", "0.5")
+    assert result.output == "knee.compensation: 0.95 -> 0.5 1\n"
+    assert taken == [Command(0, 0, 0.5)]
+
+
+def test_set_negative_value_is_no_option(serving: Serving) -> None:
+    """A negative value reaches the bounds check."""
+    result = call(serving, "set", "compensation", "-0.5")
+    assert isinstance(result.exception, UsageError)
+    assert "out of bounds; allowed is 0 to 1.2" in str(result.exception)
+
+
+def test_set_recover(serving: Serving) -> None:
+    """`tsa set recover 1` asks for a new start; any other value is refused."""
+    with loop_taking(serving) as taken:
+        assert call(serving, "set", "recover", "1").exit_code == 0
+    assert taken == [Command(0, RECOVER, 0.0)]
+    assert isinstance(call(serving, "set", "recover", "0").exception, UsageError)
+
+
+def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:
+    """stop sets the flag; a daemon that does not end within the wait is told."""
+    result = call(serving, "stop", "--wait", "0.2")
+    assert serving.mailbox.stop_requested
+    assert isinstance(result.exception, BusError)
+    assert "still there" in str(result.exception)
+    assert call(serving, "stop", "--wait", "0").exit_code == 0
+
+
+@pytest.mark.parametrize("verb", [["status", "--json"], ["set", "compensation", "1"], ["stop"]])
+def test_without_a_daemon_exit_code_1(tmp_path: Path, verb: list[str]) -> None:
+    """No daemon: one line, exit code 1, empty stdout."""
+    result = CliRunner().invoke(cli, [*verb, "--socket", str(tmp_path / "none.sock")])
+    assert isinstance(result.exception, BusError)
+    assert result.exception.exit_code == 1
+    assert result.output == ""
+
+
+def test_page_keys_move_the_chosen_parameter(serving: Serving) -> None:
+    """+ and - move by a fiftieth of the range and stop at the bounds; j and k choose among those that can be set."""
+    status = json.loads(call(serving, "status", "--json").output)
+    page = Page()
+    page.take(status)
+    assert [name for _, name, _ in page.parameters()] == ["compensation"]
+    assert page.key("j") is None
+    assert page.key("-") == Set("knee.compensation", pytest.approx(0.926))
+    status["axes"][0]["parameters"]["compensation"]["value"] = 1.2
+    page.take(status)
+    assert page.key("+") == Set("knee.compensation", 1.2)
+
+
+def test_sparkline_spans_the_extremes() -> None:
+    """Lowest and highest bars for lowest and highest values, a gap for what is missing."""
+    from collections import deque
+
+    assert sparkline(deque([0.0, 1.0, float("nan"), 0.5])) == "▁█ ▅"
+    assert sparkline(deque([float("nan")])) == ""

@@ -1,0 +1,86 @@
+"""The summary of a run."""
+
+from __future__ import annotations
+
+import io
+import json
+
+from rich.console import Console
+
+from tsa_ctrl.control.timing import BINS, coarse, count, distribution
+from tsa_ctrl.daemon.events import MOST, Event, Events
+from tsa_ctrl.daemon.summary import NodeCount, Summary
+from tsa_ctrl.ipc.mailbox import TEXT
+
+
+def summary() -> Summary:
+    bins = [0] * BINS
+    for duration in (20_000, 30_000, 10**8):
+        count(bins, duration)
+    return Summary(
+        bus="vcan0",
+        rate=1000.0,
+        start=12.0,
+        cause="SIGTERM",
+        failed=True,
+        planned=10,
+        sent=8,
+        skipped=2,
+        overruns=1,
+        late=1,
+        dropped=0,
+        load=(0.5, 0.6),
+        rights="SCHED_FIFO 80, 100 MiB locked",
+        lateness=distribution(bins),
+        work=distribution([0] * BINS),
+        lateness_bins=coarse(bins),
+        work_bins=coarse([0] * BINS),
+        nodes=(NodeCount("knee", "drive node 1", 3, 1, 0, 0), NodeCount("knee", "joint encoder node 32", 1, 0, 0, 0)),
+        events=(Event(0, 1.5, "knee", "heartbeat lost: [drive] node 1", True),),
+        unconfirmed=(),
+        log="/logs/a.mcap",
+        log_written=8,
+        log_lost=0,
+    )
+
+
+def test_json_has_no_nan_and_counts_cycles() -> None:
+    """One JSON object; a percentile without samples is null."""
+    text = json.dumps(summary().as_dict(), allow_nan=False)
+    found = json.loads(text)
+    cycles = {"planned": 10, "sent": 8, "skipped": 2, "overruns": 1, "late": 1, "missed_pdo": 4, "dropped": 0}
+    assert found["cycles"] == cycles
+    assert found["work"]["p50"] is None
+    assert found["lateness"]["bins"][-1] == [None, 1]
+
+
+def test_tables_show_everything_that_matters() -> None:
+    """Cause, counts, load, histograms, nodes and events stand in the tables."""
+    stream = io.StringIO()
+    summary().show(Console(file=stream, width=100))
+    shown = stream.getvalue()
+    for words in ("SIGTERM", "10 / 8", "2 in 1", "50 to 60 %", "SCHED_FIFO 80", "/logs/a.mcap: 8 records, 0 lost"):
+        assert words in shown
+    for words in ("joint encoder node 32", "heartbeat lost: [drive] node 1", "p99"):
+        assert words in shown
+
+
+def test_first_fault_is_never_dropped() -> None:
+    """However many events follow, the cause stays."""
+    events = Events()
+    events.add(0.0, "knee", "the cause", fault=True)
+    for n in range(3 * MOST):
+        events.add(float(n), "", "and then", fault=n % 2 == 0)
+    assert events.first_fault is not None
+    assert events.first_fault.text == "the cause"
+    assert len(events.all) == MOST
+
+
+def test_events_fit_the_mailbox() -> None:
+    """Long events are cut to what the mailbox holds, the newest kept."""
+    events = Events()
+    for n in range(MOST):
+        events.add(float(n), "knee", "x" * 1000)
+    text = events.encoded()
+    assert len(text) <= TEXT
+    assert json.loads(text)[-1]["t"] == MOST - 1
