@@ -29,8 +29,10 @@ def grid(seconds: float, rate: float, before: float = 0.0) -> Array:
     return np.arange(-round(before * rate), round(seconds * rate)) / rate
 
 
-def rich_motion(rng: np.random.Generator, t: Array, amplitude: float | None = None, dwell: bool = False) -> Motion:
-    """Several stretches of different kind, speed and amplitude: reversals at many speeds."""
+def rich_motion(
+    rng: np.random.Generator, t: Array, amplitude: float | None = None, dwell: bool = False, rounding: float = 0.0
+) -> Motion:
+    """Several stretches of different kind, speed and amplitude: reversals at many speeds. `rounding` as below."""
     seconds = t[-1] - min(t[0], 0.0)
     count = int(np.clip(round(seconds / rng.uniform(5.0, 9.0)), 3, 8))
     largest = amplitude or rng.uniform(0.6, 1.5)
@@ -42,7 +44,7 @@ def rich_motion(rng: np.random.Generator, t: Array, amplitude: float | None = No
         reach = largest * (rng.uniform(0.35, 1.0) if amplitude is None else rng.uniform(0.8, 1.0))
         reach = min(reach, 1.3 * share * fastest * seconds / count / 4.0)  # a slow stretch still reverses
         pieces.append((str(rng.choice(KINDS)), reach, share * fastest))
-    return _assemble(rng, t, pieces, dwell)
+    return _assemble(rng, t, pieces, dwell, rounding)
 
 
 def plain_motion(
@@ -73,7 +75,7 @@ def _assemble(
         window = _ramp(t, begin, fade, begin > t[0]) * (1.0 - _ramp(t, end, fade, end < edges[-1]))
         inside = window > 0.0
         q[inside] += window[inside] * _shape(rng, kind, t[inside] - begin, amplitude, speed, dwell)
-    q = smoothed(q, (rounding or rng.uniform(0.006, 0.02)) / step)
+    q = smoothed(q, (rounding or rng.uniform(0.02, 0.05)) / step)
     omega = np.gradient(q, step)
     omega[np.abs(omega) < 1e-6 * np.max(np.abs(omega))] = 0.0
     acceleration = np.gradient(omega, step)
