@@ -1,0 +1,174 @@
+"""`tsa tune` without a rig: plan, estimate from logs, diff, question, undo, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.identify import tendon_logs
+from tsa_ctrl.cli import main
+from tsa_ctrl.model.parameters import load_tendon_sheath
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+COMMENT = "# measured with a calliper\n"
+
+
+def tsa(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as done:
+        main(["tune", *arguments])
+    assert isinstance(done.value.code, int)
+    return done.value.code
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[str, dict[str, np.ndarray]]:
+    """A nominal model file and a log of the rig that it describes badly."""
+    rng = np.random.default_rng(5)
+    rig = tendon_logs.draw_rig(rng, "joint_end")
+    return COMMENT + tendon_logs.model_text(rig, rng), tendon_logs.record(rig, rng, seconds=20.0, rate=200.0)
+
+
+@pytest.fixture
+def folder(recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:  # type: ignore[no-untyped-def]
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(CONFIG / "controller.toml", tmp_path)
+    text, log = recorded
+    (tmp_path / "actuator.toml").write_text(text)
+    header = ",".join(log)
+    np.savetxt("a.csv", np.column_stack(list(log.values())), delimiter=",", header=header, comments="", fmt="%.9g")
+    return tmp_path
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+FROM_LOG = ("controller.toml", "--from-log", "a.csv")
+
+
+def test_a_dry_run_tells_the_plan_and_touches_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = files(folder)
+    assert tsa("controller.toml", "--dry-run", "--torque", "0.3", "--seconds", "15") == 0
+    out = capsys.readouterr().out
+    assert "0.3 N*m at the joint" in out
+    assert "excitation, 15 s" in out
+    assert files(folder) == before
+
+
+def test_a_dry_run_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("controller.toml", "--dry-run", "--json", "--speed", "3", "--travel", "-1", "1") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["schema"] == 1
+    assert data["axis"] == "knee"
+    assert data["bounds"]["speed"] == 3.0
+    assert data["bounds"]["travel"] == [-1.0, 1.0]
+
+
+def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nominal = (folder / "actuator.toml").read_text()
+    assert tsa(*FROM_LOG, "--yes", "--out", "out") == 0
+    out = capsys.readouterr().out
+    assert "+++ actuator.toml (new)" in out
+    assert "written: actuator.toml" in out
+    text = (folder / "actuator.toml").read_text()
+    assert COMMENT in text
+    assert (
+        load_tendon_sheath("actuator.toml").friction_angle != tomllib.loads(nominal)["sheath"]["friction_coefficient"]
+    )
+    source = tomllib.loads(text)["provenance"]
+    assert source["command"] == "tune --from-log"
+    assert set(source["logs"]) == {"a.csv"}
+    assert (folder / "actuator.toml.~1~").read_text() == nominal
+    page = (folder / "out" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 2
+    assert "http" not in page.replace("http-equiv", "")
+    assert (folder / "out" / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert not list(folder.glob(".tune-*"))
+
+
+def test_undo_puts_the_file_before_back(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nominal = (folder / "actuator.toml").read_text()
+    assert tsa(*FROM_LOG, "--yes") == 0
+    assert tsa("controller.toml", "--undo") == 0
+    assert "put back from actuator.toml.~1~" in capsys.readouterr().out
+    assert (folder / "actuator.toml").read_text() == nominal
+    assert tsa("controller.toml", "--undo") == 2
+
+
+def test_json_has_the_estimate_and_writes_only_with_yes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (folder / "actuator.toml").read_text()
+    assert tsa(*FROM_LOG, "--json") == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["schema"] == 1
+    assert data["written"] is None
+    assert data["verification"] is None
+    assert data["calibration"]["rms"]["after"] < data["calibration"]["rms"]["before"]
+    assert (folder / "actuator.toml").read_text() == before
+    assert tsa(*FROM_LOG, "--json", "--yes") == 0
+    assert json.loads(capsys.readouterr().out)["written"].endswith("actuator.toml.~1~")
+
+
+def test_from_logs_a_dry_run_shows_the_diff_and_leaves_nothing(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files(folder)
+    assert tsa(*FROM_LOG, "--dry-run") == 0
+    assert "+++ actuator.toml (new)" in capsys.readouterr().out
+    assert files(folder) == before
+
+
+def test_without_an_answer_nothing_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (folder / "actuator.toml").read_text()
+    assert tsa(*FROM_LOG) == 0
+    captured = capsys.readouterr()
+    assert "nobody to ask" in captured.err
+    assert (folder / "actuator.toml").read_text() == before
+
+
+def test_a_file_that_fits_already_is_not_written_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The third tuning on the same log gains nothing on held-out data, or next to nothing."""
+    assert tsa(*FROM_LOG, "--yes") == 0
+    capsys.readouterr()
+    assert tsa(*FROM_LOG, "--json", "--dry-run") == 0
+    rms = json.loads(capsys.readouterr().out)["calibration"]["rms"]
+    assert rms["after"] == pytest.approx(rms["before"], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("nowhere.toml",), "nowhere.toml: no such file"),
+        (("controller.toml", "--axis", "hip", "--dry-run"), "--axis hip; give one of knee"),
+        (("controller.toml", "--torque", "50", "--dry-run"), "more than limits.torque and the pretension allow"),
+        (("controller.toml", "--speed", "50", "--dry-run"), "above limits.joint_speed"),
+        (("controller.toml", "--travel", "1", "-1", "--dry-run"), "wider than two travel margins"),
+        (("controller.toml", "--seconds", "1"), "--seconds"),
+        (("controller.toml", "--from-log", "nowhere.csv"), "nowhere.csv: no such file"),
+        (("controller.toml", "--from-log", "a.csv", "--out", "full"), "is not empty"),
+        (("controller.toml", "--undo"), "nothing to undo"),
+    ],
+)
+def test_a_mistake_is_one_line_code_2_and_nothing_on_stdout(
+    folder: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
+    (folder / "full").mkdir()
+    (folder / "full" / "x").touch()
+    before = files(folder)
+    assert tsa(*arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert said in captured.err
+    assert captured.err.count("\n") == 1
+    assert files(folder) == before
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("--help") == 0
+    assert "Example: tsa tune" in capsys.readouterr().out
