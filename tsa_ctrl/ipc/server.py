@@ -21,6 +21,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.ipc.event_printer import EventPrinter
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command, Mailbox
 from tsa_ctrl.ipc.protocol import (
     LONGEST_LINE,
@@ -221,27 +222,6 @@ class Server:
             self._clients.pop(descriptor, None)
             self._selector.unregister(client.connection)
             client.connection.close()
-
-
-class EventPrinter:
-    """Tells events on stderr as they come: the loop itself must not wait for a terminal."""
-
-    def __init__(self, mailbox: Mailbox) -> None:
-        self._mailbox = mailbox
-        self._sequence = 0
-        self._last = -1
-
-    def update(self) -> None:
-        """Print what is new."""
-        sequence, text = self._mailbox.text()
-        if sequence == self._sequence:
-            return
-        self._sequence = sequence
-        for event in msgspec.json.decode(text):
-            if event["number"] > self._last:
-                self._last = event["number"]
-                where = f"{event['axis']}: " if event["axis"] else ""
-                print(f"{event['t']:.3f} s: {where}{event['text']}", file=sys.stderr, flush=True)
 
 
 def _inside(name: str, value: float, low: float, high: float, unit: str) -> None:
