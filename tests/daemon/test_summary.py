@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import json
+from dataclasses import replace
+from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 from tsa_ctrl.control.timing import BINS, coarse, count, distribution
@@ -63,6 +66,20 @@ def test_tables_show_everything_that_matters() -> None:
         assert words in shown
     for words in ("joint encoder node 32", "heartbeat lost: [drive] node 1", "p99"):
         assert words in shown
+
+
+def test_is_kept_beside_the_log(tmp_path: Path) -> None:
+    """The causes of faults stay with the log: a JSON file of its name."""
+    replace(summary(), log=str(tmp_path / "a.mcap")).save()
+    kept = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert kept["events"][0]["text"] == "heartbeat lost: [drive] node 1"
+
+
+def test_without_a_log_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that logs nothing leaves nothing."""
+    monkeypatch.chdir(tmp_path)
+    replace(summary(), log=None).save()
+    assert not list(tmp_path.iterdir())
 
 
 def test_first_fault_is_never_dropped() -> None:

@@ -25,7 +25,7 @@ from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, UsageError
 
 Say = Callable[[str], None]
 
@@ -91,7 +91,12 @@ class Daemon:
                         realtime.release()
             finally:
                 children.end()
-            return self._summary(rig, loop, children, str(rights))
+            summary = self._summary(rig, loop, children, str(rights))
+            try:
+                summary.save()
+            except UsageError as error:  # a full disk is no reason to lose the summary itself
+                self._say(str(error))
+            return summary
         finally:
             bus.close()
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -11,6 +13,7 @@ from rich.table import Table
 
 from tsa_ctrl.control.timing import Distribution
 from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.settings import write_text
 
 SCHEMA = 1
 BAR = 40  # characters of the longest bar
@@ -89,6 +92,11 @@ class Summary:
             "log": self.log,
             "log_records": {"written": self.log_written, "lost": self.log_lost},
         }
+
+    def save(self) -> None:
+        """Write it as JSON beside the log, so that the cause of a fault stays with it; raises UsageError."""
+        if self.log is not None:
+            write_text(Path(self.log).with_suffix(".json"), json.dumps(self.as_dict(), indent=1) + "\n")
 
     def show(self, console: Console) -> None:
         """Print tables: cycles, histograms of lateness and work, nodes, events."""
