@@ -5,19 +5,34 @@ from __future__ import annotations
 import click
 
 from tsa_ctrl.plant import process
+from tsa_ctrl.plant.channel import ask
 
 
 @click.command(
     name="plant",
-    epilog="Example: tsa plant config/plant.toml --record truth.csv",
+    epilog="Examples: tsa plant config/plant.toml --record truth.csv --control /tmp/plant.sock; "
+    "then, from elsewhere: tsa plant --ask 'torn_tendon axis=joint' --control /tmp/plant.sock",
 )
-@click.argument("configuration", metavar="PLANT.toml")
+@click.argument("configuration", metavar="PLANT.toml", required=False)
 @click.option("--check", is_flag=True, help="Validate the configuration and end; nothing goes on the bus.")
 @click.option("--record", metavar="FILE", help="Write the plant's own truth (torques, angles, tensions) as CSV.")
-def command(configuration: str, check: bool, record: str | None) -> None:
+@click.option("--control", metavar="SOCKET", help="Local socket that takes faults at run time.")
+@click.option("--ask", "line", metavar="LINE", help="Send LINE to the plant at --control: a fault, clear, state, list.")
+def command(
+    configuration: str | None, check: bool, record: str | None, control: str | None, line: str | None
+) -> int | None:
     """Simulated drives, joints and sensors as CANopen nodes on a bus, until Ctrl-C or SIGTERM."""
+    if line is not None:
+        if control is None:
+            raise click.UsageError("--ask needs --control SOCKET, the one that the plant was started with")
+        answer = ask(control, line)
+        click.echo(answer, err=answer.startswith("error"))
+        return 2 if answer.startswith("error") else 0
+    if configuration is None:
+        raise click.UsageError("Missing argument 'PLANT.toml'.")
     if check:
         plant = process.check(configuration)
         click.echo(f"{configuration}: valid, {len(plant.axis)} axis" + ("" if len(plant.axis) == 1 else "es"))
-        return
-    process.run(configuration, record)
+        return None
+    process.run(configuration, record, control)
+    return None

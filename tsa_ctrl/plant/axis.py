@@ -23,7 +23,7 @@ CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "motor_end": ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0)),
     "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),
 }
-_TRUTH = tuple(name for name, _ in COLUMNS[6:])
+_TRUTH = tuple(name for name, _ in COLUMNS[7:])
 _MIN_PRESLIDING = 1e-6  # m
 _LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps
 

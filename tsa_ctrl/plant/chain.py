@@ -24,15 +24,24 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.plant.compiled import compiled
 
-RIGID = 1e9  # N/m, contact without bristle
-_MIN_LENGTH = 1e-4  # of the tendon, shortest spring: a bend at the very end of a sheath has nothing in between
-_ALL_AT_ONCE = 10  # iterations besides one for every second contact: a slip front passes one or more per iteration
+RIGID = 1e10  # N/m, contact without bristle
+_MIN_LENGTH = 2e-5  # of the tendon, shortest spring: a bend at the very end of a sheath has nothing in between
+_ITERATIONS = 10  # besides one for every second contact: a slip front passes one or more per iteration
+_FINER, _MOST_PIECES = 8, 512  # of a movement whose modes were not found at once
 _TOLERANCE = 1e-6  # N, between a trial force and its bound; above the rounding of RIGID times a place
 _MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
 
 
+Slopes = tuple[float, float, float, float]  # of the first and the last place by motor_end, of both by joint_end
+
+
 class Row(IntEnum):
-    """Rows of a chain, an array of shape (rows, contacts + 1); there is one spring more than contacts."""
+    """Rows of a chain, an array of shape (rows, contacts + 1); there is one spring more than contacts.
+
+    The last column of a row of contacts has no contact and keeps: GRIP x of the whole tendon, PLACE and PLACE_OLD the
+    joint end, FORCE and FORCE_OLD the motor end, MODE whether the solution was found in pieces, BRISTLE the energy
+    that friction took on that way.
+    """
 
     STIFFNESS = 0  # of springs, N/m
     LENGTH_SHARE = 1  # of springs, 1
@@ -46,7 +55,7 @@ class Row(IntEnum):
     FORCE = 9
     TENSION = 10  # of springs, N
     MODE = 11  # of contacts: 0 sticks, +1 slides to the motor, -1 to the joint
-    GRIP = 12  # of contacts, tanh(x_i / 2); then x of the whole tendon
+    GRIP = 12  # of contacts, tanh(x_i / 2)
     UPPER = 13  # of the elimination
     RIGHT = 14
     BY_MOTOR = 15
@@ -117,6 +126,8 @@ def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, prete
     count = chain.shape[1] - 1
     share = np.cumsum(chain[Row.LENGTH_SHARE])[:count]
     chain[Row.PLACE_OLD, :count] = chain[Row.PLACE, :count] = motor_end + share * (joint_end - motor_end)
+    chain[Row.PLACE_OLD, count] = chain[Row.PLACE, count] = joint_end
+    chain[Row.FORCE_OLD, count] = chain[Row.FORCE, count] = motor_end
     chain[Row.TENSION] = pretension
 
 
@@ -174,6 +185,7 @@ def chain_tensions(p: Any, total: float, chains: Any, u: float, v: float, f: Any
 def _slacken(chain: Any, motor_end: float, joint_end: float) -> None:
     """No tension anywhere; the lack of elongation is spread along the tendon."""
     n = chain.shape[1] - 1
+    chain[_PLACE, n], chain[_FORCE, n], chain[_MODE, n] = joint_end, motor_end, 0.0
     lack = motor_end - joint_end
     for i in range(n + 1):
         lack += chain[_PRELOAD, i]
@@ -191,27 +203,62 @@ def _slacken(chain: Any, motor_end: float, joint_end: float) -> None:
 def _equilibrium(chain: Any, motor_end: float, joint_end: float, place: int, side: float, f: Any) -> bool:
     """Tensions at the ends and their derivatives into f; whether the modes of all contacts were found."""
     n = chain.shape[1] - 1
-    settled, iteration = False, 0
-    first_by_motor = last_by_motor = first_by_joint = last_by_joint = 0.0
-    while not settled and iteration < 2 * (n + _ALL_AT_ONCE):
-        iteration += 1
-        first_by_motor, last_by_motor, first_by_joint, last_by_joint = _solve(chain, motor_end, joint_end)
-        settled = _sort(chain, motor_end, joint_end, iteration > n // 2 + _ALL_AT_ONCE)
+    settled, slopes = _find_modes(chain, motor_end, joint_end)
+    chain[_MODE, n] = 0.0
+    if not settled:
+        settled, slopes = _follow(chain, motor_end, joint_end)
+        chain[_MODE, n] = 1.0
+    chain[_PLACE, n], chain[_FORCE, n] = joint_end, motor_end
     k0, kn = chain[_STIFFNESS, 0], chain[_STIFFNESS, n]
     f[place], f[place + 1] = chain[_TENSION, 0], chain[_TENSION, n]
-    f[4 + 2 * place] = side * k0 * (1.0 - first_by_motor)
-    f[5 + 2 * place] = -side * k0 * first_by_joint
-    f[6 + 2 * place] = side * kn * last_by_motor
-    f[7 + 2 * place] = side * kn * (last_by_joint - 1.0)
+    f[4 + 2 * place] = side * k0 * (1.0 - slopes[0])
+    f[5 + 2 * place] = -side * k0 * slopes[2]
+    f[6 + 2 * place] = side * kn * slopes[1]
+    f[7 + 2 * place] = side * kn * (slopes[3] - 1.0)
     return settled
 
 
 @compiled
-def _solve(chain: Any, motor_end: float, joint_end: float) -> tuple[float, float, float, float]:
-    """Places of all contacts for the present modes, by Thomas's elimination.
+def _find_modes(chain: Any, motor_end: float, joint_end: float) -> tuple[bool, Slopes]:
+    """Newton's method on the modes, from those that are there."""
+    slopes = (0.0, 0.0, 0.0, 0.0)
+    for _ in range((chain.shape[1] - 1) // 2 + _ITERATIONS):
+        slopes = _solve(chain, motor_end, joint_end)
+        if _sort(chain, motor_end, joint_end):
+            return True, slopes
+    return False, slopes
 
-    Returns the derivatives of the first and the last place by motor_end, then of both by joint_end.
+
+@compiled
+def _follow(chain: Any, motor_end: float, joint_end: float) -> tuple[bool, Slopes]:
+    """Move the ends in pieces, when the modes were not found in one: slip fronts that meet, a tendon near slack.
+
+    The energy that friction takes on the way is left in the spare column; the old state stays.
     """
+    n = chain.shape[1] - 1
+    old_place, old_force = chain[_PLACE_OLD].copy(), chain[_FORCE_OLD].copy()
+    settled, slopes = False, (0.0, 0.0, 0.0, 0.0)
+    pieces = 1
+    while not settled and pieces < _MOST_PIECES:
+        pieces *= _FINER
+        taken = 0.0
+        for i in range(n):
+            chain[_MODE, i] = 0.0
+        for piece in range(1, pieces + 1):
+            w = piece / pieces
+            motor, joint = old_force[n] + w * (motor_end - old_force[n]), old_place[n] + w * (joint_end - old_place[n])
+            settled, slopes = _find_modes(chain, motor, joint)
+            taken += _taken(chain)
+            for i in range(n):
+                chain[_PLACE_OLD, i], chain[_FORCE_OLD, i] = chain[_PLACE, i], chain[_FORCE, i]
+        chain[_BRISTLE, n] = taken
+        chain[_PLACE_OLD], chain[_FORCE_OLD] = old_place, old_force
+    return settled, slopes
+
+
+@compiled
+def _solve(chain: Any, motor_end: float, joint_end: float) -> Slopes:
+    """Places of all contacts for the present modes, by Thomas's elimination."""
     n = chain.shape[1] - 1
     upper = right = by_motor = by_joint = 0.0
     for i in range(n):
@@ -252,11 +299,8 @@ def _solve(chain: Any, motor_end: float, joint_end: float) -> tuple[float, float
 
 
 @compiled
-def _sort(chain: Any, motor_end: float, joint_end: float, one_by_one: bool) -> bool:
-    """Tensions and friction forces at the places found; correct the modes. True when none had to change.
-
-    one_by_one: correct the first wrong one only (Murty's rule), which ends where correcting all goes in circles.
-    """
+def _sort(chain: Any, motor_end: float, joint_end: float) -> bool:
+    """Tensions and friction forces at the places found; correct the modes. True when none had to change."""
     n = chain.shape[1] - 1
     left = motor_end
     for i in range(n + 1):
@@ -268,21 +312,27 @@ def _sort(chain: Any, motor_end: float, joint_end: float, one_by_one: bool) -> b
         bound = chain[_GRIP, i] * max(0.0, chain[_TENSION, i] + chain[_TENSION, i + 1])
         trial = chain[_FORCE_OLD, i] + chain[_BRISTLE, i] * (chain[_PLACE, i] - chain[_PLACE_OLD, i])
         mode = chain[_MODE, i]
-        right_mode = mode
         if mode == 0.0:
             chain[_FORCE, i] = trial
             if abs(trial) > bound + _TOLERANCE:
-                right_mode = math.copysign(1.0, trial)
+                chain[_MODE, i], settled = math.copysign(1.0, trial), False
         else:
             chain[_FORCE, i] = mode * bound
             if mode * trial < bound - _TOLERANCE:
-                right_mode = 0.0
-        if right_mode != mode:
-            chain[_MODE, i] = right_mode
-            settled = False
-            if one_by_one:
-                break
+                chain[_MODE, i], settled = 0.0, False
     return settled
+
+
+@compiled
+def _taken(chain: Any) -> float:
+    """Energy in J that friction takes between the old state and the solution."""
+    taken = 0.0
+    for i in range(chain.shape[1] - 1):
+        force, moved = chain[_FORCE, i], chain[_PLACE, i] - chain[_PLACE_OLD, i]
+        if chain[_BRISTLE, i] > 0.0:
+            moved -= (force - chain[_FORCE_OLD, i]) / chain[_BRISTLE, i]
+        taken += force * moved
+    return taken
 
 
 @compiled
@@ -295,15 +345,13 @@ def commit_chains(chains: Any) -> tuple[float, float]:
     taken = used = 0.0
     for tendon in range(chains.shape[0]):
         chain = chains[tendon]
+        n = chain.shape[1] - 1
         side = -0.5 if tendon == 0 else 0.5
-        for i in range(chain.shape[1] - 1):
-            force, moved = chain[_FORCE, i], chain[_PLACE, i] - chain[_PLACE_OLD, i]
-            if chain[_BRISTLE, i] > 0.0:
-                moved -= (force - chain[_FORCE_OLD, i]) / chain[_BRISTLE, i]
-            taken += force * moved
-            chain[_PLACE_OLD, i] = chain[_PLACE, i]
-            chain[_FORCE_OLD, i] = force
+        taken += chain[_BRISTLE, n] if chain[_MODE, n] != 0.0 else _taken(chain)
+        for i in range(n + 1):
+            chain[_PLACE_OLD, i], chain[_FORCE_OLD, i] = chain[_PLACE, i], chain[_FORCE, i]
+        for i in range(n):
             bound = chain[_GRIP, i] * (chain[_TENSION, i] + chain[_TENSION, i + 1])
             if bound > 0.0:
-                used += side * chain[_BEND, i] * force / bound
+                used += side * chain[_BEND, i] * chain[_FORCE, i] / bound
     return taken, used

@@ -25,6 +25,7 @@ _RPM = 2.0 * math.pi / 60.0  # rad/s
 _VOLTAGE_ENABLED, _WARNING, _REMOTE = 1 << 4, 1 << 7, 1 << 9
 _INTERNAL_LIMIT, _FOLLOWS_COMMAND = 1 << 11, 1 << 12
 _ERROR_REGISTER_PROFILE = 0x20
+_OWN_CYCLE = 1e-3  # s, of a drive that does not follow the SYNC
 _RESTING = 0.01  # of rated torque: below it a quick stop or a fault reaction is complete
 
 
@@ -44,6 +45,7 @@ class DriveFaults:
     ignore_command: bool = False  # bit 12 low, the target torque is not followed
     wrong_mode: int | None = None  # what 0x6061 says
     torque_sign: int = 1  # -1: motor wired the wrong way round
+    clock_drift: float | None = None  # relative; the drive samples by a clock of its own, not at the SYNC
 
 
 class Drive(Node):
@@ -60,6 +62,7 @@ class Drive(Node):
         self.faults = DriveFaults()
         self.error_cause = False  # the cause of the fault is still there
         self.limited = False
+        self._own_cycle = 0
         self.before_change: Callable[[float], None] = lambda now: None
         assert settings.node_id is not None
         node = settings.node_id
@@ -212,6 +215,11 @@ class Drive(Node):
         return word
 
     def sample(self) -> None:
+        if self.faults.clock_drift is not None:
+            cycle = math.floor(self.now * (1.0 + self.faults.clock_drift) / _OWN_CYCLE)
+            if cycle == self._own_cycle:
+                return
+            self._own_cycle = cycle
         values, settings, readings = self.values, self.settings, self.readings
         gear = settings.gear_ratio
         per_mille = 1e3 * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)

@@ -3,8 +3,9 @@
     EA (T_p0 (l + lambda) / EA -+ e) = T (l A(+-z x) + lambda),     e = r_M q_M - r_J q_J,     lambda = EA / k_s
     T2 = T1 exp(+z x_a),     T4 = T3 exp(-z x_b),     A(rho) = mean over the length of exp(rho Theta(s) / Theta)
 
-z is the sign of motion while sliding. At standstill it lies between: it follows the tendon's displacement as far as
-the elasticity of half a tendon reaches (elastic, perfectly plastic), or effect `presliding_hysteresis` says how.
+z is the sign of motion while sliding. At standstill it lies between. It follows the displacement of the tendon's
+middle like the slip front that runs into an evenly bent sheath: mean of elements that slip at D (i/N)^2, where D is how
+far the friction stretches half a tendon; or effect `presliding_hysteresis` says how.
 Both tensions are >= 0: a tendon cannot push.
 """
 
@@ -14,7 +15,7 @@ import math
 from typing import Any
 
 from tsa_ctrl.plant.compiled import compiled
-from tsa_ctrl.plant.state import Presliding
+from tsa_ctrl.plant.state import NATURAL_ELEMENTS, Presliding
 
 _ELASTIC, _MOTOR = int(Presliding.ELASTIC), int(Presliding.MOTOR)
 
@@ -42,33 +43,39 @@ def mean_exponential(rho: float, curve: Any) -> tuple[float, float]:
 
 
 @compiled
+def _distance(p: Any, i: int) -> float:
+    """Displacement at which element i slips: m of tendon, or rad for the effect."""
+    if p.hysteresis == _ELASTIC:
+        return float(p.presliding * ((i + 1) / NATURAL_ELEMENTS) ** 2)
+    return float(p.hysteresis_distance * (i + 1) / p.hysteresis_elements)
+
+
+@compiled
 def _direction(s: Any, p: Any, slip: Any, u: float, v: float) -> tuple[float, float, float]:
     """z at the end of the sub-step and its derivatives by the displacements u, v of motor and joint pulley."""
+    du, dv = u - p.r_m * s.q_m, v - p.r_j * s.q_j
     if p.hysteresis == _ELASTIC:
-        slope = 0.5 / p.presliding
-        z = s.z + slope * (u - p.r_m * s.q_m + v - p.r_j * s.q_j)
-        if abs(z) >= 1.0:
-            return math.copysign(1.0, z), 0.0, 0.0
-        return z, slope, slope
-    motor = p.hysteresis == _MOTOR
-    radius = p.r_m if motor else p.r_j
-    moved = u / radius - s.q_m if motor else v / radius - s.q_j
+        by_u, by_v = 0.5, 0.5
+    elif p.hysteresis == _MOTOR:
+        by_u, by_v = 1.0 / p.r_m, 0.0
+    else:
+        by_u, by_v = 0.0, 1.0 / p.r_j
+    moved = by_u * du + by_v * dv
+    n = NATURAL_ELEMENTS if p.hysteresis == _ELASTIC else p.hysteresis_elements
     z = slope = 0.0
-    if p.hysteresis_elements <= 1:
+    if n <= 1:  # Dahl
         sign = math.copysign(1.0, moved)
         decay = math.exp(-abs(moved) / p.hysteresis_distance)
         z = sign + (s.z - sign) * decay
         slope = (1.0 - sign * s.z) * decay / p.hysteresis_distance
     else:
-        n = p.hysteresis_elements
         for i in range(n):
-            distance = p.hysteresis_distance * (i + 1) / n
+            distance = _distance(p, i)
             part = slip[i] + moved / distance
             if abs(part) < 1.0:
                 slope += 1.0 / (distance * n)
             z += min(1.0, max(-1.0, part)) / n
-    slope /= radius
-    return (z, slope, 0.0) if motor else (z, 0.0, slope)
+    return z, slope * by_u, slope * by_v
 
 
 @compiled
@@ -109,8 +116,8 @@ def commit_full(s: Any, p: Any, slip: Any, q_m: float, q_j: float, z: float) -> 
     """Make the friction's state that belongs to the solution the one that the next sub-step starts from."""
     s.z = z
     if p.hysteresis == _ELASTIC:
-        return
-    moved = q_m - s.q_m if p.hysteresis == _MOTOR else q_j - s.q_j
-    for i in range(p.hysteresis_elements):
-        distance = p.hysteresis_distance * (i + 1) / p.hysteresis_elements
-        slip[i] = min(1.0, max(-1.0, slip[i] + moved / distance))
+        n, moved = NATURAL_ELEMENTS, 0.5 * (p.r_m * (q_m - s.q_m) + p.r_j * (q_j - s.q_j))
+    else:
+        n, moved = p.hysteresis_elements, q_m - s.q_m if p.hysteresis == _MOTOR else q_j - s.q_j
+    for i in range(n):
+        slip[i] = min(1.0, max(-1.0, slip[i] + moved / _distance(p, i)))

@@ -12,32 +12,38 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.drive import Drive
+from tsa_ctrl.plant.faults import FaultPlan, Target, check_fault
 from tsa_ctrl.plant.node import Node, Send
+from tsa_ctrl.plant.outlet import Outlet
 from tsa_ctrl.plant.record import Recorder
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
-from tsa_ctrl.plant.settings import AxisSettings, PlantSettings
+from tsa_ctrl.plant.settings import AxisSettings, FaultSettings, PlantSettings
 
 SYNC = 0x080
 TICK = 1e-3  # s between two looks at the timers
 _AFTER_SYNC = 1.5e-3  # s: with a SYNC every millisecond the timer never comes before it
+_UNUSED = 0x5F0  # an identifier of nobody here
+_FLOOD_BURST = 2e-3  # s of a flood that are sent at once
 _LONGEST_GAP = 0.25  # s that the mechanics make up for; more is time in which this machine stood still
 
 
 @dataclass
 class AxisNodes:
-    """One axis and its nodes."""
+    """One axis and its nodes by kind, each with its way to the bus."""
 
     axis: Axis
     drive: Drive
     encoder: Encoder | None
     torque_sensor: TorqueSensor | None
+    by_kind: dict[str, Node]
+    outlets: dict[str, Outlet]
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        return tuple(node for node in (self.drive, self.encoder, self.torque_sensor) if node is not None)
+        return tuple(self.by_kind.values())
 
 
 @dataclass
@@ -49,19 +55,25 @@ class Counts:
     skipped: float = 0.0  # s of real time that the mechanics did not follow
 
 
-def build_axis(settings: AxisSettings, plant: PlantSettings, send: Send, place: int) -> AxisNodes:
+def build_axis(
+    settings: AxisSettings, plant: PlantSettings, send: Send, clock: Callable[[], float], place: int
+) -> AxisNodes:
     """Axis and nodes, not yet booted; each with noise of its own from the plant's seed."""
     axis = Axis(settings, plant.physics)
 
     def noise(number: int) -> random.Random:
         return random.Random(plant.physics.seed * 1000 + place * 10 + number)
 
-    drive = Drive(settings.drive, axis.readings, axis.command, noise(0), send)
-    encoder = Encoder(settings.encoder, axis.readings, send) if settings.encoder.present else None
-    sensor = None
+    outlets = {kind: Outlet(send, clock, noise(5 + i)) for i, kind in enumerate(("drive", "encoder", "torque_sensor"))}
+    drive = Drive(settings.drive, axis.readings, axis.command, noise(0), outlets["drive"])
+    encoder = sensor = None
+    nodes: dict[str, Node] = {"drive": drive}
+    if settings.encoder.present:
+        nodes["encoder"] = encoder = Encoder(settings.encoder, axis.readings, outlets["encoder"])
     if settings.torque_sensor.present:
-        sensor = TorqueSensor(settings.torque_sensor, axis.readings, noise(1), send)
-    return AxisNodes(axis, drive, encoder, sensor)
+        sensor = TorqueSensor(settings.torque_sensor, axis.readings, noise(1), outlets["torque_sensor"])
+        nodes["torque_sensor"] = sensor
+    return AxisNodes(axis, drive, encoder, sensor, nodes, outlets)
 
 
 class Machine:
@@ -72,8 +84,12 @@ class Machine:
         self.bus = bus
         self.clock = clock
         self.counts = Counts()
-        self.axes = [build_axis(axis, plant, bus.send, place) for place, axis in enumerate(plant.axis)]
+        self.axes = [build_axis(axis, plant, bus.send, clock, place) for place, axis in enumerate(plant.axis)]
+        self.faults = FaultPlan()
+        self.flood_rate = 0.0  # frames/s of identifiers that nobody uses
+        self.housekeeping: Callable[[float], None] = lambda now: None
         self.recorder: Recorder | None = None
+        self._flood_due = 0.0
         self._epoch = clock()
         self._routes: dict[int, tuple[Node, ...]] = {}
         self._next_tick = self._epoch
@@ -91,12 +107,17 @@ class Machine:
         for unit in self.axes:
             for node in unit.nodes:
                 node.boot(self._epoch)
+            for fault in unit.axis.settings.fault:
+                self.faults.schedule(self._epoch + fault.at, self._beginning(unit, fault))
 
     def run(self, stop: Callable[[], bool]) -> None:
         """Answer the bus and let time pass; raises BusError when the interface is gone."""
         while not stop():
-            frame = self.bus.recv(max(0.0, self._next_tick - self.clock()))
+            due = [at for unit in self.axes for outlet in unit.outlets.values() if (at := outlet.due) is not None]
+            frame = self.bus.recv(max(0.0, min(self._next_tick, *due) - self.clock()))
             now = self.clock()
+            if due:
+                self._release(now)
             if frame is not None:
                 self.handle(*frame, now)
             elif self.bus.fault is not None:
@@ -119,13 +140,70 @@ class Machine:
             self._next_tick = now + _AFTER_SYNC
 
     def tick(self, now: float) -> None:
-        """Mechanics up to now, timers of the nodes, record."""
+        """Mechanics up to now, faults, timers of the nodes, record."""
         self._next_tick = now + TICK
         self.advance(now)
+        self.faults.tick(now)
+        if self.flood_rate > 0.0:
+            self._flood(now)
         for unit in self.axes:
             for node in unit.nodes:
                 node.tick(now)
         self._record(now)
+        self.housekeeping(now)
+
+    def begin_fault(self, axis: str | None, fault: FaultSettings, now: float) -> None:
+        """Start a fault `fault.at` s from now; axis None is the first one. Raises UsageError."""
+        named = {unit.axis.name: unit for unit in self.axes}
+        unit = self.axes[0] if axis is None else named.get(axis)
+        if unit is None:
+            raise UsageError(f"axis '{axis}': no such axis; there are {', '.join(named)}")
+        begin = self._beginning(unit, fault)
+        if fault.at > 0.0:
+            self.faults.schedule(now + fault.at, begin)
+        else:
+            begin(now)
+
+    def _beginning(self, unit: AxisNodes, fault: FaultSettings) -> Callable[[float], None]:
+        kind = check_fault(fault, f"axis '{unit.axis.name}'")
+        node = unit.by_kind.get(fault.node)
+        if node is None:
+            raise UsageError(f"axis '{unit.axis.name}': fault {fault.name}: there is no {fault.node}")
+        value = kind.value if fault.value is None else fault.value
+
+        def begin(now: float) -> None:
+            target = Target(
+                self,
+                unit.axis,
+                unit.drive,
+                unit.encoder,
+                unit.torque_sensor,
+                unit.nodes,
+                node,
+                unit.outlets[fault.node],
+                value,
+                fault.duration,
+                now,
+            )
+            self.faults.start(kind, target)
+
+        return begin
+
+    def inject(self, can_id: int, data: bytes) -> bool:
+        """Put any frame on the bus."""
+        return self.bus.send(can_id, data)
+
+    def _release(self, now: float) -> None:
+        for unit in self.axes:
+            for outlet in unit.outlets.values():
+                outlet.release(now)
+
+    def _flood(self, now: float) -> None:
+        if self._flood_due < now - _FLOOD_BURST:
+            self._flood_due = now - _FLOOD_BURST
+        while self._flood_due <= now:
+            self.bus.send(_UNUSED, bytes(8))
+            self._flood_due += 1.0 / self.flood_rate
 
     def advance(self, now: float) -> None:
         behind = now - self._epoch - self.axes[0].axis.time
@@ -151,7 +229,8 @@ class Machine:
         if recorder is None or not recorder.due(self.axes[0].axis.time):
             return
         for place, unit in enumerate(self.axes):
-            recorder.row((now, unit.axis.time, place, unit.drive.machine.state.value, *unit.axis.truth()))
+            state = unit.drive.machine.state.value
+            recorder.row((now, unit.axis.time, place, self.faults.active, state, *unit.axis.truth()))
         recorder.flush(now)
 
     def _bus_fault(self, fault: BusFault) -> None:

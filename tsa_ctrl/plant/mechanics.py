@@ -6,7 +6,8 @@ Unknowns of a sub-step are the motor's and (unless its motion is imposed) the jo
     J   (omega_J' - omega_J) / h + load(q_J', omega_J')                       = tau_J'(T2', T4')
 
 solved by Newton's method with the tensions' exact derivatives, so that stiff tendons and a motor without inertia need
-no smaller step. A step that does not come closer is halved: friction makes the curves steep where they turn round.
+no smaller step. The motor's angle is kept between bounds that close in, because friction makes its balance steep where
+the motion turns and flat elsewhere: Newton's method alone would jump to and fro.
 Signs: tau_M = r_M (T3 - T1), tau_J = r_J (T4 - T2); tendon b (T3, T4) pulls the joint forward.
 """
 
@@ -35,9 +36,9 @@ from tsa_ctrl.plant.losses import (
 from tsa_ctrl.plant.state import Load
 
 _IMPOSED, _SPRING, _WEIGHT = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT)
-_ITERATIONS = 100
-_HALVINGS = 10  # of one Newton step
-_TOLERANCE = 1e-9  # N*m
+_ITERATIONS = 150
+_CLOSED = 1e-14  # rad between the bounds of the motor's angle
+_TOLERANCE = 1e-8  # N*m; stiffest spring times rounding of a place lies below
 
 
 class Arrays(NamedTuple):
@@ -144,9 +145,8 @@ def _solve(
     """Angles of motor and joint at the end of the sub-step, from first guesses; the tensions there are left in f."""
     total = prepare_chains(p, s.pretension, s.theta, x_a, x_b, arrays.chains) if p.distributed else 0.0
     r = np.zeros(6)
-    base_m, base_j, step_m, step_j = q_m, q_j, 0.0, 0.0
-    best, halvings = np.inf, 0
-    for _ in range(_ITERATIONS):
+    low, high = -np.inf, np.inf
+    for iteration in range(_ITERATIONS):
         s.iterations += 1
         u, v = p.r_m * q_m, p.r_j * q_j
         if p.distributed:
@@ -154,18 +154,20 @@ def _solve(
         else:
             settled = full_tensions(s, p, arrays.slip, arrays.curve, x_a, x_b, u, v, f)
         _residuals(s, p, q_m, q_j, h, f, r)
-        size = max(abs(r[0]), abs(r[1]))
-        if settled and size < _TOLERANCE:
+        if settled and max(abs(r[0]), abs(r[1])) < _TOLERANCE:
             return q_m, q_j
-        if size > best and halvings < _HALVINGS:
-            halvings += 1
-            step_m, step_j = 0.5 * step_m, 0.5 * step_j
+        if high - low < _CLOSED:  # the joint's angle has moved the root out
+            low, high = -np.inf, np.inf
+        reduced = r[0] - r[3] * r[1] / r[5]  # balance of the motor with that of the joint met
+        if reduced < 0.0:
+            low = max(low, q_m)
         else:
-            determinant = r[2] * r[5] - r[3] * r[4]
-            step_m = -(r[0] * r[5] - r[1] * r[3]) / determinant
-            step_j = -(r[1] * r[2] - r[0] * r[4]) / determinant
-            base_m, base_j, best, halvings = q_m, q_j, size, 0
-        q_m, q_j = base_m + step_m, base_j + step_j
+            high = min(high, q_m)
+        step_m = -reduced / (r[2] - r[3] * r[4] / r[5])
+        if not low <= q_m + step_m <= high or (iteration % 3 == 2 and high - low < np.inf):
+            step_m = 0.5 * (low + high) - q_m
+        q_j -= (r[1] + r[4] * step_m) / r[5]
+        q_m += step_m
     s.unsolved += 1
     return q_m, q_j
 

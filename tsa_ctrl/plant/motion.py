@@ -28,7 +28,7 @@ _KNEE = (
 
 @dataclass(frozen=True)
 class Motion:
-    """`angle` in rad and `speed` in rad/s at multiples of `period_of_grid` s; `repeat`: the end meets the start."""
+    """`angle` in rad and `speed` in rad/s at multiples of `grid` s; `repeat`: the end meets the start."""
 
     angle: NDArray[np.float64]
     speed: NDArray[np.float64]
@@ -80,7 +80,18 @@ def _from_file(settings: MotionSettings) -> Motion:
         spline = CubicSpline(t, columns["q_j"])
     grid = np.linspace(t[0], t[-1], count + 1)
     angle, speed = settings.scale * spline(grid), settings.scale * spline(grid, 1)
+    if settings.repeat:
+        _close(angle, speed, grid - t[0], duration)
     return _motion(angle, speed, duration / count, settings.repeat, settings.ramp)
+
+
+def _close(angle: NDArray[np.float64], speed: NDArray[np.float64], t: NDArray[np.float64], duration: float) -> None:
+    """Lead the end of a repeated motion back to its beginning, in place, over the last tenth of it (at most 1 s)."""
+    width = min(1.0, 0.1 * duration)
+    y = np.clip((t - duration + width) / width, 0.0, 1.0)
+    gap = angle[-1] - angle[0]
+    angle -= gap * y * y * (3.0 - 2.0 * y)
+    speed -= gap * 6.0 * y * (1.0 - y) / width
 
 
 def _read_csv(path: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:

@@ -129,6 +129,7 @@ class Node:
     def boot(self, now: float) -> None:
         """Power on or reset node: everything to its power-on value, boot-up message, pre-operational."""
         self.now = now
+        self.powered = True
         self.dictionary.restore(0x2000, 0x9FFF)
         self.values[0x1001, 0] = 0
         self._clear_history()
@@ -141,6 +142,7 @@ class Node:
         history = {key: value for key, value in self.values.items() if key[0] in (0x1001, 0x1003)}
         self.dictionary.restore(0x1000, 0x1FFF)
         self.values.update(history)
+        self._communication_restored()
         for tpdo in self.tpdos:
             tpdo.syncs, tpdo.last = 0, b""
             tpdo.compile()
@@ -293,6 +295,11 @@ class Node:
             self._enter(NmtState.STOPPED)
         if behaviour == 1 or not was_operational:
             self.connection_lost()
+
+    def _communication_restored(self) -> None:
+        """A new start ends communication errors; other errors stay in the error register."""
+        others = self.values[0x1001, 0] & ~(ERROR_REGISTER_COMMUNICATION | ERROR_REGISTER_GENERIC)
+        self.values[0x1001, 0] = others | ERROR_REGISTER_GENERIC if others else 0
 
     # frames out
 

@@ -14,6 +14,9 @@ from tsa_ctrl.bus.pythoncan import PythonCan
 from tsa_ctrl.bus.seam import Bus
 from tsa_ctrl.bus.socketcan import SocketCan
 from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.channel import ControlSocket
+from tsa_ctrl.plant.console import Console
+from tsa_ctrl.plant.faults import check_fault
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.record import Recorder
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
@@ -24,6 +27,8 @@ def check(path: str | Path) -> PlantSettings:
     plant = load_plant(path)
     for settings in plant.axis:
         Axis(settings, plant.physics)
+        for fault in settings.fault:
+            check_fault(fault, f"{path}: axis '{settings.name}'")
     return plant
 
 
@@ -34,16 +39,25 @@ def open_bus(settings: BusSettings) -> Bus:
     return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)
 
 
-def run(path: str | Path, record: str | None = None) -> None:
-    """Simulate until SIGTERM or SIGINT; says `ready` on stdout when every node has booted."""
-    plant = load_plant(path)
-    bus = open_bus(plant.bus)
-    try:
+def run(path: str | Path, record: str | None = None, control: str | None = None) -> None:
+    """Simulate until SIGTERM or SIGINT; says `ready` on stdout when every node has booted.
+
+    record: file for the truth as CSV; control: place of the local socket that takes commands. Raises UsageError,
+    BusError.
+    """
+    plant = check(path)
+    with contextlib.ExitStack() as stack:
+        bus = open_bus(plant.bus)
+        stack.callback(bus.close)
         machine = Machine(plant, bus)
-        machine.recorder = Recorder(record, plant.physics.record_period) if record else None
+        if record is not None:
+            machine.recorder = Recorder(record, plant.physics.record_period)
+            stack.callback(machine.recorder.close)
+        if control is not None:
+            console = Console(machine, ControlSocket(control))
+            machine.housekeeping = console.poll
+            stack.callback(console.close)
         _run(machine)
-    finally:
-        bus.close()
 
 
 def _run(machine: Machine) -> None:
@@ -67,8 +81,6 @@ def _run(machine: Machine) -> None:
     try:
         machine.run(lambda: stopping)
     finally:
-        if machine.recorder is not None:
-            machine.recorder.close()
         counts = machine.counts
         dropped = machine.bus.counters.dropped
         skipped = f", {counts.skipped:.3f} s not followed" if counts.skipped else ""

@@ -12,6 +12,7 @@ COLUMNS: tuple[tuple[str, str], ...] = (
     ("clock", "s, CLOCK_MONOTONIC"),
     ("t", "s since the plant's start"),
     ("axis", "place of the axis, 0 ..."),
+    ("faults", "injected faults that are on"),
     ("state", "CiA 402 state, bits of the statusword"),
     ("enabled", "power stage on"),
     ("command", "N*m at the motor pulley, after the drive's clamp"),
@@ -46,8 +47,7 @@ class Recorder:
         except OSError as error:
             raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
         self._file.write(",".join(name for name, _ in COLUMNS) + "\n")
-        self._format = ",".join(["%.9g", "%.6f", "%d", "%d", "%d"] + ["%.9g"] * (len(COLUMNS) - 5)) + "\n"
-        self._format = self._format.replace("%.9g", "%.6f", 1)
+        self._format = ",".join(["%.6f", "%.6f", "%d", "%d", "%d", "%d"] + ["%.9g"] * (len(COLUMNS) - 6)) + "\n"
 
     def due(self, t: float) -> bool:
         """Whether a period has passed at plant time t; a late one is not made up for."""

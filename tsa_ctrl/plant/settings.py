@@ -145,10 +145,11 @@ class EnvironmentSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tru
 
 
 class FaultSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """One fault at a time after start; `name` and the rest as on the control socket."""
+    """One fault, as on the control socket; see `faults.FAULTS` for names and values."""
 
     name: str
-    at: NonNegative = 0.0  # s after the plant's start
+    node: Literal["drive", "encoder", "torque_sensor"] = "drive"
+    at: NonNegative = 0.0  # s from the plant's start, or from now on the control socket
     duration: NonNegative = 0.0  # s; 0: it stays
     value: float | None = None  # depends on the fault
 

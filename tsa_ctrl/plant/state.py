@@ -19,12 +19,13 @@ class Load(IntEnum):
 class Presliding(IntEnum):
     """What the friction's direction follows while it builds up."""
 
-    ELASTIC = 0  # displacement of the tendon's middle, over the distance that its elasticity gives
+    ELASTIC = 0  # displacement of the tendon's middle, over what its elasticity gives
     MOTOR = 1  # effect presliding_hysteresis over the motor's angle
     JOINT = 2  # effect presliding_hysteresis over the joint's angle
 
 
 MAX_ELEMENTS = 64  # Maxwell-slip elements of presliding_hysteresis
+NATURAL_ELEMENTS = 10  # of the build-up of friction by the tendons' elasticity
 DELAY_SAMPLES = 8192  # of the delivered torque, one per sub-step
 
 _F = np.float64

@@ -1,0 +1,109 @@
+"""The power state machine: every state against every controlword, literal tables of CiA 402."""
+
+from __future__ import annotations
+
+import pytest
+
+from tsa_ctrl.plant.cia402 import PowerState, PowerStateMachine
+
+NOT_READY, DISABLED, READY, ON, ENABLED, STOP, REACTION, FAULT = PowerState
+
+# state, controlword, state after it, number of the transition
+TABLE = (
+    (DISABLED, 0x06, READY, 2),
+    (READY, 0x07, ON, 3),
+    (READY, 0x0F, ENABLED, 4),  # 3 and 4 by one controlword
+    (ON, 0x0F, ENABLED, 4),
+    (ENABLED, 0x07, ON, 5),
+    (ON, 0x06, READY, 6),
+    (READY, 0x02, DISABLED, 7),
+    (READY, 0x00, DISABLED, 7),
+    (ENABLED, 0x06, READY, 8),
+    (ENABLED, 0x00, DISABLED, 9),
+    (ON, 0x02, DISABLED, 10),
+    (ON, 0x00, DISABLED, 10),
+    (ENABLED, 0x02, STOP, 11),
+    (STOP, 0x00, DISABLED, 12),
+    (STOP, 0x0F, ENABLED, 16),
+    (FAULT, 0x80, DISABLED, 15),
+)
+
+
+def machine_in(state: PowerState) -> PowerStateMachine:
+    machine = PowerStateMachine()
+    machine.state = state
+    return machine
+
+
+@pytest.mark.parametrize(("state", "controlword", "after", "number"), TABLE)
+def test_a_transition_of_the_standard(state: PowerState, controlword: int, after: PowerState, number: int) -> None:
+    machine = machine_in(state)
+    machine.control(controlword, quick_stop_stays=True, fault_gone=True)
+    assert (machine.state, machine.transition) == (after, number)
+
+
+def expected(state: PowerState, controlword: int) -> PowerState:
+    """Written anew from the figure of the standard, by bits."""
+    if state is FAULT:
+        return DISABLED if controlword & 0x80 else FAULT
+    if state in (NOT_READY, REACTION) or controlword & 0x80:
+        return state
+    voltage, quick_stop, switch_on, enable = (bool(controlword & bit) for bit in (2, 4, 1, 8))
+    if not voltage:
+        return state if state is DISABLED else DISABLED
+    if not quick_stop:
+        return {READY: DISABLED, ON: DISABLED, ENABLED: STOP}.get(state, state)
+    if not switch_on:
+        return {DISABLED: READY, ON: READY, ENABLED: READY}.get(state, state)
+    if not enable:
+        return {READY: ON, ENABLED: ON}.get(state, state)
+    return {READY: ENABLED, ON: ENABLED, STOP: ENABLED}.get(state, state)
+
+
+@pytest.mark.parametrize("state", list(PowerState))
+def test_every_controlword_in_every_state(state: PowerState) -> None:
+    for controlword in range(0x100):
+        machine = machine_in(state)
+        machine.control(controlword, quick_stop_stays=True, fault_gone=True)
+        assert machine.state is expected(state, controlword), hex(controlword)
+
+
+def test_fault_reset_is_an_edge() -> None:
+    machine = machine_in(FAULT)
+    machine.control(0x80, True, fault_gone=False)
+    machine.control(0x80, True, fault_gone=True)
+    assert machine.state is FAULT
+    machine.control(0x00, True, fault_gone=True)
+    machine.control(0x80, True, fault_gone=True)
+    assert machine.state is DISABLED
+
+
+def test_quick_stop_ends_only_by_disable_voltage_unless_it_stays() -> None:
+    machine = machine_in(STOP)
+    machine.control(0x0F, quick_stop_stays=False, fault_gone=True)
+    assert machine.state is STOP
+
+
+@pytest.mark.parametrize("state", list(PowerState))
+def test_an_error_leads_through_the_fault_reaction(state: PowerState) -> None:
+    machine = machine_in(state)
+    machine.fault()
+    assert machine.state is (FAULT if state is FAULT else REACTION)
+    machine.reaction_done()
+    assert machine.state is FAULT
+
+
+def test_power_on_ends_in_switch_on_disabled() -> None:
+    machine = PowerStateMachine()
+    assert machine.state is NOT_READY
+    machine.power_on()
+    assert (machine.state, machine.transition) == (DISABLED, 1)
+
+
+@pytest.mark.parametrize(
+    ("state", "bits"),
+    [(NOT_READY, 0x00), (DISABLED, 0x40), (READY, 0x21), (ON, 0x23), (ENABLED, 0x27), (STOP, 0x07), (REACTION, 0x0F),
+     (FAULT, 0x08)],
+)  # fmt: skip
+def test_the_statusword_bits_of_a_state(state: PowerState, bits: int) -> None:
+    assert state.value == bits

@@ -1,0 +1,208 @@
+"""The simulated CiA 402 drive: units, limits and reactions, read from its frames."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import pytest
+
+from tests.plant.bench import Bench, tpdo1
+
+STILL = "[[axis]]\nname = 'joint'\ndrive.torque_noise = 0.0\nmotion.kind = 'still'\n"
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    bench = Bench(tmp_path, STILL)
+    bench.set_up()
+    return bench
+
+
+def settled(bench: Bench, per_mille: int, controlword: int = 0x0F) -> tuple[int, int, int]:
+    """TPDO1 after 50 ms of one command."""
+    bench.sync(50, bench.command(controlword, per_mille))
+    return tpdo1(bench.sync())
+
+
+def test_the_walk_to_operation_enabled(bench: Bench) -> None:
+    words = [bench.statusword()]
+    for controlword in (0x06, 0x07, 0x0F):
+        bench.sync(2, bench.command(controlword))
+        words.append(bench.statusword())
+    assert words == [0x0250, 0x0231, 0x0233, 0x1237]
+
+
+def test_torque_is_per_mille_of_the_rated_torque(bench: Bench) -> None:
+    bench.enable()
+    assert settled(bench, 300)[1] == 300
+    assert bench.unit.axis.values()["torque_loop"] == pytest.approx(0.3)
+
+
+def test_the_current_loop_lags(bench: Bench) -> None:
+    bench.enable()
+    bench.send(0x201, bench.command(0x0F, 1000))
+    first = tpdo1(bench.sync())[1]
+    second = tpdo1(bench.sync())[1]
+    assert first == 0  # the command is applied at this SYNC
+    assert second == pytest.approx(1000 * (1 - 2.718281828 ** (-1 / 0.5)), abs=1)
+
+
+def test_an_rpdo_on_arrival_acts_before_the_next_sync(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, STILL)
+    bench.set_up(rpdo_transmission=255)
+    bench.enable()
+    bench.send(0x201, bench.command(0x0F, 1000))
+    assert tpdo1(bench.sync())[1] == pytest.approx(1000 * (1 - 2.718281828 ** (-1 / 0.5)), abs=1)
+
+
+def test_no_torque_unless_enabled(bench: Bench) -> None:
+    for controlword in (0x06, 0x07):
+        assert settled(bench, 500, controlword)[1] == 0
+
+
+def test_no_torque_without_the_mode(bench: Bench) -> None:
+    bench.download(1, 0x6060, 0, "b", 0)
+    bench.enable()
+    status, torque, _ = settled(bench, 500)
+    assert (status, torque) == (0x0237, 0)  # bit 12 low
+
+
+def test_only_one_mode_is_supported(bench: Bench) -> None:
+    assert bench.upload(1, 0x6502, 0, "I") == 1 << 9
+    assert bench.download(1, 0x6060, 0, "b", 8) == 0x06090030
+
+
+def test_max_torque_clamps_and_sets_the_internal_limit(bench: Bench) -> None:
+    bench.download(1, 0x6072, 0, "H", 200)
+    bench.enable()
+    assert settled(bench, 900)[:2] == (0x1A37, 200)
+    assert settled(bench, -900)[:2] == (0x1A37, -200)
+
+
+def test_no_torque_beyond_the_maximum_speed(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, STILL + "joint.load = 'free'\njoint.damping = 0.0\n")
+    bench.set_up()
+    bench.download(1, 0x6080, 0, "I", 30)  # rpm
+    bench.enable()
+    bench.sync(1500, bench.command(0x0F, 900))
+    status, _, velocity = tpdo1(bench.sync())
+    assert velocity < 40_000  # mrpm; without the limit some hundred rpm
+    assert status & 1 << 11 or velocity < 30_000
+
+
+def test_position_and_velocity_are_those_of_the_motor(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, "[[axis]]\nname='joint'\ndrive.torque_noise=0.0\nmotion.kind='sine'\nmotion.ramp=0.0\n")
+    bench.set_up()
+    bench.sync(300)
+    frames = dict(bench.sync())
+    position, mode, error = struct.unpack("<ibH", frames[0x281])
+    truth = bench.unit.axis.values()
+    assert position == pytest.approx(truth["q_m"] / 6.283185307 * 65536, abs=1)
+    assert struct.unpack("<Hhi", frames[0x181])[2] == pytest.approx(truth["omega_m"] * 60 / 6.283185307 * 1e3, abs=1)
+    assert (mode, error) == (10, 0)
+
+
+def test_rated_torque_and_units_can_be_read(bench: Bench) -> None:
+    assert bench.upload(1, 0x6076, 0, "I") == 1000
+    assert bench.upload(1, 0x60A9, 0, "I") == 0xFDB44700
+    assert bench.upload(1, 0x1000, 0, "I") & 0xFFFF == 402
+
+
+def test_a_fault_takes_the_torque_and_stays(bench: Bench) -> None:
+    bench.enable(500)
+    before = len(bench.bus.sent)
+    bench.unit.drive.fault(0x2310)
+    assert bench.bus.sent[before:] == [(0x081, bytes.fromhex("1023210000000000"))]
+    status, torque, _ = settled(bench, 500)
+    assert (status, torque) == (0x0218, 0)
+    assert struct.unpack_from("<H", dict(bench.sync())[0x281], 5)[0] == 0x2310
+
+
+def test_a_fault_reset_says_that_the_error_is_gone(bench: Bench) -> None:
+    bench.enable()
+    bench.unit.drive.fault(0x2310)
+    settled(bench, 0)
+    before = len(bench.bus.sent)
+    bench.sync(2, bench.command(0x80))
+    assert (0x081, bytes(8)) in bench.bus.sent[before:]
+    assert bench.statusword() == 0x0250
+
+
+def test_a_cause_that_is_still_there_cannot_be_reset(bench: Bench) -> None:
+    bench.enable()
+    bench.unit.drive.fault(0x2310, stays=True)
+    settled(bench, 0)
+    bench.sync(2, bench.command(0x80))
+    assert bench.statusword() == 0x0218
+
+
+def test_quick_stop_ends_disabled_when_the_torque_is_gone(bench: Bench) -> None:
+    bench.enable(500)
+    bench.sync(1, bench.command(0x02))
+    assert bench.statusword() == 0x0217
+    assert settled(bench, 500, 0x02)[:2] == (0x0250, 0)
+
+
+def test_quick_stop_that_stays_can_be_left(bench: Bench) -> None:
+    assert bench.download(1, 0x605A, 0, "h", 6) == 0
+    bench.enable(500)
+    assert settled(bench, 500, 0x02)[:2] == (0x0217, 0)
+    assert settled(bench, 500)[:2] == (0x1237, 500)
+
+
+def test_an_rpdo_that_stops_coming_is_a_fault(bench: Bench) -> None:
+    bench.download(1, 0x1400, 5, "H", 20)
+    bench.enable(500)
+    before = len(bench.bus.sent)
+    bench.sync(30)
+    emcy = [data for can_id, data in bench.bus.sent[before:] if can_id == 0x081]
+    assert emcy == [bytes.fromhex("5082210000000000")]
+    assert tpdo1(bench.sync())[:2] == (0x0218, 0)
+
+
+@pytest.mark.parametrize(
+    ("reaction", "behaviour", "state"),
+    [(1, 0, 0x0218), (2, 0, 0x02D0), (3, 0, 0x02D0), (0, 1, 0x12B7), (1, 1, 0x0218)],
+)
+def test_a_lost_heartbeat(bench: Bench, reaction: int, behaviour: int, state: int) -> None:
+    bench.download(1, 0x1016, 1, "I", 127 << 16 | 50)
+    bench.download(1, 0x6007, 0, "h", reaction)
+    bench.download(1, 0x1029, 1, "B", behaviour)
+    bench.enable(500)
+    bench.send(0x77F, b"\x05")
+    bench.sync(60, bench.command(0x0F, 500))
+    bench.wait(0.02)
+    assert bench.upload(1, 0x6041, 0, "H") == state
+    assert bench.unit.axis.values()["torque_loop"] == pytest.approx(0.5 if reaction == 0 else 0.0, abs=1e-6)
+
+
+def test_leaving_operational_while_enabled_takes_the_torque(bench: Bench) -> None:
+    bench.enable(500)
+    bench.send(0x000, b"\x80\x01")
+    bench.wait(0.02)
+    assert bench.upload(1, 0x6041, 0, "H") & 0x4F == 0x08
+    assert bench.unit.axis.values()["torque_loop"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_another_drive_can_be_imitated(tmp_path: Path) -> None:
+    bench = Bench(
+        tmp_path,
+        "[[axis]]\nname='joint'\n[axis.drive]\nrated_torque_unit=1e-6\nvendor=0xFB\nabsent=[0x6072]\n"
+        "objects={'0x6502:0'=0x3A5}\n",
+    )
+    assert bench.upload(1, 0x6076, 0, "I") == 1_000_000
+    assert bench.upload(1, 0x1018, 1, "I") == 0xFB
+    assert bench.upload(1, 0x6502, 0, "I") == 0x3A5
+    assert bench.download(1, 0x6072, 0, "H", 100) == 0x06020000
+
+
+def test_gear_and_signs(tmp_path: Path) -> None:
+    bench = Bench(
+        tmp_path,
+        STILL + "drive.gear_ratio = 5.0\ndrive.rated_torque = 0.1\ndrive.torque_sign = -1\ndrive.peak_torque=1.0\n",
+    )
+    bench.set_up()
+    bench.enable()
+    assert settled(bench, 400)[1] == 400
+    assert bench.unit.axis.values()["tau_m"] == pytest.approx(-0.2)

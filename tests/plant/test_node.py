@@ -1,0 +1,186 @@
+"""NMT, heartbeat, EMCY and PDO mapping of a simulated node: literal frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.plant.bench import Bench
+
+DEVICE_STATE, NOT_MAPPABLE, PDO_LENGTH, NO_OBJECT = 0x08000022, 0x06040041, 0x06040042, 0x06020000
+INVALID_VALUE = 0x06090030
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_every_node_boots(bench: Bench) -> None:
+    assert bench.bus.sent == [(0x701, b"\x00"), (0x720, b"\x00"), (0x740, b"\x00")]
+
+
+def test_heartbeat_says_the_state(bench: Bench) -> None:
+    bench.download(1, 0x1017, 0, "H", 10)
+    assert (0x701, b"\x7f") in bench.wait(0.02)
+    bench.send(0x000, b"\x01\x01")
+    assert (0x701, b"\x05") in bench.wait(0.02)
+    bench.send(0x000, b"\x02\x00")
+    assert (0x701, b"\x04") in bench.wait(0.02)
+
+
+def test_heartbeat_keeps_its_period(bench: Bench) -> None:
+    bench.download(1, 0x1017, 0, "H", 20)
+    assert len([frame for frame in bench.wait(1.0) if frame[0] == 0x701]) in (50, 51)
+
+
+def test_no_tpdo_before_the_start(bench: Bench) -> None:
+    assert bench.sync(5) == []
+
+
+def test_a_node_addressed_alone_starts_alone(bench: Bench) -> None:
+    bench.send(0x000, b"\x01\x20")
+    assert [can_id for can_id, _ in bench.sync()] == [0x1A0]
+
+
+def test_reset_communication_restores_the_communication_objects_only(bench: Bench) -> None:
+    bench.download(1, 0x1017, 0, "H", 10)
+    bench.download(1, 0x6072, 0, "H", 123)
+    assert bench.send(0x000, b"\x82\x01") == [(0x701, b"\x00")]
+    assert bench.upload(1, 0x1017, 0, "H") == 0
+    assert bench.upload(1, 0x6072, 0, "H") == 123
+
+
+def test_reset_node_restores_everything(bench: Bench) -> None:
+    bench.download(1, 0x6072, 0, "H", 123)
+    assert bench.send(0x000, b"\x81\x01") == [(0x701, b"\x00")]
+    assert bench.upload(1, 0x6072, 0, "H") == 1000
+
+
+def test_no_sdo_while_stopped(bench: Bench) -> None:
+    bench.send(0x000, b"\x02\x01")
+    assert bench.send(0x601, bytes.fromhex("4000100000000000")) == []
+
+
+def test_heartbeat_consumer_begins_with_the_first_heartbeat(bench: Bench) -> None:
+    bench.download(1, 0x1016, 1, "I", 127 << 16 | 50)
+    assert bench.wait(0.2) == []
+    bench.send(0x77F, b"\x05")
+    assert bench.wait(0.04) == []
+    assert bench.wait(0.04) == [(0x081, bytes.fromhex("3081110000000000"))]
+    assert bench.wait(0.5) == []
+
+
+def test_a_new_start_ends_a_communication_error(bench: Bench) -> None:
+    bench.unit.drive.emergency(0x8130, 0x10)
+    assert bench.upload(1, 0x1001, 0, "B") == 0x11
+    bench.send(0x000, b"\x82\x01")
+    assert bench.upload(1, 0x1001, 0, "B") == 0
+
+
+def test_emcy_is_kept_in_the_history(bench: Bench) -> None:
+    bench.unit.drive.emergency(0x4310, 0x08, b"\x01\x02\x03\x04\x05")
+    bench.unit.drive.emergency(0x8130, 0x10)
+    assert bench.bus.sent[-2:] == [
+        (0x081, bytes.fromhex("1043090102030405")),
+        (0x081, bytes.fromhex("3081190000000000")),
+    ]
+    assert [bench.upload(1, 0x1003, place, code) for place, code in ((0, "B"), (1, "I"), (2, "I"))] == [
+        2,
+        0x8130,
+        0x4310,
+    ]
+    assert bench.download(1, 0x1003, 0, "B", 0) == 0
+    assert bench.upload(1, 0x1003, 0, "B") == 0
+
+
+def test_the_mapping_procedure_maps(bench: Bench) -> None:
+    assert set(bench.map_pdo(1, 0x1800, 0x181, 1, 0x60410010, 0x606C0020)) == {0}
+    bench.send(0x000, b"\x01\x01")
+    frames = dict(bench.sync())
+    assert len(frames[0x181]) == 6
+    assert frames[0x181][:2] == b"\x50\x02"
+
+
+def test_a_mapping_cannot_change_while_the_pdo_is_on(bench: Bench) -> None:
+    assert bench.download(1, 0x1A00, 0, "B", 0) == DEVICE_STATE
+    assert bench.download(1, 0x1800, 1, "I", 0x182) == DEVICE_STATE
+
+
+def test_a_mapping_cannot_change_while_its_count_stands(bench: Bench) -> None:
+    assert bench.download(1, 0x1800, 1, "I", 0x80000181) == 0
+    assert bench.download(1, 0x1A00, 1, "I", 0x60640020) == DEVICE_STATE
+
+
+@pytest.mark.parametrize(
+    ("entry", "abort"),
+    [
+        (0x60760020, NOT_MAPPABLE),  # not a process value
+        (0x60410008, NOT_MAPPABLE),  # a wrong length
+        (0x50000010, NO_OBJECT),
+    ],
+)
+def test_what_cannot_be_mapped_is_refused(bench: Bench, entry: int, abort: int) -> None:
+    assert bench.map_pdo(1, 0x1801, 0x281, 1, entry)[2] == abort
+
+
+def test_more_than_eight_bytes_are_refused(bench: Bench) -> None:
+    aborts = bench.map_pdo(1, 0x1801, 0x281, 1, 0x60640020, 0x606C0020, 0x60410010)
+    assert aborts[5] == PDO_LENGTH
+
+
+def test_a_read_only_object_cannot_be_received(bench: Bench) -> None:
+    assert bench.map_pdo(1, 0x1401, 0x301, 255, 0x60410010)[2] == NOT_MAPPABLE
+
+
+def test_a_dummy_fills_a_gap_of_an_rpdo(bench: Bench) -> None:
+    assert set(bench.map_pdo(1, 0x1401, 0x301, 255, 0x00060010, 0x60710010)) == {0}
+    bench.send(0x000, b"\x01\x01")
+    bench.send(0x301, bytes.fromhex("ffff2c01"))
+    assert bench.upload(1, 0x6071, 0, "h") == 300
+
+
+@pytest.mark.parametrize("transmission", [1, 2, 5, 240])
+def test_a_synchronous_tpdo_comes_on_every_nth_sync(bench: Bench, transmission: int) -> None:
+    bench.map_pdo(1, 0x1800, 0x181, transmission, 0x60410010)
+    bench.send(0x000, b"\x01\x01")
+    came = [any(can_id == 0x181 for can_id, _ in bench.sync()) for _ in range(2 * transmission)]
+    assert came == ([False] * (transmission - 1) + [True]) * 2
+
+
+def test_transmission_types_that_do_not_exist_are_refused(bench: Bench) -> None:
+    assert [bench.download(1, 0x1800, 2, "B", kind) for kind in (241, 252, 253)] == [INVALID_VALUE] * 3
+
+
+def test_an_event_driven_tpdo_comes_on_change(bench: Bench) -> None:
+    bench.send(0x000, b"\x01\x01")
+    assert bench.wait(0.005) == [(0x181, b"\x50\x02")]
+    assert bench.wait(0.1) == []
+    bench.download(1, 0x6040, 0, "H", 0x06)
+    assert bench.wait(0.005) == [(0x181, b"\x31\x02")]
+
+
+def test_an_event_timer_repeats_a_tpdo(bench: Bench) -> None:
+    bench.download(1, 0x1800, 5, "H", 20)
+    bench.send(0x000, b"\x01\x01")
+    assert len(bench.wait(0.2)) in (9, 10, 11)
+
+
+def test_an_rpdo_that_is_too_short_is_reported_and_not_used(bench: Bench) -> None:
+    bench.set_up()
+    assert bench.send(0x201, b"\x06\x00") == [(0x081, bytes.fromhex("1082110000000000"))]
+    bench.sync(2)
+    assert bench.upload(1, 0x6040, 0, "H") == 0
+
+
+def test_an_rpdo_that_is_too_long_is_reported_and_used(bench: Bench) -> None:
+    bench.set_up()
+    assert bench.send(0x201, bytes.fromhex("060000000000")) == [(0x081, bytes.fromhex("2082110000000000"))]
+    bench.sync(1)
+    assert bench.upload(1, 0x6040, 0, "H") == 6
+
+
+def test_an_unknown_identifier_is_of_no_concern(bench: Bench) -> None:
+    assert bench.send(0x333, bytes(8)) == []
+    assert bench.send(0x20000004, bytes(8)) == []

@@ -1,0 +1,254 @@
+"""Faults of the simulated machine, by configuration or at run time: one table, each with its undoing."""
+
+from __future__ import annotations
+
+import difflib
+import heapq
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import msgspec
+
+from tsa_ctrl.bus.seam import ERROR_FLAG
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.drive import Drive
+from tsa_ctrl.plant.node import Node
+from tsa_ctrl.plant.outlet import Outlet
+from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
+from tsa_ctrl.plant.settings import FaultSettings
+
+Undo = Callable[[float], None]
+
+
+class Rig(Protocol):
+    """What a fault may get hold of beside its axis."""
+
+    flood_rate: float
+
+    def inject(self, can_id: int, data: bytes) -> bool:
+        """Put any frame on the bus."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a fault acts, and how strongly."""
+
+    rig: Rig
+    axis: Axis
+    drive: Drive
+    encoder: Encoder | None
+    torque_sensor: TorqueSensor | None
+    nodes: tuple[Node, ...]
+    node: Node
+    outlet: Outlet
+    value: float
+    duration: float
+    now: float
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """One fault: what it does, what its value means, the value unless given."""
+
+    doc: str
+    start: Callable[[Target], Undo]
+    value: float = 0.0
+    unit: str = ""
+    low: float = 0.0
+    high: float = 0.0
+
+
+def _nothing(now: float) -> None:
+    """Nothing to undo: it happened once."""
+
+
+def _swap(target: object, name: str, value: Any) -> Undo:
+    before = getattr(target, name)
+    setattr(target, name, value)
+    return lambda now: setattr(target, name, before)
+
+
+def _parameter(target: Target, name: str, value: float) -> Undo:
+    """Change a parameter of the mechanics from now on."""
+    record = target.axis.parameters
+    before = record[name][0].item()
+    record[name] = value
+
+    def undo(now: float) -> None:
+        record[name] = before
+
+    return undo
+
+
+def _power_cycle(target: Target) -> Undo:
+    for node in target.nodes:
+        node.power_off()
+
+    def on(now: float) -> None:
+        for node in target.nodes:
+            node.boot(now)
+
+    return on
+
+
+def _fault(target: Target) -> Undo:
+    drive = target.drive
+    drive.fault(int(target.value), stays=target.duration > 0.0)
+
+    def cause_gone(now: float) -> None:
+        drive.error_cause = False
+
+    return cause_gone if target.duration > 0.0 else _nothing
+
+
+def _emcy(target: Target) -> Undo:
+    target.node.emergency(int(target.value), 0x20)
+    return _nothing
+
+
+def _encoder_jump(target: Target) -> Undo:
+    if target.encoder is None:
+        raise UsageError(f"fault encoder_jump: axis '{target.axis.name}' has no encoder; choose another fault")
+    return _swap(target.encoder.faults, "offset", target.encoder.faults.offset + target.value)
+
+
+def _torque_sensor_stuck(target: Target) -> Undo:
+    if target.torque_sensor is None:
+        raise UsageError(f"fault torque_sensor_stuck: axis '{target.axis.name}' has no torque sensor")
+    return _swap(target.torque_sensor.faults, "stuck", True)
+
+
+def _error_frame(target: Target) -> Undo:
+    target.rig.inject(ERROR_FLAG | int(target.value), bytes(8))
+    return _nothing
+
+
+def _replay(target: Target) -> Undo:
+    target.outlet.replay(target.value)
+    return _nothing
+
+
+FAULTS: Mapping[str, FaultKind] = {
+    "power_cycle": FaultKind("the nodes of the axis lose power; after the duration they boot", _power_cycle),
+    "fault": FaultKind("the drive faults", _fault, 0x2310, "error code", 1, 0xFFFF),
+    "emcy": FaultKind("an EMCY without a fault", _emcy, 0x2310, "error code", 0, 0xFFFF),
+    "stuck_tpdo": FaultKind("TPDOs repeat their last data", lambda t: _swap(t.outlet, "stuck", True)),
+    "repeated_tpdo": FaultKind(
+        "each TPDO is sent several times", lambda t: _swap(t.outlet, "copies", int(t.value)), 2, "times", 1, 10
+    ),
+    "late_tpdo": FaultKind("TPDOs are late", lambda t: _swap(t.outlet, "delay", t.value), 2e-3, "s", 0.0, 1.0),
+    "missing_tpdo": FaultKind("TPDOs are lost", lambda t: _swap(t.outlet, "loss", t.value), 1.0, "probability", 0, 1),
+    "wrong_length": FaultKind(
+        "TPDOs have a wrong length", lambda t: _swap(t.outlet, "length", int(t.value)), 3, "bytes", 0, 8
+    ),
+    "wrong_mode": FaultKind(
+        "0x6061 shows another mode", lambda t: _swap(t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
+    ),
+    "ignored_command": FaultKind(
+        "bit 12 is low, the target torque is not followed", lambda t: _swap(t.drive.faults, "ignore_command", True)
+    ),
+    "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: _swap(t.outlet, "mute", True)),
+    "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
+    "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
+    "flood": FaultKind(
+        "frames of other identifiers", lambda t: _swap(t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
+    ),
+    "torque_sensor_stuck": FaultKind("the joint torque sensor stands still", _torque_sensor_stuck),
+    "encoder_jump": FaultKind("the joint encoder jumps", _encoder_jump, 0.5, "rad", -100.0, 100.0),
+    "reversed_sign": FaultKind(
+        "the motor turns the wrong way", lambda t: _swap(t.drive.faults, "torque_sign", -t.drive.faults.torque_sign)
+    ),
+    "torn_tendon": FaultKind(
+        "a tendon tears: 0 is a (backward), 1 is b (forward)",
+        lambda t: _parameter(t, "torn_b" if t.value else "torn_a", 1),
+        1, "tendon", 0, 1,
+    ),
+    "slack": FaultKind(
+        "the tensioner gives way", lambda t: _parameter(t, "pretension_factor", t.value), 0.1, "of the pretension", 0, 1
+    ),
+    "clock_drift": FaultKind(
+        "the drive works by a clock of its own", lambda t: _swap(t.drive.faults, "clock_drift", t.value),
+        0.01, "relative", -0.1, 0.1,
+    ),
+}  # fmt: skip
+
+
+def check_fault(fault: FaultSettings, where: str) -> FaultKind:
+    """The kind that a fault names; raises UsageError for an unknown name or a value out of range."""
+    kind = FAULTS.get(fault.name)
+    if kind is None:
+        near = difflib.get_close_matches(fault.name, FAULTS, n=1, cutoff=0.5)
+        advice = f"did you mean '{near[0]}'?" if near else f"known faults are {', '.join(FAULTS)}"
+        raise UsageError(f"{where}: unknown fault '{fault.name}'; {advice}")
+    if fault.value is None:
+        return kind
+    if not kind.unit:
+        raise UsageError(f"{where}: fault {fault.name} takes no value, found {fault.value:g}; leave it out")
+    if not kind.low <= fault.value <= kind.high:
+        raise UsageError(
+            f"{where}: fault {fault.name}: value {fault.value:g}; "
+            f"allowed is {kind.low:g} to {kind.high:g} ({kind.unit})"
+        )
+    return kind
+
+
+def parse_fault(text: str) -> tuple[str | None, FaultSettings]:
+    """`torn_tendon axis=knee value=1 duration=0.5` as on the control socket; axis None is the first one."""
+    name, *pairs = text.split()
+    values: dict[str, Any] = {"name": name}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals:
+            raise UsageError(f"fault {name}: found '{pair}'; write key=value")
+        values[key] = value
+    axis = values.pop("axis", None)
+    try:
+        fault = msgspec.convert(values, FaultSettings, strict=False)
+    except msgspec.ValidationError as error:
+        raise UsageError(f"fault {name}: {error}; keys are axis, node, value, duration, at") from None
+    check_fault(fault, "control")
+    return axis, fault
+
+
+class FaultPlan:
+    """Faults to come and faults to end, by time; `active` counts those that are on."""
+
+    def __init__(self) -> None:
+        self.active = 0
+        self._queue: list[tuple[float, int, Callable[[float], None]]] = []
+        self._undo: dict[int, Undo] = {}
+        self._number = itertools.count()
+
+    def schedule(self, at: float, action: Callable[[float], None]) -> None:
+        heapq.heappush(self._queue, (at, next(self._number), action))
+
+    def start(self, kind: FaultKind, target: Target) -> None:
+        """Begin a fault now; it ends after its duration, or stays."""
+        undo = kind.start(target)
+        if undo is _nothing:
+            return
+        number = next(self._number)
+        self._undo[number] = undo
+        self.active = len(self._undo)
+        if target.duration > 0.0:
+            self.schedule(target.now + target.duration, lambda now: self._end(number, now))
+
+    def _end(self, number: int, now: float) -> None:
+        undo = self._undo.pop(number, None)
+        if undo is not None:
+            undo(now)
+        self.active = len(self._undo)
+
+    def clear(self, now: float) -> int:
+        """End all faults, the last one first; how many."""
+        count = len(self._undo)
+        for number in sorted(self._undo, reverse=True):
+            self._end(number, now)
+        return count
+
+    def tick(self, now: float) -> None:
+        while self._queue and self._queue[0][0] <= now:
+            heapq.heappop(self._queue)[2](now)
