@@ -36,8 +36,13 @@ class Coordinate:
 class Base(Protocol):
     """What the diagnosis needs to know of a base model."""
 
-    given: Model
-    target: str  # column that is predicted
+    @property
+    def given(self) -> Model: ...
+
+    @property
+    def target(self) -> str:
+        """Column that is predicted."""
+        ...
 
     def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]: ...
 

@@ -311,7 +311,11 @@ def _spring(s: Scales, frame: Frame) -> list[Variant]:
 def _ripple(s: Scales, frame: Frame) -> list[Variant]:
     if not frame.has("q_m"):
         return []
-    fastest = float(np.quantile(np.abs(np.concatenate([np.diff(r.signals.q_m) for r in frame.runs])), 0.9))
+    fastest = float(
+        np.quantile(
+            np.abs(np.concatenate([np.diff(r.signals.q_m) for r in frame.runs if r.signals.q_m is not None])), 0.9
+        )
+    )
 
     def of(cycles: int) -> Variant:
         def parameters(u: Array) -> dict[str, Value]:

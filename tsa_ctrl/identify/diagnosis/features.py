@@ -112,8 +112,8 @@ def _after(frame: Frame, sigma: Array, load: Array) -> Array:
         reach = max(0.5 * float(np.ptp(angle)), 1e-9)
         decays = [np.exp(-elapsed / time) for time in AFTER] + [np.exp(-distance / (share * reach)) for share in AFTER]
         parts.append(run.average(np.column_stack(decays)))
-    decays = np.concatenate(parts)
-    return np.concatenate([decays, decays * sigma[:, None], decays * load[:, None]], axis=1)
+    columns = np.concatenate(parts)
+    return np.concatenate([columns, columns * sigma[:, None], columns * load[:, None]], axis=1)
 
 
 def _history(frame: Frame, predicted: Array, sigma: Array) -> Array:

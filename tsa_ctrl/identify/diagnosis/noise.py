@@ -21,6 +21,7 @@ from tsa_ctrl.model.functions import Array
 MEMORY = 1.0  # s, of the whitening filter at most
 MOST_LAGS = 120
 BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum
+FLOOR = 0.04  # of the mean density: a band that seems quieter is not trusted with more weight
 FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep
 
 
@@ -110,8 +111,9 @@ def estimate(
     samples = float(mask.sum())
     room = np.maximum(room, 0.02 * samples)
     waves = room / length  # independent pairs per frequency line that the fit has left
-    ratio = _banded(frequency, power, room, waves)
-    density = ratio * _density(prior, frequency)
+    ratio = _banded(np.asarray(frequency, dtype=np.float64), power, room, waves)
+    density: Array = ratio * _density(prior, np.asarray(frequency, dtype=np.float64))
+    density = np.maximum(density, FLOOR * float(np.mean(density)))
     covariance = np.fft.irfft(density)
     return _autoregressive(covariance, samples, period)
 

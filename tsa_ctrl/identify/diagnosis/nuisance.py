@@ -29,8 +29,8 @@ from tsa_ctrl.model.signals import hold_direction
 
 NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
-MOST_COLUMNS = 600
-MOST_PIECES = 4  # columns for one stretch of unknown direction
+MOST_COLUMNS = 800
+RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
 
 
@@ -129,16 +129,21 @@ def _late(run: Run, pattern: Array, model: Model) -> Array:
 
 def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
     """weight * (E[sigma(v + eta)] - sigma(v))."""
-    width = np.sqrt(2.0) * factor * run.velocity_noise
-    if width <= 0.0:
-        return np.zeros(len(omega))
-    return np.asarray(weight * (erf(omega / width) - hold_direction(omega)))
+    width = np.sqrt(2.0) * factor * run.velocity_error
+    known = width <= 0.0
+    expected = erf(omega / np.where(known, 1.0, width))
+    return np.where(known, 0.0, weight * (expected - hold_direction(omega)))
 
 
 def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     """Where the direction is not known, (n) at the compute rate: slower than the noise, and beside each reversal."""
-    out = np.abs(omega) < UNKNOWN * run.velocity_noise
-    out &= omega != 0.0  # a standstill is known to be one
+    out = np.abs(omega) < UNKNOWN * run.velocity_error
+    still = omega == 0.0
+    late = np.zeros(len(omega), dtype=np.bool_)
+    margin = max(1, round(RESTART / run.signals.period))
+    for stop in np.flatnonzero(still[:-1] & ~still[1:]):
+        late[max(0, stop - margin) : stop + 1] = True
+    out &= ~still | late  # a standstill is known to be one, but for its end
     flips = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
     out[flips] = True
     out[np.minimum(flips + 1, len(omega) - 1)] = True
@@ -154,7 +159,7 @@ def _moments(frame: Frame, patterns: list[Array]) -> tuple[Moment, ...]:
         edges = np.flatnonzero(np.diff(inside))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
             stretches.append((part.start + int(start), int(stop - start), level[start:stop]))
-    pieces = MOST_PIECES
+    pieces = max((length for _, length, _ in stretches), default=1)  # one column for each sample, if they are few
     while pieces > 1 and sum(min(pieces, length) for _, length, _ in stretches) > MOST_COLUMNS:
         pieces -= 1
     stretches = sorted(stretches, key=lambda stretch: -stretch[1])[:MOST_COLUMNS]

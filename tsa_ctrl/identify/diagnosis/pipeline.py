@@ -58,7 +58,8 @@ def diagnose(
 ) -> Diagnosis:
     """What the simulation with `model` gets wrong on these logs, why, and what it gains to know.
 
-    logs: datasets, or mappings from column name to an array of shape (n,), SI units (several: a list, or name: columns).
+    logs: datasets, or mappings from column name to an array of shape (n,), SI units (several: a list, or
+    name: columns).
     hold_out: pattern of the logs that nothing is fitted on; default every third by name, or stretches of one or two
     logs. seed fixes every draw. progress is called with the name of each stage.
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.diagnosis.smooth import denoised
+from tsa_ctrl.identify.diagnosis.smooth import denoised, distortion
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, hold_direction
@@ -45,6 +46,7 @@ class Run:
     target: Array  # N*m, measured; what the model predicts
     bin: int
     velocity_noise: float  # rad/s, of the denoised velocity
+    velocity_error: Array  # (n) rad/s: noise, and what denoising and differentiating may have bent
     raw: Dataset
     full: Signals
     full_target: Array
@@ -83,7 +85,7 @@ class Frame:
     def slices(self) -> list[slice]:
         """Where each run stands in a stacked array."""
         edges = np.concatenate([[0], np.cumsum([run.count for run in self.runs])])
-        return [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
     def __len__(self) -> int:
         return sum(run.count for run in self.runs)
@@ -117,12 +119,13 @@ def prepare(logs: Sequence[Dataset], target: str) -> list[Run]:
     bin_ = max(1, round(slowest / factor / min(SCORE_RATE, SCORE_SAMPLES / total)))
     runs = []
     for log in logs:
-        full, noise = _clean(log)
+        full, noise, error = _clean(log)
         own = factor * max(1, round(log.rate / slowest))
         measured = log[target]
         small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
         signals = Signals(**{name: _means(y, own) for name, y in small.items() if y is not None})
-        runs.append(Run(log.name, signals, _means(measured, own), bin_, noise, log, full, measured, own * bin_))
+        averages = _means(measured, own), bin_, noise, _means(error, own)
+        runs.append(Run(log.name, signals, *averages, log, full, measured, own * bin_))
     return runs
 
 
@@ -131,11 +134,11 @@ def _means(y: Array, factor: int) -> Array:
     return np.asarray(y[:kept].reshape(-1, factor).mean(axis=1))
 
 
-def _clean(log: Dataset) -> tuple[Signals, float]:
-    """The log's signals denoised, and the noise left in the velocity."""
+def _clean(log: Dataset) -> tuple[Signals, float, Array]:
+    """The log's signals denoised, the noise left in the velocity, and its error (n)."""
     signals = log.signals()
     clean: dict[str, Array] = {}
-    noise = 0.0
+    noise, error = 0.0, np.zeros(len(log))
     for name in ("tau_m", "omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
         if column is None:
@@ -144,8 +147,10 @@ def _clean(log: Dataset) -> tuple[Signals, float]:
         if name == "omega_j":
             smooth = np.where(_about_standstill(column, log.period), column, smooth)
             noise = max(left, STEP_NOISE * _count(log, column))
+            cutoff = DERIVED_CUTOFF if {"omega_j", "omega_m"} & log.derived else ANGLE_HIGHEST
+            error = np.hypot(noise, distortion(smooth, log.period, cutoff))
         clean[name] = smooth
-    return dataclasses.replace(signals, **clean), noise
+    return dataclasses.replace(signals, **clean), noise, error
 
 
 def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:

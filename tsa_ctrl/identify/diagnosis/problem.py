@@ -1,4 +1,4 @@
-"""A hypothesis (base model and effects) turned into residuals that can be compared: whitened, nuisance projected out."""
+"""A hypothesis (base model and effects) turned into residuals that compare: whitened, nuisance projected out."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def orthonormal(columns: Array, tolerance: float = 1e-7) -> Array:
     if columns.shape[1] == 0:
         return columns
     norms = np.linalg.norm(columns, axis=0)
-    scaled = columns[:, norms > 0.0] / norms[norms > 0.0]
+    scaled: Array = columns[:, norms > 0.0] / norms[norms > 0.0]
     if scaled.shape[1] == 0:
         return scaled
     gram = scaled.T @ scaled

@@ -90,7 +90,7 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
 
 
 def _gradients(
-    result: Refit, parameters: Callable[[Array], dict[str, Value]], point: Array, index: Array
+    result: Refit, parameters: Callable[[Array], dict[str, Value]], point: Array, index: NDArray[np.int64]
 ) -> dict[str, Array]:
     """d parameter / d coordinate by central differences of a fraction of a standard deviation."""
     deviations = np.sqrt(np.diag(result.covariance)[index])

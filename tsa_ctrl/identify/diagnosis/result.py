@@ -146,7 +146,8 @@ class Diagnosis:
     def write(self, folder: str | Path, template: str | Path | None = None) -> None:
         """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
 
-        `template`: the model file whose comments extended.toml keeps. Raises UsageError when the folder is not writable.
+        `template`: the model file whose comments extended.toml keeps. Raises UsageError when the folder cannot be
+        written.
         """
         from tsa_ctrl.identify.diagnosis.report import write
 

@@ -1,4 +1,4 @@
-"""Which effect would explain a residual best: the exact responses of all candidates on their grids, one projection each.
+"""Which effect would explain a residual best: the exact responses of all candidates, one projection each.
 
 A response is the model's own difference with and without the effect, not its linearisation: a linearised delay brought
 a false second cause in ten of ten logs. Only amplitudes, which are nearly linear, are solved for; everything else is

@@ -88,7 +88,8 @@ def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
 def _since_reversal(omega: Array, angle: Array, period: float) -> tuple[Array, Array]:
     flips = np.concatenate([[True], np.diff(hold_direction(omega)) != 0.0])
     last = np.maximum.accumulate(np.where(flips, np.arange(len(omega)), 0))
-    return (np.arange(len(omega)) - last) * period, np.abs(angle - angle[last])
+    elapsed = np.asarray((np.arange(len(omega)) - last) * period, dtype=np.float64)
+    return elapsed, np.asarray(np.abs(angle - angle[last]), dtype=np.float64)
 
 
 def _ranking(chosen: Selection, grouped: Sequence[Group]) -> tuple[Ranked, ...]:

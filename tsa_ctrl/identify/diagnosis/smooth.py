@@ -13,7 +13,7 @@ SEGMENT = 4.0  # s, of one periodogram
 
 
 def denoised(y: Array, period: float, highest: float) -> tuple[Array, float]:
-    """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of the noise that is left.
+    """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of what is left of the noise.
 
     `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is.
     """
@@ -24,6 +24,12 @@ def denoised(y: Array, period: float, highest: float) -> tuple[Array, float]:
     if cutoff > 0.2 / period:
         return y, float(np.sqrt(floor * 0.5 / period))
     return low_pass(y, period, cutoff), float(np.sqrt(floor * cutoff))
+
+
+def distortion(smooth: Array, period: float, cutoff: float) -> Array:
+    """What a low-pass at `cutoff` Hz has taken from a signal, (n): about what it takes once more, as a local RMS."""
+    taken = (smooth - low_pass(smooth, period, cutoff)) ** 2
+    return np.sqrt(np.maximum(low_pass(taken, period, 0.5 * cutoff), 0.0))
 
 
 def _edge_and_floor(y: Array, period: float) -> tuple[float, float]:
@@ -38,6 +44,8 @@ def _edge_and_floor(y: Array, period: float) -> tuple[float, float]:
         parts.append(np.abs(np.fft.rfft(window * piece)) ** 2)
     density = 2.0 * period * np.mean(parts, axis=0) / float(window @ window)
     frequency = np.fft.rfftfreq(length, period)
-    floor = float(np.median(density[frequency > 0.3 / period]))
+    top = float(np.median(density[frequency > 0.3 / period]))
+    middle = density[(frequency > 0.06 / period) & (frequency < 0.2 / period)]  # averaged noise has sunk at the top
+    floor = max(top, float(np.quantile(middle, 0.25))) if middle.size else top
     above = np.flatnonzero(density > MARGIN * max(floor, 1e-30))
     return (float(frequency[above[-1]]) if above.size else 0.0), floor

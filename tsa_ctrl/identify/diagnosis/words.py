@@ -37,7 +37,8 @@ def sentence(result: Diagnosis) -> str:
             f"{result.unexplained}."
         )
     causes = listed([cause_phrase(cause) for cause in result.causes])
-    gained = f"the extended model is off by {_torque(rms.extended)} (noise {_torque(rms.noise_floor)}, gain {result.gain:.0%})"
+    noise = _torque(rms.noise_floor)
+    gained = f"the extended model is off by {_torque(rms.extended)} (noise {noise}, gain {result.gain:.0%})"
     end = f"; but {result.unexplained}" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
     return f"{start}. Cause: {causes}; {gained}{end}."
 
