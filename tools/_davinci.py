@@ -105,9 +105,10 @@ def run(options: argparse.Namespace, more: list[str]) -> int:
     if options.file_only:
         return 0
     demo = options.out / f"demo-{datetime.datetime.now():%Y%m%d-%H%M%S}"
-    code = tsa("demo", "--setpoint", setpoint, "--seconds", options.seconds, "--out", demo, *more)
-    picture = options.out / "measured.png"
-    code = tsa("simulate", measured, "--model", folder / "actuator.toml", "--picture", picture) or code
+    failed = tsa("demo", "--setpoint", setpoint, "--seconds", options.seconds, "--out", demo, *more)
+    code = tsa("simulate", measured, "--model", folder / "actuator.toml", "--picture", options.out / "measured.png")
+    if failed:
+        return failed
     for recorded in sorted(demo.glob("*.mcap")):
         picture = recorded.with_suffix(".png")
         code = tsa("simulate", recorded, "--model", demo / "nominal.toml", "--picture", picture) or code
