@@ -1,0 +1,114 @@
+"""Effects in the plant: its own equations against the reference values of the definitions."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.model.test_vectors import CASES, STATES
+from tests.plant.bench import R_J, R_M, axis
+
+APART = {"velocity_lag"}  # a sensor here, not a sign; stands below
+WINDOW = 0.05  # s of motion before the state that is looked at
+
+
+def delivered(folder: Path, effects: dict[str, dict[str, Any]], state: tuple[float, ...], phase_shift: float) -> float:
+    """Joint torque of the plant in one state of the table, reached by a motion of constant acceleration."""
+    tau_m, omega, q, _, acceleration, temperature, t = state
+    motion = folder / "motion.csv"
+    rows = []
+    for at in (0.0, 2.0, 4.0, 7.0):
+        back = at - t
+        angle = q + omega * back + 0.5 * acceleration * back * back
+        rows.append(f"{at},{angle!r},{omega + acceleration * back!r}")
+    motion.write_text("t,q_j,omega_j\n" + "\n".join(rows) + "\n")
+    shifted = {name: dict(values) for name, values in effects.items()}
+    if "torque_ripple" in shifted:
+        shifted["torque_ripple"]["phase"] += phase_shift
+    joint = axis(
+        folder,
+        1e-5,  # the ripple follows the motor's angle of the sub-step before
+        tendon={"curvature": "joint_end", "presliding": 1e-9},
+        motion={"kind": "file", "file": str(motion), "repeat": False, "ramp": 0.0},
+        environment={"temperature": [(0.0, temperature)]},
+        drive={"torque_time_constant": 0.0, "peak_torque": 5.0},
+        effects=shifted,
+    )
+    start = t - WINDOW
+    back = -WINDOW
+    joint.state["t"] = start
+    joint.state["q_j"] = q + omega * back + 0.5 * acceleration * back * back
+    joint.state["q_m"] = joint.state["q_j"] * R_J / R_M
+    joint.command.enabled, joint.command.torque = True, tau_m
+    joint.advance(t)
+    values = joint.values()
+    assert values["unsolved"] == 0
+    return values["tau_j"]
+
+
+@pytest.mark.parametrize(("effects", "expected"), CASES)
+def test_the_plant_agrees_with_the_definitions(
+    tmp_path: Path, effects: dict[str, dict[str, Any]], expected: tuple[float, ...]
+) -> None:
+    if APART & set(effects):
+        pytest.skip("a sensor in the plant")
+    compared = len(STATES) if "tendon_slack" in effects else 4  # the plant's tendons always go slack
+    for state, value in list(zip(STATES, expected, strict=True))[:compared]:
+        shift = 0.0
+        if "torque_ripple" in effects:  # the plant's motor angle has the tendons' stretch in it
+            ripple = effects["torque_ripple"]
+            gain = 1.0 + effects.get("torque_constant_error", {}).get("relative_error", 0.0)
+            acting = gain * state[0] + ripple["amplitude"] * math.sin(
+                ripple["cycles_per_revolution"] * state[3] + ripple["phase"]
+            )
+            acting -= effects.get("motor_side_friction", {}).get("coulomb", 0.0) * math.copysign(1.0, state[1])
+            stretch = acting / R_M * 1.2 / (2 * 60e3) / R_M
+            shift = -ripple["cycles_per_revolution"] * stretch
+        assert delivered(tmp_path, effects, state, shift) == pytest.approx(value, abs=2e-6)
+
+
+def test_the_encoder_lags_by_the_time_constant(tmp_path: Path) -> None:
+    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={"velocity_lag": {"time_constant": 0.02}})
+    joint.advance(0.3)
+    before = joint.values()["omega_lagged"]
+    joint.advance(0.3001)
+    after = joint.values()
+    slope = (after["omega_lagged"] - before) / 1e-4
+    assert after["omega_lagged"] + 0.02 * slope == pytest.approx(after["omega_j"], rel=1e-2)
+
+
+def test_the_torque_sensor_is_late_by_the_delay(tmp_path: Path) -> None:
+    joint = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={"transport_delay": {"delay": 0.0123}})
+    history = {}
+    for i in range(1, 4000):
+        joint.advance(i * 1e-4)
+        history[i] = joint.values()["tau_j"]
+    assert joint.values()["tau_sensed"] == pytest.approx(history[3999 - 123], abs=1e-6)
+
+
+def test_backlash_is_a_dead_interval_after_a_reversal(tmp_path: Path) -> None:
+    joint = axis(
+        tmp_path,
+        motion={"kind": "sine", "amplitude": 0.5, "frequency": 1.0, "ramp": 0.0},
+        effects={"backlash": {"gap": 0.05}},
+    )
+    dead = []
+    for i in range(1, 1000):
+        joint.advance(i * 1e-3)
+        values = joint.values()
+        if values["in_gap"]:
+            dead.append(values["q_j"])
+            assert values["tau_j"] == 0.0
+    assert max(dead) == pytest.approx(0.5, abs=1e-3)
+    assert min(angle for angle in dead if angle > 0) == pytest.approx(0.45, abs=4e-3)
+
+
+def test_presliding_follows_dahl(tmp_path: Path) -> None:
+    effects = {"presliding_hysteresis": {"presliding_distance": 0.05, "elements": 1, "displacement": "joint"}}
+    joint = axis(tmp_path, motion={"kind": "sine", "amplitude": 0.1, "frequency": 0.5, "ramp": 0.0}, effects=effects)
+    joint.advance(0.3)
+    values = joint.values()
+    assert values["z"] == pytest.approx(1.0 - math.exp(-values["q_j"] / 0.05), abs=1e-6)
