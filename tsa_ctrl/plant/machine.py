@@ -114,7 +114,7 @@ class Machine:
         """Answer the bus and let time pass; raises BusError when the interface is gone."""
         while not stop():
             due = [at for unit in self.axes for outlet in unit.outlets.values() if (at := outlet.due) is not None]
-            frame = self.bus.recv(max(0.0, min(self._next_tick, *due) - self.clock()))
+            frame = self.bus.recv(max(0.0, min((self._next_tick, *due)) - self.clock()))
             now = self.clock()
             if due:
                 self._release(now)
