@@ -1,0 +1,35 @@
+"""The loop of the simulated machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.plant.bench import Bench
+
+
+def test_the_loop_answers_and_lets_time_pass(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.bus.waiting.append((0x601, bytes.fromhex("4000100000000000")))
+    begin = bench.clock.now
+    bench.machine.run(lambda: bench.clock.now > begin + 0.1)
+    assert (0x581, bytes.fromhex("4300100092010200")) in bench.bus.sent
+    assert abs(bench.unit.axis.time - 0.1) < 0.01
+    assert bench.machine.counts.skipped == 0.0
+
+
+def test_a_delayed_frame_leaves_at_its_time(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.set_up()
+    bench.unit.outlets["drive"].delay = 0.0042
+    begin = bench.clock.now
+    bench.bus.waiting.append((0x080, b""))
+    bench.machine.run(lambda: 0x181 in dict(bench.bus.sent))
+    assert 0.004 < bench.clock.now - begin < 0.006
+
+
+def test_standing_still_for_long_is_not_made_up_for(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.clock.now += 5.0
+    bench.machine.tick(bench.clock.now)
+    assert bench.machine.counts.skipped > 4.0
+    assert bench.unit.axis.time < 0.5
