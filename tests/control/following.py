@@ -1,4 +1,4 @@
-"""A loop without a bus around a joint whose sheath is bent more on the way; the joint is written apart from it.
+"""A loop without a bus around a joint whose sheath is bent more on the way; that joint shares no code with the loop.
 
 T2 = T1 e^x, T4 = T3 e^-x with x = sigma mu Theta, T3 - T1 = tau_M / r_M, T3 + T1 = 2 T_p, tau_J = r_J (T4 - T2).
 """

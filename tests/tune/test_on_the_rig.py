@@ -1,0 +1,121 @@
+"""`tsa tune` on a simulated rig on a vcan: the whole procedure, and Ctrl-C at several stages."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.tune import rig
+from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.processes import plant, tsa
+
+RATE = 500.0  # Hz
+PATIENCE = 120.0  # s
+SHORT = ("--seconds", "12", "--verify-seconds", "6")
+
+pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, vcan: str) -> Iterator[Path]:
+    """A rig with its plant running."""
+    rig.write(tmp_path, BusChoice("socketcan", vcan), RATE)
+    with plant(tmp_path):
+        yield tmp_path
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.02)
+
+
+def test_the_whole_procedure_writes_a_file_that_compensates(folder: Path) -> None:
+    command = tsa("tune", rig.CONTROLLER, "--yes", "--json", "--out", "out", *SHORT)
+    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    assert run.returncode == 0, run.stderr
+    data = json.loads(run.stdout)
+    assert data["verification"]["reduction_percent"]["after"] > 75.0
+    loop = data["calibration"]["combinations"]["half_loop_torque"]
+    assert loop["low"] < loop["value"] < loop["high"]
+    assert (folder / "out" / "report.html").stat().st_size > 50_000
+    assert not list(folder.glob(".tune-*"))
+    if data["written"] is not None:
+        assert "[provenance]" in (folder / rig.MODEL).read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("stage", ["controller-probe-1.toml", "probe-1.mcap", "controller-excitation.toml"])
+def test_an_interruption_leaves_the_drive_disabled_and_the_files_as_they_were(
+    folder: Path, stage: str, number: signal.Signals
+) -> None:
+    """Before torque, after the probe, and while the excitation starts; the daemon that was running has ended."""
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    process = subprocess.Popen(
+        tsa("tune", rig.CONTROLLER, "--yes", *SHORT),
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    until(lambda: bool(list(folder.glob(f"**/.tune-*/{stage}"))) or process.poll() is not None)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1, errors
+    assert "interrupted" in errors
+    assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+    assert not list(folder.glob("**/.tune-*"))
+    assert not _daemons()
+
+
+def _daemons() -> list[str]:
+    """Command lines of daemons that still run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and int(entry.name) != os.getpid():
+            try:
+                line = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            except OSError:
+                continue
+            if "tsa_ctrl run" in line:
+                found.append(line)
+    return found
+
+
+def test_two_values_are_compared_on_a_running_daemon(folder: Path) -> None:
+    """No compensation against most of it: the verdict is sure, and what was set before is put back."""
+    daemon = subprocess.Popen(
+        tsa("run", rig.CONTROLLER), cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        path = str(folder / "tune.sock")
+        until(lambda: (folder / "tune.sock").exists() and status(path) == "operation_enabled")
+        command = tsa("set", "compensation", "0.9", "--against", "0.2", "--socket", path, "--json")
+        blocks = ("--blocks", "6", "--block-seconds", "2")
+        run = subprocess.run([*command, *blocks], capture_output=True, text=True, timeout=PATIENCE, check=False)
+        assert run.returncode == 0, run.stderr
+        assert json.loads(run.stdout)["better"] == "a"
+        until(lambda: value(path) == pytest.approx(rig.COMPENSATION))
+    finally:
+        daemon.terminate()
+        daemon.wait(30.0)
+
+
+def status(path: str) -> str:
+    with Client(path) as client:
+        return str(client.ask(protocol.Status())["axes"][0]["state"])
+
+
+def value(path: str) -> float:
+    with Client(path) as client:
+        return float(client.ask(protocol.Status())["axes"][0]["parameters"]["compensation"]["value"])
