@@ -137,6 +137,12 @@ class Bench:
         return memory.first_order_lag(run.scene.omega, run.scene.t[1] - run.scene.t[0], lag)
 
     @property
+    def reading(self) -> float:
+        """What the torque sensor is made for, N·m: the joint's torque, at least the jump at a reversal."""
+        half_loop = 2.0 * self.rig.pretension * self.rig.joint_radius * float(np.sinh(self.rig.x))
+        return max(self.scale, half_loop)
+
+    @property
     def speed(self) -> float:
         return max(run.motion.speed for run in self.runs)
 

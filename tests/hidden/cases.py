@@ -120,20 +120,20 @@ def none_case(name: str, seed: int, short: bool = False) -> Case:
             "one_load": Recipe(motion="sine", torque="weight", sign_noise=8.0),
         }[name]
     bench = draw_bench(rng, replace(recipe, short=short))
-    noise = bench.scale * log_uniform(rng, 0.004, 0.04)
+    noise = bench.reading * log_uniform(rng, 0.004, 0.04)
     return finish(rng, "none", name, seed, bench, {}, noise, name)
 
 
 def single_case(name: str, seed: int, short: bool = False) -> Case:
     """One effect, well excited, one to six times the noise, that no other effect imitates within the noise."""
-    for attempt in range(40):
+    for attempt in range(200):
         rng = generator("single", name, seed, attempt)
         bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), short=short))
         ratio = log_uniform(rng, 1.12, 6.0)
-        wanted = bench.scale * log_uniform(rng, 0.004, 0.03) * ratio
+        wanted = bench.reading * log_uniform(rng, 0.004, 0.03) * ratio
         parameters, reached = _strong(rng, name, bench, wanted)
-        noise = min(reached / ratio, 0.1 * bench.scale)
-        if reached > 8.0 * noise or noise < 1.2e-3 * bench.scale or not in_domain(bench, {name: parameters}):
+        noise = min(reached / ratio, 0.1 * bench.reading)
+        if reached > 8.0 * noise or noise < 2e-3 * bench.reading or not in_domain(bench, {name: parameters}):
             continue
         case = finish(rng, "single", name, seed, bench, {name: parameters}, noise, "rich")
         visible = case.truth.size >= np.hypot(case.truth.noise, case.truth.sign_noise)
@@ -155,12 +155,12 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
 
     `name` is "a+b", or "any" for a drawn pair.
     """
-    for attempt in range(80):
+    for attempt in range(200):
         rng = generator("pair", name, seed, attempt)
         first, second = name.split("+") if name != "any" else _draw_pair(rng)
         bench = draw_bench(rng, Recipe(**_needs_of_both(first, second), short=short))
         ratio = log_uniform(rng, 1.25, 4.0)
-        wanted = bench.scale * log_uniform(rng, 0.004, 0.02) * ratio
+        wanted = bench.reading * log_uniform(rng, 0.004, 0.02) * ratio
         effects: dict[str, dict[str, Any]] = {}
         for effect in (first, second):
             effects[effect], _ = _strong(rng, effect, bench, wanted * rng.uniform(1.0, 2.0))
@@ -168,7 +168,7 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
             continue
         sizes = {effect: added_size(bench, effects, effect) for effect in effects}
         noise = min(sizes.values()) / ratio
-        if noise < 1.2e-3 * bench.scale:
+        if noise < 2e-3 * bench.reading:
             continue
         case = finish(rng, "pair", name, seed, bench, effects, noise, "rich")
         case.truth.sizes = sizes
@@ -181,13 +181,13 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
 def outside_case(name: str, seed: int, short: bool = False) -> Case:
     """A cause outside the catalogue; what the whole catalogue cannot imitate of it is 2.2 to 6 times the noise."""
     stranger = STRANGERS[name]
-    for attempt in range(60):
+    for attempt in range(200):
         rng = generator("outside", name, seed, attempt)
         bench = draw_bench(rng, Recipe(**stranger.needs, short=short))
         span = CatalogueSpan(bench)
         at = stranger.draw(rng, bench)
         ratio = log_uniform(rng, 2.2, 6.0)
-        wanted = bench.scale * log_uniform(rng, 0.003, 0.015) * ratio
+        wanted = bench.reading * log_uniform(rng, 0.003, 0.015) * ratio
 
         def leftover(parameters: dict[str, Any], bench: Bench = bench, at: Any = at, span: Any = span) -> float:
             return float(span.leftover(bench.disturbed(at(parameters["strength"]))))
@@ -195,7 +195,7 @@ def outside_case(name: str, seed: int, short: bool = False) -> Case:
         strength = Strength(name, {}, "strength", stranger.start, stranger.cap)
         parameters, reached = solve(strength, wanted, leftover)
         noise = reached / ratio
-        if not 1.5e-3 * bench.scale < noise < 0.05 * bench.scale:
+        if not 2e-3 * bench.reading < noise < 0.06 * bench.reading:
             continue
         case = finish(rng, "outside", name, seed, bench, {}, noise, "rich", at(parameters["strength"]))
         case.truth.outside, case.truth.size = name, reached

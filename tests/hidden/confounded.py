@@ -252,11 +252,11 @@ ROWS: dict[str, Row] = {
 def confounded_case(name: str, seed: int, short: bool = False) -> Case:
     """One row of twins in the kind of log in which they cannot be parted, and the experiment that parts them."""
     row = ROWS[name]
-    for attempt in range(60):
+    for attempt in range(200):
         rng = generator("confounded", name, seed, attempt)
         bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
         ratio = log_uniform(rng, *row.ratio)
-        noise = bench.scale * log_uniform(rng, 0.005, 0.02)
+        noise = bench.reading * log_uniform(rng, 0.005, 0.02)
         parameters = _parameters(rng, row, bench, noise * (1.0 if row.absorbed else ratio))
         if parameters is None:
             continue
@@ -264,7 +264,7 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
         reached = size(bench, effects)
         if not row.absorbed:
             noise = reached / ratio
-        if not 1e-3 * bench.scale < noise < 0.08 * bench.scale or not in_domain(bench, effects):
+        if not 1.5e-3 * bench.reading < noise < 0.08 * bench.reading or not in_domain(bench, effects):
             continue
         case = finish(rng, "confounded", name, seed, bench, effects, noise, row.recipe.get("motion", "rich"))
         case.truth.twins, case.truth.exact = row.twins, row.exact

@@ -85,7 +85,7 @@ def torque(drive: Drive, motion: Motion, temperature: Array, effects: dict[str, 
 
 def rigid_case(name: str, seed: int, short: bool = False) -> Case:
     """A plain drive with one hidden effect, or with "none"; one to six times the noise."""
-    for attempt in range(40):
+    for attempt in range(200):
         rng = generator("rigid", name, seed, attempt)
         rate = int(rng.choice([250, 500, 1000]))
         every = 4000 // rate
