@@ -118,17 +118,12 @@ def test_friction_never_creates_energy(curvature: str, bristle: float, seed: int
     rng = np.random.default_rng(seed)
     tendons = Tendons(curvature, bristle=bristle)
     u = v = 0.0
-    work, before, tension = 0.0, tendons.elastic_energy(), np.full(4, T_P0)
     for _ in range(3000):
         du, dv = rng.normal(0.0, 2e-5, 2)
-        u, v = u + du, v + dv
-        u, v = u * 0.999, v * 0.999
-        old_u, old_v = u, v
-        tension = tendons.pull(u, v)
+        u, v = 0.999 * (u + du), 0.999 * (v + dv)
+        tendons.pull(u, v)
         assert tendons.last_taken >= -1e-9
-        del old_u, old_v
     assert tendons.taken > 0.0
-    assert np.isfinite(work + before + tension.sum())
 
 
 def test_work_is_stored_or_taken_by_friction() -> None:
@@ -138,15 +133,13 @@ def test_work_is_stored_or_taken_by_friction() -> None:
     before = tendons.elastic_energy()
     tension = tendons.pull(0.0, 0.0)
     for target_u, target_v in rng.normal(0.0, 3e-4, (30, 2)):
-        for share in np.linspace(0.0, 1.0, 200)[1:]:
-            new_u, new_v = u + (target_u - u) * share, v + (target_v - v) * share
-            old = (tendons_u, tendons_v) = (getattr(tendons, "u", 0.0), getattr(tendons, "v", 0.0))
-            new = tendons.pull(new_u, new_v)
+        du, dv = (target_u - u) / 200, (target_v - v) / 200
+        for _ in range(200):
+            u, v = u + du, v + dv
+            new = tendons.pull(u, v)
             mean = 0.5 * (tension + new)
-            work += (mean[2] - mean[0]) * (new_u - tendons_u) - (mean[3] - mean[1]) * (new_v - tendons_v)
-            tendons.u, tendons.v, tension = new_u, new_v, new  # type: ignore[attr-defined]
-            assert old is not None
-        u, v = target_u, target_v
+            work += (mean[2] - mean[0]) * du - (mean[3] - mean[1]) * dv
+            tension = new
     stored = tendons.elastic_energy() - before
     assert work - stored == pytest.approx(tendons.taken, rel=2e-3)
 
