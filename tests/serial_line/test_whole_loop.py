@@ -83,9 +83,11 @@ def test_torque_is_controlled_and_a_load_cell_is_logged_over_pseudo_terminals(tm
             cell.unplug()
     assert not summary["failed"]
     course = read_course(tmp_path, summary, SECONDS)
-    ideal_alone = 0.45  # N*m RMS without compensation on this motion
-    assert course.rms < 0.5 * ideal_alone
-    t1 = read_table(course.log).columns["t1"]
+    columns = read_table(course.log).columns
+    ratio = rig.NOMINAL.joint_pulley_radius / rig.NOMINAL.motor_pulley_radius
+    friction = ratio * float(np.sqrt(np.nanmean(np.square(columns["friction_term"]))))  # what would be missing without
+    assert course.rms < 0.6 * friction
+    t1 = columns["t1"]
     assert np.nanmax(t1) == np.nanmin(t1) == pytest.approx(4.5 * 9.80665)
     assert np.mean(np.isfinite(t1)) > 0.9
     assert load_log(course.log).rate == pytest.approx(RATE)
