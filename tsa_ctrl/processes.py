@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -23,6 +24,23 @@ OVERTIME = 30.0  # s beyond the asked duration until a daemon counts as hung
 def tsa(*arguments: str) -> list[str]:
     """The command line of a verb, whatever is on PATH."""
     return [sys.executable, "-m", "tsa_ctrl", *arguments]
+
+
+@contextlib.contextmanager
+def _signals_wait() -> Iterator[None]:
+    """SIGINT and SIGTERM are handled when the block is left: no process may start that nobody knows of."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[int] = []
+    kept = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in kept.items():
+            signal.signal(number, handler)
+    for waiting in caught:
+        signal.raise_signal(waiting)
 
 
 @contextlib.contextmanager
@@ -75,9 +93,11 @@ def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None
     called with the share of the time that has gone. Raises BusError with the daemon's last line when it fails.
     """
     command = tsa("run", f"controller-{name}.toml", "--seconds", f"{seconds:g}", "--json")
-    process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = None
     begin = time.monotonic()
     try:
+        with _signals_wait():
+            process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         while True:
             try:
                 out, errors = process.communicate(timeout=0.2)
@@ -88,7 +108,7 @@ def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None
                 if gone > seconds + OVERTIME:
                     raise BusError(f"the daemon did not end {OVERTIME:g} s after its time") from None
     finally:
-        if process.poll() is None:
+        if process is not None and process.poll() is None:
             process.terminate()
             try:
                 process.wait(END_TIME)

@@ -9,6 +9,7 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -190,13 +191,21 @@ def _first_complete(columns: Mapping[str, Array]) -> int:
     return int(np.argmax(complete)) if complete.any() else 0
 
 
-def _longest_piece(t: Array) -> tuple[int, int]:
-    """First and end index of the longest stretch of a daemon's log without a gap above LONGEST_SKIP."""
+def stretches(t: Array) -> list[tuple[int, int]]:
+    """First and end index of the stretches of a daemon's log between gaps that no straight line may fill.
+
+    Such a gap is longer than LONGEST_SKIP, or no whole number of periods: the clock of the loop began anew.
+    """
     steps = np.diff(t)
-    gaps = np.flatnonzero(steps > LONGEST_SKIP + 1.5 * float(np.median(steps))) + 1
-    edges = np.concatenate([[0], gaps, [len(t)]])
-    longest = int(np.argmax(np.diff(edges)))
-    return int(edges[longest]), int(edges[longest + 1])
+    periods = steps / float(np.median(steps))
+    broken = (np.abs(periods - np.rint(periods)) > MOST_JITTER) & (periods > 1.5)
+    gaps = np.flatnonzero((steps > LONGEST_SKIP + 1.5 * float(np.median(steps))) | broken) + 1
+    edges = [0, *(int(gap) for gap in gaps), len(t)]
+    return list(pairwise(edges))
+
+
+def _longest_piece(t: Array) -> tuple[int, int]:
+    return max(stretches(t), key=lambda piece: piece[1] - piece[0])
 
 
 def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.columns import SIGNAL_NAMES
 from tsa_ctrl.log.table import read_table, sha256_of
 from tsa_ctrl.processes import daemon
@@ -24,7 +23,6 @@ from tsa_ctrl.tune.excitation import Bounds, Waveform
 
 FloatArray = NDArray[np.float64]
 
-LONGEST_SKIP = 0.02  # s of cycles that a piece of a log may lack
 SHORTEST_PIECE = 1.5  # s between two longer skips, to be learned from
 STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
 
@@ -143,13 +141,11 @@ def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float) ->
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
     """Datasets between the skips that are too long to be bridged."""
     t = columns["t"]
-    typical = float(np.median(np.diff(t)))
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(t) > LONGEST_SKIP + 1.5 * typical) + 1, [t.size]])
     present = {
         key: value for key, value in columns.items() if key in {"t", *SIGNAL_NAMES} and bool(np.isfinite(value).all())
     }
     pieces = []
-    for first, end in itertools.pairwise(edges):
+    for first, end in stretches(t):
         if t[end - 1] - t[first] >= SHORTEST_PIECE:
             arrays = {key: value[first:end] for key, value in present.items()}
             pieces.append(Dataset.from_arrays(arrays, name, recorded=True))
