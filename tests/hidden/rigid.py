@@ -92,7 +92,8 @@ def rigid_case(name: str, seed: int, short: bool = False) -> Case:
         seconds = rng.uniform(14.0, 20.0) if short else rng.uniform(25.0, 60.0)
         # A drive's own torque limits its jerk: corners are wider than those of a joint that something else moves.
         t = grid(seconds, float(rate * every), before=0.25)
-        motion = rich_motion(rng, t, rng.uniform(0.8, 3.0), rounding=rng.uniform(0.035, 0.08))
+        reach = rng.uniform(1.6 if name in ("gravity_load", "joint_stiffness") else 0.8, 3.0)  # a weight is no spring
+        motion = rich_motion(rng, t, reach, rounding=rng.uniform(0.035, 0.08))
         drive = _draw_drive(rng, motion, name)
         temperature = 25.0 + rng.uniform(5.0, 12.0) * (1.0 + wander(rng, motion.t, seconds / 1.5))
         plain = torque(drive, motion, temperature, {})

@@ -23,7 +23,7 @@ class Mark:
     unique: bool | None = None  # the truth alone, without alternatives
     within: bool | None = None  # one cause, the truth among it and at most two alternatives
     wrong: bool = False  # a confident name that is not the truth
-    both: bool | None = None  # pairs: both names and nothing else
+    both: bool | None = None  # pairs: both names, at most two alternatives each, and nothing else
     both_within: bool | None = None
     flagged: bool | None = None  # outside: unexplained or partly explained
     falsely_explained: bool | None = None
@@ -54,7 +54,8 @@ def mark(case: Case, report: dict[str, Any], experiment: dict[str, Any] | None =
         if out.unique:
             out.covered = _covered(causes[0], case.truth)
     elif len(truth) == 2:
-        out.both = {cause["effect"] for cause in causes} == truth and len(causes) == 2
+        few = all(len(cause["alternatives"]) <= MOST_ALTERNATIVES for cause in causes)
+        out.both = {cause["effect"] for cause in causes} == truth and len(causes) == 2 and few
         first, second = truth
         out.both_within = len(causes) == 2 and any(
             _holds(a, {first}) and _holds(b, {second}) for a, b in (causes, causes[::-1])
@@ -75,11 +76,8 @@ def _holds(cause: dict[str, Any], truth: set[str]) -> bool:
 
 def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: dict[str, Any] | None) -> None:
     causes, truth, twins = report["causes"], set(case.truth.effects), set(case.truth.twins)
-    group = any(
-        truth <= {cause["effect"], *cause["alternatives"]}
-        and (twins - truth) & {cause["effect"], *cause["alternatives"]}
-        for cause in causes
-    )
+    names = {causes[0]["effect"], *causes[0]["alternatives"]} if len(causes) == 1 else set()
+    group = truth <= names and bool((twins - truth) & names)
     absorbed = "parameter_error" in twins
     out.grouped = group or report["verdict"] == "insufficient"
     if absorbed:  # recalibration takes it up: to find nothing is right

@@ -59,6 +59,17 @@ def test_a_pair_needs_both_names_and_nothing_else() -> None:
     assert not mark(pair, said(("backlash", ()), ("inertia", ()), ("torque_offset", ()))).both
 
 
+def test_a_pair_named_with_many_doubts_is_not_named() -> None:
+    pair = hidden("pair", "inertia", "backlash")
+    assert mark(pair, said(("backlash", ("a", "b")), ("inertia", ()))).both
+    assert not mark(pair, said(("backlash", ("a", "b", "c")), ("inertia", ()))).both
+
+
+def test_a_second_group_is_no_answer_to_twins() -> None:
+    twins = hidden("confounded", "gravity_load", twins=("gravity_load", "joint_stiffness"))
+    assert not mark(twins, said(("joint_stiffness", ("gravity_load",)), ("inertia", ("backlash",)))).grouped
+
+
 def test_a_stranger_is_noticed_or_explained_away() -> None:
     stranger = hidden("outside", outside="sheath_kink")
     assert mark(stranger, said(verdict="unexplained")).flagged
