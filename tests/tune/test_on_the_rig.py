@@ -22,7 +22,7 @@ RATE = 500.0  # Hz
 PATIENCE = 120.0  # s
 SHORT = ("--seconds", "12", "--verify-seconds", "6")
 
-pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
+pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow, pytest.mark.soak]
 
 
 @pytest.fixture
