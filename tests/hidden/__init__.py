@@ -8,9 +8,9 @@ c.logs[0].columns["tau_j"], c.model, c.truth.effects
 if __name__ != "tests.hidden":  # compiled functions are kept under this name
     raise ImportError("import this package as tests.hidden, from the project's folder")
 
-from .bench import HiddenLog
 from .cases import Case, Truth
 from .families import FAMILIES, case, make_cases
+from .recording import HiddenLog
 from .strength import NAMES
 
 __all__ = ["FAMILIES", "NAMES", "Case", "HiddenLog", "Truth", "case", "make_cases"]

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .bench import Bench, HiddenLog, Recipe, draw_bench, record
+from .bench import Bench, Recipe, draw_bench
 from .outside import STRANGERS, CatalogueSpan
+from .recording import HiddenLog, record
 from .rig import model_file
 from .rivals import is_unique
 from .size import added_size, size

@@ -17,7 +17,7 @@ from numba import njit
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize_scalar
 
-from .bench import HiddenLog
+from .recording import HiddenLog
 
 Array = np.ndarray
 

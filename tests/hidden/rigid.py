@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from . import memory, sensors
-from .bench import HiddenLog, rms
+from .bench import rms
 from .cases import Case, Truth, generator, log_uniform
 from .motion import Motion, grid, rich_motion, wander
 from .plant import stribeck_factor
+from .recording import HiddenLog
 
 Array = np.ndarray
 
