@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.combinations import combinations, from_tensions
@@ -151,7 +152,7 @@ def _blocks(logs: list[PreparedLog]) -> tuple[list[PreparedLog], list[PreparedLo
         n = log.tau_j.size
         period = float(log.signals.t[1] - log.signals.t[0])
         held = (np.arange(n) * HELD_OUT_BLOCKS // n) % 3 == 2
-        near = np.convolve(held, np.ones(2 * round(GAP / period) + 1), mode="same") > 0.5
+        near = maximum_filter1d(held.astype(np.int8), 2 * round(GAP / period) + 1) > 0
         train.append(log.restricted(~near))
         test.append(log.restricted(held))
     return train, test
