@@ -22,7 +22,7 @@ def command() -> None:
 @click.argument("log", type=click.Path())
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def info(log: str, as_json: bool) -> None:
-    """Rate, length, jitter, axes and columns of LOG (LOG.mcap:AXIS for one axis)."""
+    """Rate, length, jitter, axes and columns of LOG (LOG.mcap:AXIS for one axis), faults with their causes."""
     from tsa_ctrl.log.info import inspect
 
     found = inspect(log)
@@ -46,6 +46,8 @@ def info(log: str, as_json: bool) -> None:
             click.echo(f"  {column.name:16s}{', '.join(column.names) or span}{gaps}")
         for name in axis.text_columns:
             click.echo(f"  {name:16s}text")
+    for note in found.notes:
+        click.echo(str(note))
 
 
 @command.command(epilog="Example: tsa log convert run.mcap --out run.csv.gz")

@@ -53,6 +53,10 @@ class Events:
     def all(self) -> tuple[Event, ...]:
         return tuple(self._kept)
 
+    def since(self, number: int) -> tuple[Event, ...]:
+        """Kept events from this number on."""
+        return tuple(event for event in self._kept if event.number >= number)
+
     def encoded(self) -> bytes:
         """JSON of as many of the newest as the mailbox has room for."""
         kept = [asdict(event) for event in self._kept]

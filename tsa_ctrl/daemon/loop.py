@@ -96,6 +96,11 @@ class Loop:
         """Keep an event that happened outside of the cycles."""
         self.events.add((self._clock() - self._start) * 1e-9, "", text)
 
+    def last_words(self, unconfirmed: Sequence[str]) -> None:
+        """Leave in the log why it ended; after the drives were shut down."""
+        if self._start:
+            self._telemetry.last_words(self._t(self._clock()), self.cause or "an error", unconfirmed)
+
     def run(self, seconds: float = math.inf, first: LoopPhase = LoopPhase.SETTLING) -> None:
         """Run until stopped, or for `seconds` of torque or fault; again after a new bring-up, from RESETTING."""
         ticker, telemetry = self._ticker, self._telemetry

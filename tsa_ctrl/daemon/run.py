@@ -120,6 +120,7 @@ class Daemon:
                 raise
         finally:
             self._unconfirmed = shut_down(rig, period)
+            loop.last_words(self._unconfirmed)
 
     def _bring_up(self, bus: Bus, rig: Rig) -> None:
         configuration = self._configuration

@@ -14,6 +14,7 @@ from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import Mailbox
+from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import RingWriter
 
@@ -42,6 +43,8 @@ class Telemetry:
         self._tuners = tuners
         self._mailbox = mailbox
         self._push = None if ring is None else ring.push
+        self._note = None if ring is None else ring.note
+        self._noted = 0
         self._log = log
         self._sensors = sensors
         self._log_alive = log is not None
@@ -98,6 +101,22 @@ class Telemetry:
         if self._events.changed:
             self._events.changed = False
             self._mailbox.publish_text(self._events.encoded())
+            self._note_events()
+
+    def last_words(self, t: float, cause: str, unconfirmed: Sequence[str]) -> None:
+        """To the log: why the run ended, and which drives did not confirm that they are off."""
+        self._note_events()
+        if self._note is not None:
+            for line in unconfirmed:
+                self._note(Note(t, "", line, fault=True).encoded())
+            self._note(Note(t, "", f"ended: {cause}", fault=False).encoded())
+
+    def _note_events(self) -> None:
+        """Hand new events to the log, so that the cause of a stop stays with the records of it."""
+        for event in self._events.since(self._noted):
+            self._noted = event.number + 1
+            if self._note is not None:
+                self._note(Note(event.t, event.axis, event.text, event.fault).encoded())
 
     def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[float, ...]:
         image, terms, estimator = axis.image, axis.terms, axis.estimator

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.columns import BY_NAME
 from tsa_ctrl.log.csv_out import coded
+from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
 from tsa_ctrl.log.timing import check_increasing, fit_grid
@@ -50,13 +51,17 @@ class AxisInfo:
 
 @dataclass(frozen=True)
 class LogInfo:
-    """A log file: its axes (one without a name for a table), hash and what its head says; `problems` in words."""
+    """A log file: its axes (one without a name for a table), hash and what its head says; `problems` in words.
+
+    `notes`: what happened, faults with their cause.
+    """
 
     path: str
     sha256: str
     axes: list[AxisInfo]
     about: dict[str, Any] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
 
     def as_dict(self) -> dict[str, Any]:
         """The JSON object of `tsa log info`; the rate and the columns are those of all axes together."""
@@ -76,6 +81,7 @@ class LogInfo:
             "recorded_by": self.about.get("version"),
             "started": self.about.get("started"),
             "problems": self.problems,
+            "events": [vars(note) for note in self.notes],
         }
 
 
@@ -99,7 +105,7 @@ def inspect(path: str | Path) -> LogInfo:
         columns = {field: values[:, i] for i, field in enumerate(log.fields)}
         columns = {field: v for field, v in columns.items() if field == "t" or not np.isnan(v).all()}
         infos.append(_axis_info(Table(f"{file}:{name}", columns, axis=name, recorded=True), np.inf, log.codes))
-    return LogInfo(str(path), sha256, infos, log.about, log.problems)
+    return LogInfo(str(path), sha256, infos, log.about, log.problems, log.notes)
 
 
 def _axis_info(table: Table, longest_skip: float, codes: Codes | None = None) -> AxisInfo:

@@ -1,7 +1,8 @@
 """An MCAP file that is whole after every chunk, however the writing process ends.
 
 Format: the MCAP specification, version 0 (mcap.dev/spec). One channel per axis, schema encoding "ros2msg", message
-encoding "cdr": four bytes of header, then the doubles of one record, little-endian. Chunks carry their check sum;
+encoding "cdr": four bytes of header, then the doubles of one record, little-endian. One more channel has what happened
+(faults with their cause), in chunks of its own, as JSON in the schema "foxglove.Log". Chunks carry their check sum;
 indices for quick opening are written at the end.
 """
 
@@ -26,6 +27,7 @@ from mcap.records import (
     DataEnd,
     Footer,
     Header,
+    Message,
     MessageIndex,
     Metadata,
     Schema,
@@ -34,11 +36,15 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.record import FIELDS
 
 MAGIC = b"\x89MCAP0\r\n"
 SCHEMA_NAME = "tsa_ctrl/msg/Cycle"
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+NOTES_TOPIC, NOTES_SCHEMA = "/events", "foxglove.Log"
+NOTES_ENCODING = "json"
+INFO, ERROR = 2, 4  # levels of foxglove.Log
 FILES = "file:"  # metadata records of this prefix hold the text of a configuration file
 
 MESSAGE = np.dtype(
@@ -61,6 +67,14 @@ def schema_text() -> bytes:
     return "".join(f"float64 {column.name}  # {column.unit}: {column.doc}\n" for column in FIELDS).encode()
 
 
+def notes_schema_text() -> bytes:
+    """JSON schema of a note: foxglove.Log with time, axis and fault as in `Note`."""
+    time_type = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+    kinds = {"level": "integer", "message": "string", "name": "string", "t": "number", "fault": "boolean"}
+    properties = {"timestamp": time_type, **{name: {"type": kind} for name, kind in kinds.items()}}
+    return json.dumps({"title": NOTES_SCHEMA, "type": "object", "properties": properties}).encode()
+
+
 class McapFile:
     """Writes records chunk by chunk; where one cannot be written, the file stays whole up to the last one."""
 
@@ -78,6 +92,11 @@ class McapFile:
             Channel(id=i + 1, topic=f"/{name}", message_encoding="cdr", metadata={"axis": name}, schema_id=1)
             for i, name in enumerate(header.axes)
         ]
+        self._notes = 0
+        self._notes_schema = Schema(id=2, name=NOTES_SCHEMA, encoding="jsonschema", data=notes_schema_text())
+        self._notes_channel = Channel(
+            id=len(header.axes) + 1, topic=NOTES_TOPIC, message_encoding=NOTES_ENCODING, metadata={}, schema_id=2
+        )
         try:
             self._append(MAGIC + self._head())
         except OSError:
@@ -102,7 +121,47 @@ class McapFile:
             return
         data = b"".join(block.tobytes() for block in messages)
         times = np.concatenate([block["log_time"] for block in messages])
-        start, end = int(times.min()), int(times.max())
+        entries: dict[int, list[tuple[int, int]]] = {}
+        begin = 0
+        for axis, block in enumerate(messages):
+            if len(block):
+                at = range(begin, begin + block.nbytes, MESSAGE.itemsize)
+                entries[axis + 1] = list(zip(block["log_time"].tolist(), at, strict=True))
+            begin += block.nbytes
+        self._write_chunk(data, entries, int(times.min()), int(times.max()))
+        for axis, block in enumerate(messages):
+            self._sequence[axis] += len(block)
+
+    def write_notes(self, notes: Sequence[Note]) -> None:
+        """One chunk of what happened. Raises OSError, adding nothing."""
+        if not notes:
+            return
+        builder = RecordBuilder()
+        entries: list[tuple[int, int]] = []
+        for number, note in enumerate(notes, self._notes):
+            at = max(0, round(note.t * 1e9) + round(self._header.started * 1e9))
+            entries.append((at, builder.count))
+            content = {
+                "timestamp": {"sec": at // 1_000_000_000, "nsec": at % 1_000_000_000},
+                "level": ERROR if note.fault else INFO,
+                "message": note.text,
+                "name": note.axis,
+                "t": note.t,
+                "fault": note.fault,
+            }
+            Message(
+                channel_id=self._notes_channel.id,
+                log_time=at,
+                publish_time=at,
+                sequence=number,
+                data=json.dumps(content).encode(),
+            ).write(builder)
+        times = [at for at, _ in entries]
+        self._write_chunk(bytes(builder.end()), {self._notes_channel.id: entries}, min(times), max(times))
+        self._notes += len(notes)
+
+    def _write_chunk(self, data: bytes, entries: dict[int, list[tuple[int, int]]], start: int, end: int) -> None:
+        """A chunk of message records with its indices; `entries`: time and place of each message, by channel."""
         builder = RecordBuilder()
         Chunk(
             compression="zstd",
@@ -114,14 +173,9 @@ class McapFile:
         ).write(builder)
         chunk_length = builder.count
         offsets: dict[int, int] = {}
-        begin = 0
-        for axis, block in enumerate(messages):
-            if len(block):
-                at = range(begin, begin + block.nbytes, MESSAGE.itemsize)
-                offsets[axis + 1] = self._position + builder.count
-                entries = list(zip(block["log_time"].tolist(), at, strict=True))
-                MessageIndex(channel_id=axis + 1, records=entries).write(builder)
-            begin += block.nbytes
+        for channel, records in entries.items():
+            offsets[channel] = self._position + builder.count
+            MessageIndex(channel_id=channel, records=records).write(builder)
         index = ChunkIndex(
             chunk_start_offset=self._position,
             chunk_length=chunk_length,
@@ -137,8 +191,6 @@ class McapFile:
         self._first_time = start if not self._indices else min(start, self._first_time)
         self._last_time = max(end, self._last_time)
         self._indices.append(index)
-        for axis, block in enumerate(messages):
-            self._sequence[axis] += len(block)
 
     def finish(self) -> None:
         """Write the indices and close the file; without it the file can still be read. Raises OSError."""
@@ -175,12 +227,16 @@ class McapFile:
     def _head(self) -> bytes:
         builder = RecordBuilder()
         Header(profile="", library=f"tsa-ctrl {self._header.version}").write(builder)
-        self._schema.write(builder)
-        for channel in self._channels:
-            channel.write(builder)
+        self._write_channels(builder)
         for record in self._metadata():
             record.write(builder)
         return bytes(builder.end())
+
+    def _write_channels(self, builder: RecordBuilder) -> None:
+        for schema in (self._schema, self._notes_schema):
+            schema.write(builder)
+        for channel in (*self._channels, self._notes_channel):
+            channel.write(builder)
 
     def _metadata(self) -> list[Metadata]:
         header = self._header
@@ -204,19 +260,20 @@ class McapFile:
         builder = RecordBuilder()
         DataEnd(data_section_crc=0).write(builder)
         start = self._position + builder.count
-        self._schema.write(builder)
-        for channel in self._channels:
-            channel.write(builder)
+        self._write_channels(builder)
         Statistics(
             attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts={axis + 1: count for axis, count in enumerate(self._sequence)},
+            channel_count=len(self._channels) + 1,
+            channel_message_counts={
+                **{axis + 1: count for axis, count in enumerate(self._sequence)},
+                self._notes_channel.id: self._notes,
+            },
             chunk_count=len(self._indices),
-            message_count=self.written,
+            message_count=self.written + self._notes,
             message_start_time=self._first_time,
             message_end_time=self._last_time,
             metadata_count=1 + len(self._header.files),
-            schema_count=1,
+            schema_count=2,
         ).write(builder)
         for index in self._indices:
             index.write(builder)

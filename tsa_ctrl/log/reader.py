@@ -19,11 +19,12 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata, Schema
+from mcap.records import Channel, Chunk, Message, Metadata, Schema
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.mcap_file import FILES, MAGIC, SCHEMA_NAME
+from tsa_ctrl.log.mcap_file import FILES, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME
+from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.table import Table
 
 _DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage
@@ -45,7 +46,8 @@ class LogFile:
 
     `axes` and `fields` in order; `about` is the head's metadata (version, rate, started, units, codes); `files` maps
     the name of each configuration file to its text. After `blocks` has run to its end, `complete` is false when the
-    file was cut off (its writer was killed or still writes), and `damaged` counts chunks with a wrong check sum.
+    file was cut off (its writer was killed or still writes), `damaged` counts chunks with a wrong check sum, `notes`
+    has what happened, in order (none in logs of earlier versions).
     """
 
     def __init__(self, path: Path) -> None:
@@ -57,6 +59,8 @@ class LogFile:
         self.files: dict[str, str] = {}
         self.complete = False
         self.damaged = 0
+        self.notes: list[Note] = []
+        self._notes_channel: int | None = None
         self._channels: dict[int, str] = {}
         with path.open("rb") as stream:
             magic = stream.read(len(MAGIC))
@@ -91,12 +95,16 @@ class LogFile:
         pick = [self.fields.index(name) for name in wanted]
         message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
         self.complete, self.damaged = False, 0
+        self.notes = []
         for opcode, content in self._records():
             if opcode == Opcode.FOOTER:
                 self.complete = True
             if opcode != Opcode.CHUNK:
                 continue
             data = _unpacked(content)
+            if data is not None and self._holds_notes(data):
+                self.notes += _notes(data)
+                continue
             if data is None or len(data) % message.itemsize:
                 self.damaged += 1
                 continue
@@ -110,6 +118,17 @@ class LogFile:
         names = list(wanted)
         blocks = [block for name, block in self.blocks(names) if name == axis]
         return {name: np.concatenate([np.empty(0), *(block[:, i] for block in blocks)]) for i, name in enumerate(names)}
+
+    def read_notes(self) -> list[Note]:
+        """What happened, in order: faults with their cause, losses, the end."""
+        for _ in self.blocks(()):
+            pass
+        return self.notes
+
+    def _holds_notes(self, data: bytes) -> bool:
+        """Chunks hold either records or notes."""
+        channel = int.from_bytes(data[_PREFIX : _PREFIX + 2], "little")
+        return self._notes_channel is not None and channel == self._notes_channel
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
         """Opcode and content of each whole record; ends where the file is cut off."""
@@ -132,6 +151,9 @@ class LogFile:
                 self._take_schema(Schema.read(_stream(content)))
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(_stream(content))
+                if channel.topic == NOTES_TOPIC and "axis" not in channel.metadata:
+                    self._notes_channel = channel.id
+                    continue
                 self._channels[channel.id] = channel.metadata.get("axis", channel.topic.strip("/"))
             elif opcode == Opcode.METADATA:
                 self._take_metadata(Metadata.read(_stream(content)))
@@ -139,6 +161,8 @@ class LogFile:
                 return
 
     def _take_schema(self, schema: Schema) -> None:
+        if schema.name == NOTES_SCHEMA:
+            return
         if schema.name != SCHEMA_NAME:
             raise UsageError(
                 f"{self.path}: holds '{schema.name}' messages, not a log of this package; convert it to CSV"
@@ -170,6 +194,22 @@ def read_axis(path: Path, axis: str | None, wanted: Collection[str] | None = Non
     label = str(path) if len(log.axes) == 1 else f"{path}:{axis}"
     left_out = tuple(name for name in log.fields if name not in kept)
     return Table(label, columns, left_out, axis=axis, recorded=True)
+
+
+def _notes(data: bytes) -> list[Note]:
+    """The notes in an unpacked chunk of them; what is damaged is left out."""
+    found = []
+    position = 0
+    while position + _PREFIX <= len(data):
+        length = int.from_bytes(data[position + 1 : position + _PREFIX], "little")
+        position += _PREFIX
+        try:
+            content = json.loads(Message.read(_stream(data[position : position + length]), length).data)
+            found.append(Note(float(content["t"]), content["name"], content["message"], bool(content["fault"])))
+        except (*_DAMAGED, TypeError):
+            pass
+        position += length
+    return found
 
 
 def _stream(content: bytes) -> ReadDataStream:

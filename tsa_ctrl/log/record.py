@@ -1,5 +1,7 @@
 """The record of one cycle of one axis, and the shared-memory ring that carries it out of the real-time process.
 
+Beside the records the ring carries notes: texts of what happened, rare and short.
+
 One writer, any number of readers, no locks and no system calls: the writer stores a record and then advances the axis'
 count; a reader copies records and afterwards drops those that the writer may have reached meanwhile. The memory has no
 name (a descriptor is handed to child processes instead), so that nothing is left behind however a process ends.
@@ -28,6 +30,9 @@ SLOTS = 8192  # records per axis: 8 s at 1 kHz, for a disk that hangs
 _MAGIC = 0x74736172696E6731  # "tsaring1"
 _HEADER = 4096  # bytes; keeps the records of axis 0 on a page of their own
 _RECORD = 8 * len(FIELDS)
+_NOTES = 64  # notes that may wait; the oldest is overwritten
+_NOTE = 1024  # bytes of one, its length in the first two
+NOTE_BYTES = _NOTE - 2
 
 
 class _Word(IntEnum):
@@ -38,6 +43,7 @@ class _Word(IntEnum):
     SLOTS = 2
     FIELDS = 3
     CLOSED = 4  # by the owner: no more records
+    NOTES = 5  # by the owner: notes written
     WRITER_STATE = 8  # by the log writer, as the words that follow
     WRITTEN = 9
     LOST = 10
@@ -66,6 +72,7 @@ class Ring:
         self.axes = axes
         self.slots = slots
         self._map = mmap.mmap(fd, size_of(axes, slots))
+        self._notes_at = size_of(axes, slots) - _NOTES * _NOTE
         self._words = memoryview(self._map).cast("Q")
 
     def close(self) -> None:
@@ -82,7 +89,7 @@ class Ring:
 
 def size_of(axes: int, slots: int) -> int:
     """Bytes of a ring."""
-    return _HEADER + axes * slots * _RECORD
+    return _HEADER + axes * slots * _RECORD + _NOTES * _NOTE
 
 
 class RingWriter(Ring):
@@ -111,6 +118,14 @@ class RingWriter(Ring):
         self._counts[axis] = count = count + 1
         self._words[_Word.COUNT + axis] = count
 
+    def note(self, text: bytes) -> None:
+        """Store one note, cut to NOTE_BYTES. Never blocks; the oldest note is overwritten."""
+        count = self._words[_Word.NOTES]
+        at = self._notes_at + count % _NOTES * _NOTE
+        text = text[:NOTE_BYTES]
+        self._map[at : at + 2 + len(text)] = len(text).to_bytes(2, "little") + text
+        self._words[_Word.NOTES] = count + 1
+
     def finish(self) -> None:
         """Say that no more records come: the log writer drains the ring, completes the file and ends."""
         self._words[_Word.CLOSED] = 1
@@ -134,6 +149,7 @@ class RingReader(Ring):
             self._map, dtype=np.float64, count=axes * slots * len(FIELDS), offset=_HEADER
         ).reshape(axes, slots, len(FIELDS))
         self._next = [0 if from_start else self._count(axis) for axis in range(axes)]
+        self._next_note = 0 if from_start else self.word(_Word.NOTES)
         self.lost = 0
 
     def _count(self, axis: int) -> int:
@@ -149,6 +165,18 @@ class RingReader(Ring):
         self.lost += start - self._next[axis] + torn
         self._next[axis] = count
         return records[torn:]
+
+    def notes(self) -> list[bytes]:
+        """Notes since the last call, oldest first; overwritten ones are left out."""
+        count = self.word(_Word.NOTES)
+        found = []
+        for number in range(max(self._next_note, count - _NOTES), count):
+            at = self._notes_at + number % _NOTES * _NOTE
+            length = int.from_bytes(self._map[at : at + 2], "little")
+            found.append(self._map[at + 2 : at + 2 + min(length, NOTE_BYTES)])
+        written = self.word(_Word.NOTES) - count
+        self._next_note = count
+        return found[written:] if written and len(found) == _NOTES else found
 
     def latest(self, axis: int) -> dict[str, float] | None:
         """The newest record of an axis by field name; None before the first."""

@@ -19,11 +19,14 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.record import FIELDS, RingReader, WriterState
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost
 RETRY = 1.0  # s between attempts after a trouble
+DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
+MOST_NOTES = 1000  # kept while the disk is in trouble
 MOST_PENDING = 120_000  # records kept while the disk is in trouble, about 25 MB; older ones are lost
 
 Blocks = list[NDArray[np.float64]]
@@ -38,7 +41,9 @@ class LogWriter:
         self._header = header
         self._file: McapFile | None = None
         self._pending: list[Blocks] = [[] for _ in header.axes]
+        self._notes: list[Note] = []
         self._waiting = 0
+        self._newest = 0.0  # s, of the log's time
         self._dropped = 0
         self._trouble = 0
         self._due = 0.0
@@ -50,6 +55,9 @@ class LogWriter:
             if len(block):
                 pending.append(block)
                 self._waiting += len(block)
+                self._newest = float(block[-1, 0])
+        self._notes += [note for data in self._ring.notes() if (note := Note.decoded(data)) is not None]
+        del self._notes[:-MOST_NOTES]
         if now >= self._due or last:
             self._write()
             self._due = now + (RETRY if self._trouble else CHUNK)
@@ -57,9 +65,12 @@ class LogWriter:
             self._drop_oldest()
         self._report(WriterState.TROUBLED if self._trouble else WriterState.WRITING)
 
-    def end(self) -> None:
-        """Write what is left and complete the file."""
+    def end(self, orphaned: bool = False) -> None:
+        """Write what is left and complete the file. `orphaned`: the loop is gone and said nothing, which is noted."""
         self.step(0.0, last=True)
+        if orphaned:
+            self._notes.append(Note(self._newest, "", DEAD, fault=True))
+            self._write()
         try:
             if self._file is not None:
                 self._file.finish()
@@ -72,11 +83,17 @@ class LogWriter:
         try:
             if self._file is None:
                 self._file = McapFile(self._path, self._header)
-            self._file.write([_joined(blocks) for blocks in self._pending])
+            if self._waiting:
+                self._file.write([_joined(blocks) for blocks in self._pending])
+                self._forget()
+            self._file.write_notes(self._notes)
         except OSError as error:
             self._trouble = error.errno or errno.EIO
             return
         self._trouble = 0
+        self._notes.clear()
+
+    def _forget(self) -> None:
         self._waiting = 0
         for blocks in self._pending:
             blocks.clear()
@@ -116,7 +133,7 @@ def main(argv: list[str]) -> int:
         writer.step(time.monotonic())
         readable, _, _ = select.select([sys.stdin], [], [], POLL)
         orphaned = bool(readable and not os.read(sys.stdin.fileno(), 4096)) or os.getppid() != owner
-    writer.end()
+    writer.end(orphaned and not ring.finished)
     return 0
 
 
