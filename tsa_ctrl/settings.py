@@ -6,10 +6,12 @@ A settings class is a `msgspec.Struct` with `forbid_unknown_fields=True`; bounds
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import re
 import tempfile
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -24,17 +26,39 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     """Parse a TOML file; raise UsageError naming file and line when it cannot be read."""
     path = Path(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        for key, value in _numbers(data, ""):
+            if not math.isfinite(value):
+                raise UsageError(f"{path}: {key}: found {value}; give a finite number")
+        return data
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; give the path of an existing TOML file") from None
     except IsADirectoryError:
         raise UsageError(f"{path}: is a folder; give the path of a TOML file") from None
     except PermissionError:
         raise UsageError(f"{path}: cannot be read; allow reading it (chmod +r)") from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path}: is not UTF-8 text; give a TOML file") from None
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not valid TOML: {error}; correct that line") from None
+    except ValueError as error:
+        raise UsageError(f"{str(path)!r}: is no path ({error}); give the path of a TOML file") from None
+    except RecursionError:
+        raise UsageError(f"{path}: tables or lists are nested too deeply; give one of the documented files") from None
+
+
+def _numbers(value: object, key: str) -> Iterator[tuple[str, float]]:
+    """Every float in a parsed file, with where it stands."""
+    if isinstance(value, float):
+        yield key, value
+    elif isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _numbers(inner, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _numbers(inner, key)
 
 
 def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:

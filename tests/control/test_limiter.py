@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -192,9 +193,155 @@ def test_imports_nothing_of_the_law() -> None:
         ({"joint_speed": 20.0, "over_speed": 20.0}, "not above joint_speed"),
         ({"travel": (0.0, 0.1)}, "not wider than"),
         ({"travel": (1.0, -1.0)}, "not wider than"),
+        ({"travel": (1.0, 1.5), "travel_margin": 0.25}, "not wider than two travel margins of 0.25 rad"),
     ],
 )
 def test_contradictory_settings_are_refused(settings: dict[str, Any], words: str) -> None:
     """Limits that contradict each other are an error before anything moves."""
     with pytest.raises(ValueError, match=words):
         LimiterSettings(torque=1.0, **settings)
+
+
+@pytest.mark.parametrize("upper", [1.5 + 2.0**-20, 3.0])
+def test_travel_just_wider_than_its_margins_is_taken(upper: float) -> None:
+    """Two margins and a little more leave a place with full torque; where the travel lies does not matter."""
+    settings = LimiterSettings(torque=1.0, travel=(1.0, upper), travel_margin=0.25)
+    middle = {**CALM, "q_j": 0.5 * (1.0 + upper)}
+    assert Limiter(settings, 1.0).update(1.0, **middle) == (1.0, Reason.NONE)
+
+
+def test_defaults_are_those_of_the_example_file() -> None:
+    """What holds when the file says nothing: careful values."""
+    assert msgspec.to_builtins(LimiterSettings(torque=2.0)) == {
+        "torque": 2.0,
+        "rate": 200.0,
+        "distance": None,
+        "joint_speed": 10.0,
+        "over_speed": 20.0,
+        "motor_over_speed": 40.0,
+        "travel": None,
+        "travel_margin": 0.1,
+    }
+
+
+BOUNDS = [  # key, the least that is refused or None, the most that is taken
+    ("torque", 0.0, 1000.0),
+    ("distance", 0.0, 1000.0),
+    ("rate", 0.0, 100_000.0),
+    ("over_speed", 0.0, 1000.0),
+    ("motor_over_speed", 0.0, 1000.0),
+    ("travel_margin", 0.0, 10.0),
+]
+
+
+@pytest.mark.parametrize(("key", "low", "high"), BOUNDS, ids=[key for key, *_ in BOUNDS])
+def test_settings_are_bounded_from_both_sides(key: str, low: float, high: float) -> None:
+    """Just inside its bounds a setting is taken, on the open one and just outside it is refused."""
+    wide = {"torque": 1.0, "joint_speed": 1e-9, "over_speed": 1000.0}
+
+    def read(value: float) -> LimiterSettings:
+        return msgspec.convert({**wide, key: value}, LimiterSettings, strict=True)
+
+    for good in (1e-3, high):
+        assert getattr(read(good), key) == good
+    for bad in (low, -1e-3, math.nextafter(high, math.inf)):
+        with pytest.raises(msgspec.ValidationError):
+            read(bad)
+
+
+def test_reasons_are_the_codes_of_the_log() -> None:
+    """Logs that were written stay readable."""
+    assert {reason.name: reason.value for reason in Reason} == {
+        "NONE": 0,
+        "DISABLED": 1,
+        "STALE": 2,
+        "NOT_FINITE": 3,
+        "OVER_SPEED": 4,
+        "SPEED": 5,
+        "TRAVEL": 6,
+        "DISTANCE": 7,
+        "RATE": 8,
+        "ABSOLUTE": 9,
+        "OSCILLATION": 10,
+    }
+
+
+def test_reset_starts_the_ramp_anew() -> None:
+    """An explicit re-start begins at 0, not at what was sent before."""
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
+    for _ in range(5):
+        limiter.update(1.0, **CALM)
+    limiter.reset()
+    assert limiter.update(1.0, **CALM) == (pytest.approx(0.1), Reason.RATE)
+
+
+@pytest.mark.parametrize("omega", [math.nextafter(8.0, 10.0), 9.0])
+def test_small_driving_torque_fades_too(omega: float) -> None:
+    """The power of the motion does not matter, its sign does."""
+    torque, reason = Limiter(LOOSE, PERIOD).update(1e-3, **{**CALM, "omega_j": omega})
+    assert (torque, reason) == (pytest.approx(1e-3 * (10.0 - omega) / 2.0), Reason.SPEED)
+
+
+@pytest.mark.parametrize("omega", [8.0, -8.0])
+def test_at_the_onset_of_the_speed_limit_nothing_is_limited(omega: float) -> None:
+    """80 % of the joint speed is still free."""
+    assert Limiter(LOOSE, PERIOD).update(math.copysign(0.5, omega), **{**CALM, "omega_j": omega}) == (
+        math.copysign(0.5, omega),
+        Reason.NONE,
+    )
+
+
+def test_no_torque_is_no_limit() -> None:
+    """Nothing wanted at full speed and beyond the travel is not a limit that acted."""
+    assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "omega_j": 15.0, "q_j": 3.0}) == (0.0, Reason.NONE)
+
+
+def test_a_margin_away_from_the_end_of_travel_nothing_is_limited() -> None:
+    """The fade begins inside the margin."""
+    settings = LimiterSettings(torque=2.0, rate=1e5, travel=(-1.0, 1.5), travel_margin=0.5)
+    assert Limiter(settings, PERIOD).update(1.0, **{**CALM, "q_j": 1.0}) == (1.0, Reason.NONE)
+    assert Limiter(settings, PERIOD).update(-1.0, **{**CALM, "q_j": -0.5}) == (-1.0, Reason.NONE)
+
+
+def test_small_command_stays_near_a_contrary_torque() -> None:
+    """Less than 1 N*m is held to its distance like any other."""
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=0.125), PERIOD)
+    assert limiter.update(0.5, **{**CALM, "tau_m": 0.25}) == (0.375, Reason.DISTANCE)
+    assert limiter.update(-0.5, **{**CALM, "tau_m": -0.25}) == (-0.375, Reason.DISTANCE)
+
+
+def test_on_a_limit_nothing_is_limited() -> None:
+    """Exactly one step, exactly the absolute limit, exactly the distance: as wanted."""
+    settings = LimiterSettings(torque=2.0, rate=4.0, distance=1.0)
+    assert Limiter(settings, 0.25).update(1.0, **CALM) == (1.0, Reason.NONE)
+    assert Limiter(settings, 0.25).update(-1.0, **CALM) == (-1.0, Reason.NONE)
+    quick = LimiterSettings(torque=2.0, rate=1e5)
+    assert Limiter(quick, 0.25).update(2.0, **CALM) == (2.0, Reason.NONE)
+    assert Limiter(quick, 0.25).update(-2.0, **CALM) == (-2.0, Reason.NONE)
+
+
+sizes = st.floats(1e-3, 100.0)
+
+
+@given(sizes, sizes, st.floats(-2.0, 2.0), st.sampled_from([-1.0, 1.0]))
+def test_distance_sweep(distance: float, wanted: float, measured: float, sign: float) -> None:
+    """Whatever is measured: the command is as wanted or on the bound, towards 0, and never turned."""
+    settings = LimiterSettings(torque=1000.0, rate=1e5, distance=distance)
+    torque, reason = Limiter(settings, 1.0).update(sign * wanted, **{**CALM, "tau_m": sign * measured})
+    bound = max(0.0, measured + distance)
+    assert sign * torque == pytest.approx(min(wanted, bound))
+    assert (reason is Reason.DISTANCE) == (wanted > measured + distance)
+
+
+@given(st.floats(-30.0, 30.0), st.floats(-3.0, 3.0), st.floats(-2.0, 2.0))
+def test_speed_and_travel_sweep(omega: float, q: float, wanted: float) -> None:
+    """Against the rule in words: share of speed, then share of room, each from 0 to 1, only for what makes it worse."""
+    torque, _ = Limiter(LOOSE, PERIOD).update(wanted, **{**CALM, "omega_j": omega, "q_j": q})
+    expected = wanted
+    if abs(omega) >= 20.0:
+        expected = 0.0
+    if wanted * omega > 0.0:
+        expected *= min(1.0, max(0.0, (10.0 - abs(omega)) / 2.0))
+    room = 1.5 - q if wanted > 0.0 else q + 1.0
+    expected *= min(1.0, max(0.0, room / 0.1))
+    assert torque == pytest.approx(expected, abs=1e-12)

@@ -29,6 +29,7 @@ ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no 
 
 _ANSWER_TIMEOUT = 0.5  # s, for one SDO answer
 _ATTEMPTS = 3  # SDO reads and writes are repeated, as the configuration of a drive is idempotent
+_ANSWER_LENGTH = 8  # bytes of every SDO frame
 _LISTENING = 0.1  # s, for another master before anything is sent
 _POLL = 0.005  # s
 
@@ -173,7 +174,7 @@ class Session:
             client = SdoClient(cia301.SDO_REQUEST + node_id, cia301.SDO_ANSWER + node_id, canopen.ObjectDictionary())
             client.RESPONSE_TIMEOUT = _ANSWER_TIMEOUT
             client.network = self._network
-            self._network.subscribe(cia301.SDO_ANSWER + node_id, client.on_response)
+            self._network.subscribe(cia301.SDO_ANSWER + node_id, _well_formed(client.on_response))
             self._clients[node_id] = client
         return self._clients[node_id]
 
@@ -202,3 +203,8 @@ class Session:
         data = cia301.heartbeat(NmtState.OPERATIONAL)
         while not self._stop.wait(self._settings.host_heartbeat_period):
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, data)
+
+
+def _well_formed(take: Callable[[int, bytearray, float], None]) -> Callable[[int, bytearray, float], None]:
+    """Answers of a wrong length are no answers: canopen would unpack them all the same."""
+    return lambda can_id, data, timestamp: take(can_id, data, timestamp) if len(data) == _ANSWER_LENGTH else None

@@ -93,10 +93,10 @@ class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
     kind: Literal["gait", "sine", "file", "still"] = "gait"
     amplitude: float = 0.5  # rad, of the sine
-    frequency: Positive = 0.5  # Hz, of the sine
+    frequency: Annotated[float, Meta(ge=1e-3, le=1e3)] = 0.5  # Hz, of the sine
     offset: float = 0.0  # rad, of the sine, or where it stands still
     phase: float = 0.0  # rad, of the sine
-    period: Positive = 1.6  # s, of the gait cycle
+    period: Annotated[float, Meta(ge=1e-2, le=1e3)] = 1.6  # s, of the gait cycle
     scale: float = 1.0  # of the gait profile or of the file
     file: str | None = None  # CSV with columns t, q_j and, if there, omega_j
     repeat: bool = True  # of the file; else it stays at its end

@@ -1,0 +1,137 @@
+"""Bring-up over a bus that spoils frames: it succeeds or says in one line why not, and commands no torque."""
+
+from __future__ import annotations
+
+import random
+import struct
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+from tests.bus.local_nodes import bench
+from tests.bus.nodes import axis_nodes
+from tests.fuzz.frames import any_frame, spoil
+from tests.fuzz.part import Holdings, Part
+from tsa_ctrl.bus import bring_up as module
+from tsa_ctrl.bus import checks, session
+from tsa_ctrl.bus.profile import DriveProfile
+from tsa_ctrl.bus.seam import Bus, BusFault, Counters, Frame
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.errors import TsaError
+
+QUICK = (  # time-outs, s: nobody here is slow
+    (session, "_ANSWER_TIMEOUT", 0.05),
+    (session, "_LISTENING", 0.01),
+    (module, "BOOT_TIMEOUT", 0.3),
+    (module, "START_TIMEOUT", 0.3),
+    (checks, "_MODE_TIMEOUT", 0.1),
+    (checks, "_OFF_TIMEOUT", 0.1),
+)
+
+
+class SpoiledBus:
+    """A `Bus` that spoils what is received, and sometimes what is sent."""
+
+    def __init__(self, bus: Bus, draw: random.Random, rate: float, part: Part) -> None:
+        self.name = bus.name
+        self.sent: list[Frame] = []
+        self._bus = bus
+        self._draw = draw
+        self._rate = rate
+        self._part = part
+        self._waiting: list[Frame] = []
+
+    @property
+    def counters(self) -> Counters:
+        return self._bus.counters
+
+    @property
+    def fault(self) -> BusFault | None:
+        return self._bus.fault
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        self.sent.append((can_id, data))
+        if self._draw.random() < 0.2 * self._rate:
+            return False
+        return self._bus.send(can_id, data)
+
+    def recv(self, timeout: float) -> Frame | None:
+        if self._waiting:
+            return self._waiting.pop()
+        frame = self._bus.recv(timeout)
+        if frame is None:
+            return None
+        self._part.inputs += 1
+        draw = self._draw
+        if draw.random() < self._rate:
+            self._waiting = spoil(frame, draw)
+            if draw.random() < 0.3:
+                self._waiting.append(any_frame(draw))
+            return self.recv(0.0)
+        return frame
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        self._bus.accept(can_ids)
+
+    def flush(self) -> int:
+        self._waiting = []
+        return self._bus.flush()
+
+    def clear_fault(self) -> None:
+        self._bus.clear_fault()
+
+    def fileno(self) -> int:
+        return self._bus.fileno()
+
+    def close(self) -> None:
+        self._bus.close()
+
+
+@contextmanager
+def quick() -> Iterator[None]:
+    """Short time-outs."""
+    kept = [(where, name, getattr(where, name)) for where, name, _ in QUICK]
+    for where, name, value in QUICK:
+        setattr(where, name, value)
+    try:
+        yield
+    finally:
+        for where, name, value in kept:
+            setattr(where, name, value)
+
+
+def run(attempts: int, seed: int) -> Part:
+    """This many attempts to bring one axis up, from a bus that is hardly spoiled to one that is."""
+    part = Part("bring-up")
+    with quick(), part.quiet_threads():
+        for number in range(attempts):
+            draw = random.Random(seed * 1_000_000 + number)
+            _attempt(draw, part, number)
+            if number <= attempts // 4:
+                part.before = Holdings.of()
+    part.after = Holdings.of()
+    return part
+
+
+def _attempt(draw: random.Random, part: Part, number: int) -> None:
+    with bench() as nodes:
+        bus = SpoiledBus(nodes.bus, draw, draw.choice((0.0, 0.003, 0.02, 0.2)), part)
+        with part.surviving(f"attempt {number}"):
+            try:
+                module.bring_up(bus, BusSettings(interface="virtual"), [axis_nodes()], [DriveProfile()], 0.001)
+                part.counts["succeeded"] += 1
+            except TsaError as error:
+                part.counts["refused"] += 1
+                if "\n" in str(error):
+                    part.blame(f"attempt {number}: more than one line: {error}")
+    _check(bus.sent, part, number)
+
+
+def _check(sent: list[Frame], part: Part, number: int) -> None:
+    """No RPDO, no controlword but "off", no target torque."""
+    for can_id, data in sent:
+        if 0x200 < can_id < 0x280:
+            part.blame(f"attempt {number}: an RPDO was sent")
+        if can_id == 0x601 and data[0] & 0xE0 == 0x20:
+            index, sub, value = struct.unpack_from("<HBI", data, 1)
+            if (index, sub) in ((0x6040, 0), (0x6071, 0)) and value != 0:
+                part.blame(f"attempt {number}: 0x{index:04X} = {value} was written")

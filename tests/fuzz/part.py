@@ -1,0 +1,64 @@
+"""What a part of the fuzzing found, and what it cost this process."""
+
+from __future__ import annotations
+
+import os
+import threading
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+MOST = 20  # problems kept of each part
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+@dataclass(frozen=True)
+class Holdings:
+    """Resident memory (bytes) and open descriptors of a process."""
+
+    memory: int
+    descriptors: int
+
+    @classmethod
+    def of(cls, pid: int | str = "self") -> Holdings:
+        resident = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+        return cls(resident * PAGE, len(list(Path(f"/proc/{pid}/fd").iterdir())))
+
+
+@dataclass
+class Part:
+    """`inputs`: what was thrown at it; `counts`: what came of it, so that one sees that it was not idle."""
+
+    name: str
+    inputs: int = 0
+    counts: Counter[str] = field(default_factory=Counter)
+    problems: list[str] = field(default_factory=list)
+    before: Holdings = Holdings(0, 0)
+    after: Holdings = Holdings(0, 0)
+
+    def blame(self, text: str) -> None:
+        self.counts["problems"] += 1
+        if len(self.problems) < MOST:
+            self.problems.append(text)
+
+    @contextmanager
+    def surviving(self, what: str) -> Iterator[None]:
+        """An exception in the block is a problem, with the place where it came from."""
+        try:
+            yield
+        except Exception as error:
+            where = traceback.extract_tb(error.__traceback__)[-1]
+            self.blame(f"{what}: {type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})")
+
+    @contextmanager
+    def quiet_threads(self) -> Iterator[None]:
+        """An exception that ends a thread is a problem, too."""
+        kept = threading.excepthook
+        threading.excepthook = lambda hook: self.blame(f"thread: {hook.exc_type.__name__}: {hook.exc_value}")
+        try:
+            yield
+        finally:
+            threading.excepthook = kept

@@ -1,0 +1,110 @@
+"""The local socket under nonsense: strict answers, only bounded commands in the mailbox, no growth of its process."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import random
+import socket
+import tempfile
+from pathlib import Path
+
+from tests.daemon.serving import Serving, until
+from tests.fuzz.part import Holdings, Part
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT
+from tsa_ctrl.ipc.protocol import Status
+
+GOOD = (
+    b'{"verb":"status"}',
+    b'{"verb":"set","name":"knee.compensation","value":0.5}',
+    b'{"verb":"set","name":"hip.compensation","value":1.1999}',
+    b'{"verb":"setpoint","axis":"knee","value":-0.25}',
+    b'{"verb":"recover"}',
+)
+PIECES = (b'"', b"{", b"}", b"[", b"]", b",", b":", b"null", b"true", b"NaN", b"1e999", b"-1e308", b"\xff", b"\0", b"\\u0000",
+          b'"verb"', b'"stop', b"99999999999999999999999", b"-0", b"0.1e-400", b" " * 50, b"[" * 300)  # fmt: skip
+BOUNDS = {0: (0.0, 1.2), SET_POINT: (-2.0, 2.0), RECOVER: (0.0, 0.0)}  # by parameter
+LINES = 40  # in one connection
+
+
+def run(lines: int, seed: int) -> Part:
+    """This many lines, in connections that end in any way a connection can."""
+    part = Part("socket")
+    draw = random.Random(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        serving = Serving(Path(folder) / "tsa.sock", ["knee", "hip"])
+        try:
+            pid = serving.process.pid
+            descriptors = Holdings.of(pid).descriptors
+            while part.inputs < lines:
+                with part.surviving("connection"):
+                    _connection(serving, draw, part)
+                _take(serving, part)
+                if part.inputs <= max(LINES, lines // 4):
+                    part.before = _idle(pid, descriptors)
+            with part.surviving("at the end"), Client(serving.path) as client:
+                part.counts["alive"] = int(client.ask(Status())["schema"] == 1)
+            part.after = _idle(pid, descriptors)
+        finally:
+            said = serving.end()
+        if serving.process.returncode != 0 or "Traceback" in said:
+            part.blame(f"the server ended with {serving.process.returncode}: {said[-300:]}")
+    return part
+
+
+def _idle(pid: int, descriptors: int) -> Holdings:
+    """What the server holds once it has noticed that nobody is connected."""
+    until(lambda: Holdings.of(pid).descriptors <= descriptors)
+    return Holdings.of(pid)
+
+
+def _line(draw: random.Random) -> bytes:
+    """A good request, mostly with something wrong."""
+    line = bytearray(draw.choice(GOOD))
+    for _ in range(draw.randrange(5)):
+        at = draw.randrange(len(line) + 1)
+        kind = draw.randrange(4)
+        if kind == 0 and line:
+            del line[at : at + draw.randrange(1, 8)]
+        elif kind == 1:
+            line[at:at] = draw.choice(PIECES)
+        elif kind == 2 and at < len(line):
+            line[at] = draw.randrange(256)
+        else:
+            line = bytearray(draw.randbytes(draw.randrange(60)))
+    return bytes(line).replace(b"\n", b" ")
+
+
+def _connection(serving: Serving, draw: random.Random, part: Part) -> None:
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(5.0)
+        connection.connect(serving.path)
+        lines = [_line(draw) for _ in range(draw.randrange(1, LINES))]
+        part.inputs += len(lines)
+        data = b"\n".join(lines) + (b"\n" if draw.random() < 0.9 else b"")
+        if draw.random() < 0.05:
+            data += b"x" * 10_000
+        with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+            connection.sendall(data)
+            if draw.random() < 0.3:
+                return  # without waiting for an answer
+            connection.shutdown(socket.SHUT_WR)
+            answers = b""
+            while piece := connection.recv(1 << 16):
+                answers += piece
+            for answer in answers.splitlines():
+                found = json.loads(answer)
+                part.counts["refused" if not found["ok"] else "taken"] += 1
+                if not found["ok"] and not found["error"]:
+                    part.blame("a refusal without words")
+
+
+def _take(serving: Serving, part: Part) -> None:
+    """What reached the loop is within its bounds."""
+    while (command := serving.mailbox.take()) is not None:
+        part.counts["commands"] += 1
+        low, high = BOUNDS.get(command.parameter, (math.inf, -math.inf))
+        if command.axis not in (0, 1) or not low <= command.value <= high:
+            part.blame(f"reached the loop: {command}")

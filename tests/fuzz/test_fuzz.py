@@ -1,0 +1,68 @@
+"""Small doses of what tools/fuzz throws at length, and that its judge can tell."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.fuzz import configuring, files, master, nodes, requests
+from tests.fuzz.part import Part
+from tsa_ctrl.bus.supervisor import Supervisor
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import load_model
+
+DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part, inputs, what must have happened
+    (master.run, 60_000, ("cycles with torque", "faults")),
+    (nodes.run, 40_000, ("answers", "frames with torque", "resets")),
+    (configuring.run, 12, ("succeeded",)),
+    (requests.run, 2_000, ("refused", "taken", "commands", "alive")),
+    (files.run, 600, ("refused", "taken")),
+]
+
+
+@pytest.mark.parametrize(("run", "dose", "happened"), DOSES, ids=[run.__module__.split(".")[-1] for run, *_ in DOSES])
+def test_nonsense_does_no_harm(run: Callable[[int, int], Part], dose: int, happened: tuple[str, ...]) -> None:
+    """No crash, no torque that may not be, no descriptor left open; and it was not idle."""
+    part = run(dose, 1)
+    assert part.problems == []
+    assert all(part.counts[name] for name in happened), part.counts
+    assert part.after.descriptors <= part.before.descriptors
+
+
+def test_judge_sees_a_supervisor_that_is_blind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a supervisor that watches nothing, the judge finds torque where there may be none."""
+    monkeypatch.setattr(Supervisor, "_watch", lambda self, image, now: None)
+    monkeypatch.setattr(Supervisor, "_check_running", lambda self, image, state, now: None)
+    assert master.run(20_000, 1).problems
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("a = " + "[" * 2000 + "]" * 2000, "nested too deeply"),
+        ("[pretension]\nvalue = nan", "pretension.value: found nan; give a finite number"),
+        ("[pretension]\nvalue = 1e999", "found inf"),
+    ],
+)
+def test_files_that_were_found_by_it(tmp_path: Path, line: str, words: str) -> None:
+    """What once ended in a traceback, or got through, is one line."""
+    path = tmp_path / "a.toml"
+    path.write_text(line, encoding="utf-8")
+    with pytest.raises(UsageError, match=words) as found:
+        load_model(path)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a" * 5000])
+def test_names_that_are_no_paths(name: str) -> None:
+    """The file system's refusal is said in one line, too."""
+    with pytest.raises(UsageError):
+        load_model(name)
+
+
+def test_same_seed_same_nonsense() -> None:
+    """A problem can be repeated by its seed."""
+    assert files._spoil("a = 1\nb = 2", random.Random(3)) == files._spoil("a = 1\nb = 2", random.Random(3))
