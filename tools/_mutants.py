@@ -280,7 +280,7 @@ def _apply(tree: ast.AST, place: _Place, edit: Edit) -> tuple[str, str, str]:
 
 
 def _context(chain: list[ast.AST]) -> int:
-    """Index of the widest piece around the node that still is one short line: an operand, an expression, a statement."""
+    """Index of the widest piece around the node that still is one short line: an operand, a statement."""
     best = len(chain) - 1
     for index in range(len(chain) - 2, 0, -1):
         node = chain[index]

@@ -1,4 +1,4 @@
-"""The simulated nodes under random frames and SDO requests: they answer in form, move nothing when disabled, come back."""
+"""The simulated nodes under random frames and SDO requests: answers in form, no torque when off, back at a reset."""
 
 from __future__ import annotations
 
