@@ -23,11 +23,11 @@ from tsa_ctrl.bus.socketcan import SocketCan
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
-from tsa_ctrl.control.realtime import sleep_until
 from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.children import Children
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.sleep import sleep_until
 
 FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")

@@ -35,6 +35,7 @@ class FakeBus:
         self.waiting: deque[Frame] = deque()
         self.accepted: set[int] | None = None
         self.full = False
+        self.bell: int | None = None
         self._answer = answer
 
     def send(self, can_id: int, data: bytes) -> bool:
@@ -53,6 +54,17 @@ class FakeBus:
             self.clock.now += max(0.0, timeout)
             return None
         return self.waiting.popleft()
+
+    def gather(self, until: float, most: int) -> list[Frame]:
+        self.clock.now = max(self.clock.now, until)
+        return [self.waiting.popleft() for _ in range(min(most, len(self.waiting)))]
+
+    def listen_for(self, can_id: int) -> None:
+        self.bell = can_id
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        frame = self.recv(timeout)
+        return [] if frame is None else [frame]
 
     def accept(self, can_ids: Iterable[int] | None) -> None:
         self.accepted = None if can_ids is None else set(can_ids)

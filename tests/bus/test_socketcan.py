@@ -65,6 +65,43 @@ def test_burst_is_received_in_order(pair: tuple[SocketCan, SocketCan]) -> None:
 
 
 @pytest.mark.vcan
+def test_what_has_come_is_taken_at_once(pair: tuple[SocketCan, SocketCan]) -> None:
+    first, second = pair
+    frames = [(0x100 + number, bytes(range(number % 9))) for number in range(150)]  # more than one call of the kernel
+    for frame in frames:
+        assert first.send(*frame)
+    until = time.monotonic() + 0.01
+    assert second.gather(until, 149) == frames[:149]
+    assert time.monotonic() >= until
+    assert (second.gather(0.0, 9), second.gather(0.0, 9), second.fault) == (frames[149:], [], None)
+
+
+@pytest.mark.vcan
+def test_the_last_answer_is_waited_for_and_brings_the_others(pair: tuple[SocketCan, SocketCan]) -> None:
+    first, second = pair
+    second.listen_for(0x1C0)
+    frames = [(0x181, b"\x01"), (0x281, b""), (0x1C0, bytes(8))]
+
+    def answer() -> None:
+        for frame in frames:
+            time.sleep(0.05)
+            first.send(*frame)
+
+    for _ in range(2):
+        thread = threading.Thread(target=answer)
+        thread.start()
+        found = second.answers(5.0, 9)
+        found += second.gather(time.monotonic() + 0.01, 9)
+        thread.join()
+        assert found == frames
+    second.listen_for(0x181)
+    start = time.monotonic()
+    first.send(*frames[2])
+    assert second.answers(0.02, 9) == [frames[2]]
+    assert time.monotonic() - start >= 0.02
+
+
+@pytest.mark.vcan
 def test_kernel_keeps_other_identifiers_out(pair: tuple[SocketCan, SocketCan]) -> None:
     first, second = pair
     second.accept([0x181, 0x701])

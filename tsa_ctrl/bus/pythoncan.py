@@ -70,6 +70,20 @@ class PythonCan:
             frame = self._receive(deadline - time.monotonic())
         return frame
 
+    def gather(self, until: float, most: int) -> list[Frame]:
+        time.sleep(max(0.0, until - time.monotonic()))
+        frames: list[Frame] = []
+        while len(frames) < most and (frame := self.recv(0.0)) is not None:
+            frames.append(frame)
+        return frames
+
+    def listen_for(self, can_id: int) -> None:
+        """No bus of python-can can wait for one identifier: `answers` waits for any."""
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        frame = self.recv(timeout)
+        return [] if frame is None else [frame]
+
     def _receive(self, timeout: float) -> Frame | None:
         try:
             message = self._bus.recv(max(0.0, timeout))

@@ -21,9 +21,8 @@ from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
-_GUESS = 0.125  # share of the window in which the next of several answers is expected
 _OTHERS = 16  # emergencies and heartbeats that may stand between answers that came in time
-_LOOK_AT_CLOCK = 8  # frames between two looks at the clock: at most one window later than the deadline
+_MISJUDGED = 8  # answers in a row that came after the one that was thought to be the last
 _ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
 _NO_DATA = b""
@@ -72,6 +71,8 @@ class Rig:
         self._synced = -math.inf
         self._flooded_now = False
         self._emptied = False
+        self._last = 0  # identifier of the answer that comes last
+        self._later = 0  # ... and how often in a row another came after it
 
     def start(self) -> None:
         """Listen to the nodes of this rig only and forget what was received before; once, before the first cycle."""
@@ -79,32 +80,23 @@ class Rig:
         self.bus.flush()
         for inbox in self._inboxes:
             inbox.awaited = 1
-        self._expected = len(self._inboxes)
+        self._expect()
         now = self._clock()
         for axis in self.axes:
             axis.rearm(now)
 
     def wait(self, until: float) -> float:
-        """Sleep until `until` (monotonic s) and take what arrives meanwhile: emergencies, heartbeats, late answers.
+        """Sleep until `until` (monotonic s), then take what arrived meanwhile: emergencies, heartbeats, late answers.
 
         In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC: an
         old answer would have to arrive within the microseconds between the two to be believed, once. Returns the time.
         """
-        recv, clock = self.bus.recv, self._clock
-        spare = _MAX_WAITING
-        while spare > 0:
-            remaining = until - clock()
-            if remaining <= 0.0:
-                spare -= 1
-            frame = recv(remaining)
-            if frame is None:
-                if self.bus.fault is not None:  # then nothing is waited for
-                    time.sleep(max(0.0, until - clock()))
-                self._emptied = True
-                return clock()
+        frames = self.bus.gather(until, _MAX_WAITING)
+        for frame in frames:
             self._take_stale(frame)
-        self._flooded_now = True
-        return clock()
+        self._flooded_now = len(frames) >= _MAX_WAITING
+        self._emptied = True
+        return self._clock()
 
     def sync(self, now: float | None = None) -> bool:
         """Begin a cycle at `now` (default: read the clock): take what waited, unless `wait` just did, then send SYNC.
@@ -122,42 +114,35 @@ class Rig:
     def collect(self, deadline: float) -> float:
         """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the SYNC's time.
 
-        The clock is read only when it matters: in a virtual machine that can cost as much as receiving a frame. After
-        the first frame the wait for each next one is a short guess; only one that fails asks for the time left.
+        Waits for the answer that comes last and takes them all at once: to be woken by each of them costs more than a
+        cycle's arithmetic, and takes the processor from nodes that share it.
         """
-        recv, answers, clock = self.bus.recv, self._answers, self._clock
+        answers, bus = self._answers, self.bus
         pending = 0 if self._flooded_now else self._expected
-        window = deadline - self._synced
-        guess = window * _GUESS
-        frame = recv(window) if pending else None
-        taken, most = 0, _MAX_WAITING
-        while pending > 0:
-            if frame is None:
-                window = deadline - clock()
-                if guess == 0.0 or window <= 0.0:
+        if pending:
+            frames = bus.answers(deadline - self._synced, pending)
+            taken, rounds, over = 0, 0, False
+            while True:
+                for can_id, data in frames:
+                    inbox = answers.get(can_id)
+                    if inbox is None:
+                        self._take_message(can_id, data)
+                    elif inbox.armed and len(data) == inbox.length:
+                        inbox.armed = False
+                        inbox.store(inbox.unpack(data))
+                        pending -= inbox.awaited
+                    else:
+                        inbox.refuse(data)
+                taken += len(frames)
+                rounds += 1
+                if pending <= 0 or over or taken >= _MAX_WAITING:
                     break
-                frame = recv(window)
-                if frame is None:
-                    break
-            can_id, data = frame
-            inbox = answers.get(can_id)
-            if inbox is None:
-                self._take_message(can_id, data)
-            elif inbox.armed and len(data) == inbox.length:
-                inbox.armed = False
-                inbox.store(inbox.unpack(data))
-                pending -= inbox.awaited
-                if pending <= 0:
-                    break
-            else:
-                inbox.refuse(data)
-            taken += 1
-            if taken >= most:
-                break
-            if taken % _LOOK_AT_CLOCK == 0 and guess > 0.0 and clock() >= deadline:
-                guess = 0.0  # wait no longer, but take what came in time
-                most = taken + pending + _OTHERS
-            frame = recv(guess)
+                remaining = deadline - self._clock()
+                frame = bus.recv(remaining) if remaining > 0.0 else None
+                over = frame is None  # then only what came in time is still taken
+                frames = bus.gather(deadline, pending + _OTHERS) if frame is None else (frame,)
+            if rounds > 1 and pending <= 0:
+                self._learn_the_last(can_id)
         complete = pending <= 0 and self._expected == len(self._inboxes) and not self._flooded_now
         if self._flooded_now:
             self.flooded += 1
@@ -170,8 +155,26 @@ class Rig:
         if not complete:
             for inbox in self._inboxes:
                 inbox.awaited = int(inbox.health.misses <= _ABANDONED)
-            self._expected = sum(inbox.awaited for inbox in self._inboxes)
+            self._expect()
         return self._synced
+
+    def _expect(self) -> None:
+        """Count the answers to wait for; the one of the lowest priority is thought to come last."""
+        awaited = [can_id for can_id, inbox in self._answers.items() if inbox.awaited]
+        if len(awaited) != self._expected or self._last not in awaited:
+            self._expected = len(awaited)
+            self._listen_for(max(awaited, default=0))
+
+    def _learn_the_last(self, can_id: int) -> None:
+        """`can_id` completed a cycle: when it is not the one thought to, and so again and again, take it for that."""
+        self._later = 0 if can_id == self._last else self._later + 1
+        if self._later >= _MISJUDGED:
+            self._listen_for(can_id)
+
+    def _listen_for(self, can_id: int) -> None:
+        self._last = can_id
+        self._later = 0
+        self.bus.listen_for(can_id)
 
     def heartbeat(self, now: float) -> None:
         """Send our heartbeat when it is due; call it every cycle, and never hand it to a timer of the kernel."""

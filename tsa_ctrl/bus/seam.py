@@ -6,7 +6,7 @@ identifier, its class in the bits below and its details in the data (Linux `can/
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -49,6 +49,21 @@ class Bus(Protocol):
 
     def recv(self, timeout: float) -> Frame | None:
         """The next frame, waiting at most `timeout` s; None when there is none or the bus has failed (see `fault`)."""
+        ...
+
+    def gather(self, until: float, most: int) -> Sequence[Frame]:
+        """Sleep until `until` (monotonic s; not at all when it is over), then take what has come, `most` at most."""
+        ...
+
+    def listen_for(self, can_id: int) -> None:
+        """Name the identifier that `answers` waits for: the last one of a cycle."""
+        ...
+
+    def answers(self, timeout: float, most: int) -> Sequence[Frame]:
+        """Wait for the frame named to `listen_for`, `timeout` s at most, then take what has come, `most` at most.
+
+        Spares a cycle to be woken by each answer. It may be woken early, so what is missing is to be waited for.
+        """
         ...
 
     def accept(self, can_ids: Iterable[int] | None) -> None:

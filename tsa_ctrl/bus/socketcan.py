@@ -9,10 +9,11 @@ import struct
 from collections.abc import Iterable
 from select import select
 
+from tsa_ctrl.bus.batch import FRAME, Batch
 from tsa_ctrl.bus.seam import BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.sleep import sleep_until
 
-FRAME = struct.Struct("=IB3x8s")  # struct can_frame: can_id, len, padding, data
 _pack, _unpack = FRAME.pack, FRAME.unpack
 FILTER = struct.Struct("=II")  # struct can_filter: can_id, can_mask
 _ID_MASK = 0xC00007FF  # standard data frames of exactly this identifier
@@ -61,6 +62,10 @@ class SocketCan:
         self._send = self._socket.send
         self._recv_into = self._socket.recv_into
         self._readers = [self._fd]
+        self._batch = Batch(self._socket)
+        self._bell: socket.socket | None = None  # hears one identifier only: the last answer of a cycle
+        self._heard: Batch | None = None
+        self._bells = self._readers
 
     def _open(self, channel: str, send_queue: int) -> None:
         raw = self._socket
@@ -88,7 +93,7 @@ class SocketCan:
             self._send(_pack(can_id, len(data), data))
         except OSError as error:
             self.counters.dropped += 1
-            self._note(error)
+            self._note(error.errno)
             return False
         self.counters.sent += 1
         return True
@@ -100,15 +105,41 @@ class SocketCan:
                 return None
             self._recv_into(self._buffer)
         except OSError as error:
-            self._note(error)
+            self._note(error.errno)
             return None
         can_id, length, data = _unpack(self._buffer)
         return can_id, data[:length]
 
-    def _note(self, error: OSError) -> None:
+    def gather(self, until: float, most: int) -> list[Frame]:
+        if self._heard is not None:
+            self._heard.take(most)  # and forgotten, errors too: the other socket has them all
+        sleep_until(round(until * 1e9))
+        return self._take(most)
+
+    def listen_for(self, can_id: int) -> None:
+        if self._bell is None:
+            self._bell = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            self._bell.setblocking(False)
+        self._bell.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, FILTER.pack(can_id, _ID_MASK))
+        if self._heard is None:
+            self._bell.bind((self.name,))
+            self._heard = Batch(self._bell)
+            self._bells = [self._bell.fileno()]
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        select(self._bells, _NOTHING, _NOTHING, max(0.0, timeout))
+        return self._take(most)
+
+    def _take(self, most: int) -> list[Frame]:
+        frames, error = self._batch.take(most)
+        if error:
+            self._note(error)
+        return frames
+
+    def _note(self, number: int | None) -> None:
         """Latch what ends the bus; a full queue (send) or an empty one (recv) is no fault."""
-        if error.errno not in _DROPPED and self.fault is None:
-            self.fault = _FAULTS.get(error.errno or 0, BusFault.ADAPTER)
+        if number not in _DROPPED and self.fault is None:
+            self.fault = _FAULTS.get(number or 0, BusFault.ADAPTER)
 
     def accept(self, can_ids: Iterable[int] | None) -> None:
         wanted = None if can_ids is None else sorted(set(can_ids))
@@ -132,3 +163,5 @@ class SocketCan:
 
     def close(self) -> None:
         self._socket.close()
+        if self._bell is not None:
+            self._bell.close()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -19,8 +18,6 @@ from msgspec import Meta
 
 from tsa_ctrl.errors import BusError
 
-CLOCK_MONOTONIC = 1  # linux/time.h
-TIMER_ABSTIME = 1
 MCL_CURRENT, MCL_FUTURE = 1, 2  # asm-generic/mman.h
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -30,10 +27,6 @@ class RealtimeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
     lock_memory: bool = True
     cpu: Annotated[int, Meta(ge=0, le=1023)] | None = None  # run on this processor only; default: any
     allow_without: bool = False  # run even if the scheduler or the memory lock is refused
-
-
-class _Timespec(ctypes.Structure):
-    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
 
 
 @dataclass(frozen=True)
@@ -101,14 +94,6 @@ def release() -> None:
     _libc.munlockall()
     if os.sched_getscheduler(0) != os.SCHED_OTHER:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-def sleep_until(deadline: int) -> None:
-    """Sleep to an absolute CLOCK_MONOTONIC time in ns; a signal's Python handler runs, then the sleep goes on."""
-    request = _Timespec(*divmod(deadline, 1_000_000_000))
-    while _libc.clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, ctypes.byref(request), None) != 0:
-        if time.monotonic_ns() >= deadline:
-            return
 
 
 class Ticker:

@@ -117,9 +117,8 @@ class Loop:
         start, period, half = self._start, ticker.period, ticker.period // 2
         while self.phase is not LoopPhase.ENDED and not self.recover:
             planned = ticker.deadline
-            wait(planned * 1e-9)
-            woke = clock()
-            now = woke * 1e-9
+            now = wait(planned * 1e-9)
+            woke = round(now * 1e9)
             run_cycle(self._rig, self._axes, now, now + self._collect)
             done = clock()
             follow_up(self._rig, self._axes, now)

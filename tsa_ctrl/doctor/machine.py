@@ -17,6 +17,7 @@ from tsa_ctrl.control import realtime
 from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.doctor.check import Check, Result, judge
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.sleep import sleep_until
 
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page")
 CPUS = Path("/sys/devices/system/cpu")
@@ -152,7 +153,7 @@ def _measure(pipe: Connection, settings: RealtimeSettings, rate: float, seconds:
     late = np.zeros(max(1, round(seconds * rate)))
     deadline = time.monotonic_ns() + period
     for i in range(late.size):
-        realtime.sleep_until(deadline)
+        sleep_until(deadline)
         now = time.monotonic_ns()
         late[i] = (now - deadline) * 1e-9
         deadline += period * max(1, -(-(now - deadline) // period))
