@@ -22,6 +22,7 @@ from tsa_ctrl.daemon.children import Children
 from tsa_ctrl.daemon.descent import descend
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.notify import Notifier
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
@@ -54,6 +55,7 @@ class Daemon:
         self._loop: Loop | None = None
         self._early_stop: str | None = None
         self._unconfirmed: list[str] = []
+        self._notifier = Notifier()
 
     def run(self, seconds: float) -> Summary:
         configuration = self._configuration
@@ -81,6 +83,7 @@ class Daemon:
                         children.log,
                         events,
                         children.sensors,
+                        self._notifier,
                     )
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
@@ -99,6 +102,7 @@ class Daemon:
             return summary
         finally:
             bus.close()
+            self._notifier.close()
 
     def _operate(self, bus: Bus, rig: Rig, axes: tuple[ControlAxis, ...], loop: Loop, seconds: float) -> None:
         """Bring up, run, bring up again when asked to; then descend, whatever happened."""
@@ -135,7 +139,8 @@ class Daemon:
         """Configure all nodes anew, as at the start; a failure leaves the fault latched and is told."""
         bus.clear_fault()
         try:
-            self._bring_up(bus, rig)
+            with self._notifier.no_loop():
+                self._bring_up(bus, rig)
         except BusError as error:
             loop.note(f"recovery failed: {error}")
             loop.run(seconds, LoopPhase.FAULTED)

@@ -12,6 +12,8 @@ from tsa_ctrl.control.limiter import Reason
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.notify import Notifier
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.log.note import Note
@@ -35,8 +37,11 @@ class Telemetry:
         log: LogProcess | None,
         events: Events,
         sensors: AxisSensors | None = None,
+        notifier: Notifier | None = None,
     ) -> None:
-        """`ring` and `log` are None when nothing is logged, `sensors` when there is none on a serial line."""
+        """`ring` and `log` are None when nothing is logged, `sensors` when there is none on a serial line, `notifier`
+        when no service manager is to be told.
+        """
         self.log_lost = 0
         self._rig = rig
         self._axes = tuple(enumerate(axes))
@@ -47,6 +52,7 @@ class Telemetry:
         self._noted = 0
         self._log = log
         self._sensors = sensors
+        self._notifier = notifier
         self._log_alive = log is not None
         self._trouble = ""
         self._written = 0
@@ -97,6 +103,8 @@ class Telemetry:
         """Write the status; `counts`: cycles run, planned, skipped, overruns; times in s, monotonic."""
         dropped = self._rig.bus.counters.dropped
         general = (now, start, *counts, dropped, self.log_lost, phase)
+        if self._notifier is not None:
+            self._notifier.update(now, LoopPhase(phase))
         self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
         if self._events.changed:
             self._events.changed = False
