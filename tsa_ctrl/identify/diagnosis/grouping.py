@@ -1,7 +1,7 @@
 """Which other effects this log cannot exclude in place of a named one.
 
 A rival takes the place of the cause and everything is fitted anew; it stays an alternative unless it fits worse by more
-than noise explains, and does so from block to block. `parameter_error` is the rival that needs no effect: recalibration
+than noise explains, that of the blocks included. `parameter_error` is the rival that needs no effect: recalibration
 without regard to [uncertainty].
 """
 
@@ -20,22 +20,21 @@ from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, rivals, withou
 
 PARAMETER_ERROR = "parameter_error"
 SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
-BLOCK_T = 2.6  # of 23 degrees of freedom: 1 % one-sided
+MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
 FITTED = 6  # rivals that are fitted in full
 
 
 @dataclass(frozen=True)
 class Rival:
-    """`worse`: increase of the sum of squares in white units; `block_t`: of that increase between blocks."""
+    """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise."""
 
     name: str
     fitted: Fit
     worse: float
-    block_t: float
 
     @property
     def excluded(self) -> bool:
-        return self.worse > SURELY_WORSE and self.block_t > BLOCK_T
+        return self.worse > SURELY_WORSE
 
 
 @dataclass(frozen=True)
@@ -74,11 +73,15 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tu
 
 
 def compared(problem: Problem, fitted: Fit, rival: Fit, name: str) -> Rival:
-    """How much worse `rival` fits; a further coordinate counts as in the selection."""
-    blocks = problem.blocks
-    count = int(blocks[-1]) + 1
-    difference = np.bincount(blocks, rival.residual**2 - fitted.residual**2, count)
-    spread = float(np.std(difference, ddof=1)) * np.sqrt(count)
-    total = float(difference.sum())
+    """How much worse `rival` fits; a further coordinate counts as in the selection.
+
+    In white noise the increase of the sum of squares has the deviation 2 |d|, where d is the difference of the
+    predictions; where the products of d with the residual add up to more within blocks, the increase counts less.
+    """
+    difference = fitted.residual - rival.residual
+    total = rival.rss - fitted.rss
+    within = np.bincount(problem.blocks, difference * fitted.residual)
+    expected = max(float(np.linalg.norm(difference)), 1e-9)
+    spread = min(max(1.0, float(np.linalg.norm(within - within.mean())) / expected), MOST_SPREAD)
     extra = PER_COORDINATE * (len(rival.point) - len(fitted.point))
-    return Rival(name, rival, total + min(extra, 0.0), total / max(spread, 1e-12))
+    return Rival(name, rival, (total + min(extra, 0.0)) / spread**2)

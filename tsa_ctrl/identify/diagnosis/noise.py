@@ -23,6 +23,9 @@ MOST_LAGS = 120
 BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum
 FLOOR = 0.04  # of the mean density: a band that seems quieter is not trusted with more weight
 FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep
+REFERENCE = (0.7, 5.0)  # Hz, band whose slope continues to lower frequencies, where a log has too few waves
+STEEPEST = 1.2  # power of 1/f that noise may have
+LOWEST = 0.15  # Hz, below which it is flat
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,17 @@ class Noise:
         if begin == part.start:
             return begin, self.whiten(piece, [slice(0, len(piece))])
         return begin, np.asarray(lfilter(self.filter, [1.0], piece)) / self.deviation
+
+    def spread(self, columns: Array, slices: Sequence[slice]) -> Array:
+        """Covariance (k, k) of the products of stacked columns (n, k) with noise of this kind, (N*m)^2."""
+        total = np.zeros((columns.shape[1], columns.shape[1]))
+        for part in slices:
+            length = 1 << int(np.ceil(np.log2(2 * (part.stop - part.start))))
+            density = _density(self, np.fft.rfftfreq(length))
+            weight = np.where(np.arange(len(density)) % (length // 2) == 0, 1.0, 2.0) * density / length
+            lines = rfft(columns[part], length, axis=0)
+            total += np.real((lines.conj() * weight[:, None]).T @ lines)
+        return total
 
     def draw(self, rng: np.random.Generator, lengths: Sequence[int]) -> Array:
         """Stacked noise of this kind, N*m, shape (sum of lengths,)."""
@@ -112,7 +126,7 @@ def estimate(
     room = np.maximum(room, 0.02 * samples)
     waves = room / length  # independent pairs per frequency line that the fit has left
     ratio = _banded(np.asarray(frequency, dtype=np.float64), power, room, waves)
-    density: Array = ratio * _density(prior, np.asarray(frequency, dtype=np.float64))
+    density: Array = _continued(frequency, ratio * _density(prior, np.asarray(frequency, dtype=np.float64)))
     density = np.maximum(density, FLOOR * float(np.mean(density)))
     covariance = np.fft.irfft(density)
     return _autoregressive(covariance, samples, period)
@@ -135,6 +149,22 @@ def _banded(frequency: Array, power: Array, room: Array, waves: Array) -> Array:
         values.append(float(np.sum(power[start:stop]) / np.sum(room[start:stop])))
         start = stop
     return np.exp(np.interp(frequency, centres, np.log(np.maximum(values, 1e-6 * max(values)))))
+
+
+def _continued(frequency: Array, density: Array) -> Array:
+    """A density whose lowest lines are at least what its slope above them continues to.
+
+    Slow noise and slow effects look alike, and few waves of either fit into a log: taken from these alone, the noise
+    would come out too small, and the effects too sure.
+    """
+    band = (frequency > REFERENCE[0]) & (frequency < REFERENCE[1])
+    if np.count_nonzero(band) < 4:
+        return density
+    slope = float(np.polyfit(np.log(frequency[band]), np.log(density[band]), 1, w=frequency[band] ** -0.5)[0])
+    slope = min(0.0, max(slope, -STEEPEST))
+    first = int(np.argmax(band))
+    least = density[first] * (np.maximum(frequency[:first], LOWEST) / frequency[first]) ** slope
+    return np.concatenate([np.maximum(density[:first], least), density[first:]])
 
 
 def _density(noise: Noise, frequency: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The parameters that are shipped: least squares on the simulation error, with block-robust intervals.
+"""The parameters that are shipped: least squares on the simulation error, with intervals.
 
 Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of the error that a user
 sees: shipped as they are, they cost up to the whole gain. So the causes found are fitted anew on the plain error.
@@ -23,6 +23,8 @@ from tsa_ctrl.model.catalogue import CATALOGUE, Value
 from tsa_ctrl.model.functions import Array
 
 LEVEL = 0.95
+FREEDOM = 12.0  # degrees of freedom of the noise's density where it matters
+WIDEST = 3.0  # how much the blocks may widen an interval
 STEP = 0.05  # of a standard deviation, for derivatives of parameters
 
 
@@ -50,16 +52,28 @@ def refit(problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None) -
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))
-    blocks = plain.blocks
-    number = int(blocks[-1]) + 1 if len(blocks) else 1
     if best.free.any():
-        bread = np.linalg.pinv(best.jacobian.T @ best.jacobian, rcond=1e-10)
-        scores = np.zeros((number, best.jacobian.shape[1]))
-        np.add.at(scores, blocks, best.jacobian * best.residual[:, None])
-        meat = scores.T @ scores * number / max(number - 1, 1)
         index = np.flatnonzero(best.free)
-        covariance[np.ix_(index, index)] = bread @ meat @ bread
-    return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, max(number - 1, 2))))
+        covariance[np.ix_(index, index)] = _covariance(problem, plain, best)
+    return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM)))
+
+
+def _covariance(problem: Problem, plain: Problem, best: Fit) -> Array:
+    """Of the free coordinates: what noise of the estimated colour spreads, or the blocks if they differ by more.
+
+    A log has few blocks that are longer than its slow noise, so blocks alone come out too sure.
+    """
+    bread = np.linalg.pinv(best.jacobian.T @ best.jacobian, rcond=1e-10)
+    columns = np.zeros((len(plain.frame), best.jacobian.shape[1]))
+    columns[plain.mask] = best.jacobian
+    coloured = bread @ problem.noise.spread(columns, plain.frame.slices) @ bread / plain.noise.rms**2
+    number = int(plain.blocks[-1]) + 1
+    scores = np.zeros((number, best.jacobian.shape[1]))
+    np.add.at(scores, plain.blocks, best.jacobian * best.residual[:, None])
+    blocked = bread @ (scores.T @ scores * number / max(number - 1, 1)) @ bread
+    ratio = np.diag(blocked) / np.maximum(np.diag(coloured), 1e-300)
+    widened = np.sqrt(np.clip(ratio, 1.0, WIDEST**2))
+    return np.asarray(coloured * np.outer(widened, widened))
 
 
 def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
