@@ -12,11 +12,12 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.prepare import Frame, Run
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.signals import hold_direction
+from tsa_ctrl.model.signals import hold_direction, low_pass
 
 RANDOM = 90  # random features
 HISTORY = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)  # s, time constants of what a torque remembers
 ECHO = 0.4  # s of the torque's past in single steps
+DRIVER_CUTOFF = 5.0  # Hz, of the load as a driver
 AFTER = (0.01, 0.03, 0.08, 0.2)  # s, and shares of the reach, after a reversal
 
 
@@ -63,7 +64,7 @@ def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
     out = {
         "angle": _scaled(angle),
         "speed": _scaled(frame.column("omega_j"), centre=False),
-        "load": _scaled(predicted, centre=False),
+        "load": _scaled(_slow(frame, predicted), centre=False),
         "acceleration": _scaled(frame.stack([run.signals.acceleration for run in frame.runs]), centre=False),
         "direction": sigma,
     }
@@ -71,6 +72,13 @@ def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
         if frame.has(column) and float(np.ptp(frame.column(column))) > 0.0:
             out[name] = _scaled(frame.column(column))
     return out
+
+
+def _slow(frame: Frame, y: Array) -> Array:
+    """`y` (n) without its fast noise: a driver with noise of its own in it predicts the residual by that noise."""
+    if frame.runs[0].raw.rate * 0.2 < DRIVER_CUTOFF:
+        return y
+    return np.concatenate([low_pass(y[part], frame.period, DRIVER_CUTOFF) for part in frame.slices])
 
 
 def _angle(run: Run) -> Array:

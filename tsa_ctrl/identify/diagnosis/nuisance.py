@@ -4,6 +4,9 @@ Near standstill the sign of a noisy velocity is wrong; that is no effect, but it
 kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the
 velocity noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a
 sample. The latter are many but short, and are kept as such.
+
+And what the noise of the measured motor torque does: a regressor with noise is trusted less than it deserves, and any
+effect that can stand in for it would be named. So its fast part, which is mostly noise, is projected out as well.
 """
 
 from __future__ import annotations
@@ -25,10 +28,11 @@ from tsa_ctrl.model.effects.memory import TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
-from tsa_ctrl.model.signals import hold_direction
+from tsa_ctrl.model.signals import hold_direction, low_pass
 
 NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
+FAST = (1.5, 6.0)  # Hz, above which a motor torque's content may be noise
 MOST_COLUMNS = 800
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
@@ -109,8 +113,16 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
         for column, factor in zip(smooth, NOISE_FACTORS, strict=True):
             column.append(_late(run, _expected(run, omega, weight, factor), model))
         patterns.append(_late(run, np.where(uncertain(run, omega), weight, 0.0), model))
+    if base.target != "tau_m":
+        for edge in FAST:
+            smooth.append([_late(run, _fast(run.signals.tau_m, run.signals.period, edge), model) for run in frame.runs])
     columns = np.column_stack([frame.stack(column) for column in smooth])
     return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], _moments(frame, patterns))
+
+
+def _fast(y: Array, period: float, edge: float) -> Array:
+    """The part of a signal above `edge` Hz."""
+    return np.asarray(y - low_pass(y, period, edge))
 
 
 def _velocity(run: Run, model: Model) -> Array:
