@@ -86,6 +86,11 @@ def _jacobian(problem: Problem, hypothesis: Hypothesis, point: Array, residual: 
     return np.asarray(columns / np.array(steps))
 
 
+def gradients(problem: Problem, fitted: Fit) -> Array:
+    """d prediction / d coordinates at the optimum, white, also of those that a bound holds."""
+    return _jacobian(problem, fitted.hypothesis, fitted.point, fitted.residual)
+
+
 def _step(jacobian: Array, residual: Array, point: Array, hypothesis: Hypothesis, damping: float) -> Array:
     """Damped least-squares step; the coordinate that leaves its bounds furthest is held there, the rest solved anew."""
     count = len(point)

@@ -20,6 +20,7 @@ from tsa_ctrl.model.functions import Array
 DRAWS = 200
 RIDGES = (3.0, 30.0, 300.0)  # precision of a coefficient before the data, white units
 SURE = 5.0  # standard deviations of the null
+DISTINCT = 1e-2  # of a column's size: what two columns differ by less is the noise of what they are made from
 LEAST_SHARE = 0.02  # of the mean square of the white residual
 
 
@@ -41,7 +42,7 @@ def dependence(
     rest = residual - basis @ (basis.T @ residual)
     out = []
     for what, family in columns.items():
-        free = orthonormal(family - basis @ (basis.T @ family), 1e-4)
+        free = orthonormal(family - basis @ (basis.T @ family), DISTINCT)
         share, score = _predictable(rest, free * np.sqrt(len(rest) / max(free.shape[1], 1)), blocks, rng)
         out.append(Finding(what, share, score, score > SURE and share > LEAST_SHARE))
     return out

@@ -32,7 +32,8 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 
 NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
-FAST = (1.5, 6.0)  # Hz, above which a motor torque's content may be noise
+FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
+FASTEST = (3.0, 12.0, 25.0)  # Hz, further edges where nothing but structure is looked for
 MOST_COLUMNS = 800
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
@@ -114,15 +115,17 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
             column.append(_late(run, _expected(run, omega, weight, factor), model))
         patterns.append(_late(run, np.where(uncertain(run, omega), weight, 0.0), model))
     if base.target != "tau_m":
-        for edge in FAST:
-            smooth.append([_late(run, _fast(run.signals.tau_m, run.signals.period, edge), model) for run in frame.runs])
+        smooth += [
+            [_late(run, part, model) for run, part in zip(frame.runs, fast(frame, e), strict=True)] for e in FAST
+        ]
     columns = np.column_stack([frame.stack(column) for column in smooth])
     return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], _moments(frame, patterns))
 
 
-def _fast(y: Array, period: float, edge: float) -> Array:
-    """The part of a signal above `edge` Hz."""
-    return np.asarray(y - low_pass(y, period, edge))
+def fast(frame: Frame, edge: float) -> list[Array]:
+    """The part of each run's motor torque above `edge` Hz, at the compute rate."""
+    signals = [run.signals for run in frame.runs]
+    return [np.asarray(s.tau_m - low_pass(s.tau_m, s.period, edge)) for s in signals]
 
 
 def _velocity(run: Run, model: Model) -> Array:
@@ -150,12 +153,12 @@ def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
 def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     """Where the direction is not known, (n) at the compute rate: slower than the noise, and beside each reversal."""
     out = np.abs(omega) < UNKNOWN * run.velocity_error
-    still = omega == 0.0
+    still = np.append(omega == 0.0, False)
     late = np.zeros(len(omega), dtype=np.bool_)
     margin = max(1, round(RESTART / run.signals.period))
     for stop in np.flatnonzero(still[:-1] & ~still[1:]):
         late[max(0, stop - margin) : stop + 1] = True
-    out &= ~still | late  # a standstill is known to be one, but for its end
+    out &= ~still[:-1] | late  # a standstill is known to be one, but for its end
     flips = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
     out[flips] = True
     out[np.minimum(flips + 1, len(omega) - 1)] = True

@@ -20,12 +20,12 @@ from tsa_ctrl.identify.diagnosis.base import Base, RigidBase, TendonBase
 from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
 from tsa_ctrl.identify.diagnosis.experiment import advice
-from tsa_ctrl.identify.diagnosis.fit import Fit, fit
+from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.grouping import Group, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
 from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
 from tsa_ctrl.identify.diagnosis.noise import white_noise
-from tsa_ctrl.identify.diagnosis.nuisance import Nuisance, nuisance
+from tsa_ctrl.identify.diagnosis.nuisance import FASTEST, Nuisance, fast, nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.prepare import Frame, prepare
 from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
@@ -183,17 +183,27 @@ def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Fin
     white = problem.whiten(np.concatenate(list(families.values()), axis=1))
     pieces = np.split(white, np.cumsum(sizes)[:-1], axis=1)
     columns = dict(zip(families, pieces, strict=True))
-    findings = dependence(fitted.residual, fitted.jacobian, columns, problem.blocks, rng)
+    known = _accounted(problem, fitted)
+    findings = dependence(fitted.residual, known, columns, problem.blocks, rng)
     mask = problem.mask
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
     times = [run.count * run.period for run in frame.runs]
-    findings.append(changes.steps(fitted.residual, fitted.jacobian, factors, frame.slices, times, problem.whiten, rng))
+    findings.append(changes.steps(fitted.residual, known, factors, frame.slices, times, problem.whiten, rng))
     masked = {name: factor[mask] for name, factor in factors.items()}
     findings.append(changes.lines(fitted.residual, masked, frame.period))
     findings.append(changes.bursts(fitted.residual, frame.period))
     rest = frame.target - predicted
     findings.append(changes.drift(_known(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
     return findings
+
+
+def _accounted(problem: Problem, fitted: Fit) -> Array:
+    """What is no structure, (m, k) white: every coordinate, also where a bound holds it, and noise of tau_m."""
+    columns = [gradients(problem, fitted)]
+    if problem.base.target != "tau_m":
+        frame = problem.frame
+        columns.append(problem.whiten(np.column_stack([frame.stack(fast(frame, edge)) for edge in FASTEST])))
+    return np.concatenate(columns, axis=1)
 
 
 def _known(problem: Problem, residual: Array) -> Array:

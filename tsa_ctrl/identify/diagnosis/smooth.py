@@ -19,10 +19,12 @@ def denoised(y: Array, period: float, highest: float) -> tuple[Array, float]:
     """
     if len(y) < 128 or not np.ptp(y) > 0.0:
         return y, 0.0
-    edge, floor = _edge_and_floor(y, period)
+    frequency, density, edge, floor = _spectrum(y, period)
     cutoff = min(highest, max(LOWEST, 1.5 * edge))
     if cutoff > 0.2 / period:
         return y, float(np.sqrt(floor * 0.5 / period))
+    passed = density[(frequency > 0.5 * cutoff) & (frequency < cutoff)]  # noise that was averaged sinks beyond
+    floor = max(floor, float(np.median(passed))) if passed.size else floor
     return low_pass(y, period, cutoff), float(np.sqrt(floor * cutoff))
 
 
@@ -32,8 +34,8 @@ def distortion(smooth: Array, period: float, cutoff: float) -> Array:
     return np.sqrt(np.maximum(low_pass(taken, period, 0.5 * cutoff), 0.0))
 
 
-def _edge_and_floor(y: Array, period: float) -> tuple[float, float]:
-    """The frequency in Hz above which the signal does not stand out of its noise, and the noise's density per Hz."""
+def _spectrum(y: Array, period: float) -> tuple[Array, Array, float, float]:
+    """Frequencies in Hz, density per Hz, the frequency above which noise covers the signal, and the noise's density."""
     length = min(len(y), round(SEGMENT / period))
     window = np.hanning(length)
     slope = np.linspace(0.0, 1.0, length)
@@ -48,4 +50,4 @@ def _edge_and_floor(y: Array, period: float) -> tuple[float, float]:
     middle = density[(frequency > 0.06 / period) & (frequency < 0.2 / period)]  # averaged noise has sunk at the top
     floor = max(top, float(np.quantile(middle, 0.25))) if middle.size else top
     above = np.flatnonzero(density > MARGIN * max(floor, 1e-30))
-    return (float(frequency[above[-1]]) if above.size else 0.0), floor
+    return frequency, density, float(frequency[above[-1]]) if above.size else 0.0, floor
