@@ -34,6 +34,9 @@ NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
 FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
 FASTEST = (3.0, 12.0, 25.0)  # Hz, further edges where nothing but structure is looked for
+STEP_CUTOFF = 8.0  # Hz, to tell steps from noise
+STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
+STEP_MARGIN = 0.04  # s
 MOST_COLUMNS = 800
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
@@ -123,9 +126,21 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
 
 
 def fast(frame: Frame, edge: float) -> list[Array]:
-    """The part of each run's motor torque above `edge` Hz, at the compute rate."""
-    signals = [run.signals for run in frame.runs]
-    return [np.asarray(s.tau_m - low_pass(s.tau_m, s.period, edge)) for s in signals]
+    """The part of each run's motor torque above `edge` Hz, its steps taken out, at the compute rate."""
+    out = []
+    for run in frame.runs:
+        level = _without_steps(run.signals.tau_m, run.signals.period)
+        out.append(np.asarray(level - low_pass(level, run.signals.period, edge)))
+    return out
+
+
+def _without_steps(y: Array, period: float) -> Array:
+    """A signal that stands still while it changes much faster than it mostly does: what is left is slow, or noise."""
+    rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
+    steep = rate > STEEP * np.quantile(rate, 0.8)
+    margin = round(STEP_MARGIN / period)
+    steep = np.convolve(steep, np.ones(2 * margin + 1), mode="same") > 0.5
+    return np.asarray(y[0] + np.cumsum(np.where(steep, 0.0, np.diff(y, prepend=y[0]))))
 
 
 def _velocity(run: Run, model: Model) -> Array:
