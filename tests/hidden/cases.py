@@ -68,7 +68,7 @@ NEEDS: dict[str, dict[str, Any]] = {
     "motor_side_friction": {"bending": "varied"},
     "configuration_dependent_bending": {"joint_angle": True, "amplitude": 1.2, "level": (0.3, 0.6)},
     "stiffness_nonlinearity": {"bending": "varied", "level": (0.2, 0.5)},
-    "pretension_relaxation": {"level": (0.2, 0.4), "temperature": "none"},
+    "pretension_relaxation": {"level": (0.2, 0.4), "temperature": "cycle"},  # unrecorded warmth would be a twin
     "thermal_friction_drift": {"temperature": "cycle"},
     "tension_dependent_friction": {"x": (0.2, 0.9), "level": (0.7, 0.95), "torque": "independent"},
     "presliding_hysteresis": {"joint_angle": True, "sign_noise": 0.7},

@@ -58,6 +58,7 @@ class Scales:
     seconds: float  # longest run, s
     period: float  # compute period, s
     heating: float  # range of the temperature, K
+    plain: bool = False  # a drive without tendons: joint and motor are one
 
 
 def scales_of(frame: Frame) -> Scales:
@@ -327,7 +328,8 @@ def _ripple(s: Scales, frame: Frame) -> list[Variant]:
         return Variant("torque_ripple", coordinates, ((0.0, 0.0),), (0, 1), parameters, f"{cycles} cycles")
 
     turns = s.motor_reach / math.pi
-    return [of(n) for n in range(1, MOST_CYCLES + 1) if n * turns > LINES_PER_RANGE and n * fastest < 0.6 * math.pi]
+    first = 2 if s.plain else 1  # one cycle per turn of a plain drive's shaft is a weight on it
+    return [of(n) for n in range(first, MOST_CYCLES + 1) if n * turns > LINES_PER_RANGE and n * fastest < 0.6 * math.pi]
 
 
 _BUILDERS: Mapping[str, Callable[[Scales, Frame], Sequence[Variant]]] = {

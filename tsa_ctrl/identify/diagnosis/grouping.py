@@ -17,24 +17,32 @@ from tsa_ctrl.identify.diagnosis.candidates import Variant
 from tsa_ctrl.identify.diagnosis.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, rivals, without
+from tsa_ctrl.identify.diagnosis.warmth import warmth
 
 PARAMETER_ERROR = "parameter_error"
 SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
 MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
+INEXACT = 0.005  # of what the cause explains: inputs and filters are no better known than that
+STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 FITTED = 6  # rivals that are fitted in full
 
 
 @dataclass(frozen=True)
 class Rival:
-    """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise."""
+    """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
+
+    `limit`: the named cause is a limit of this one, which needs further parameters for nothing.
+    """
 
     name: str
     fitted: Fit
     worse: float
+    tolerance: float  # of `worse`, that errors of the inputs explain
+    limit: bool = False
 
     @property
     def excluded(self) -> bool:
-        return self.worse > SURELY_WORSE
+        return self.limit or self.worse > SURELY_WORSE + self.tolerance
 
 
 @dataclass(frozen=True)
@@ -61,18 +69,32 @@ def groups(problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant,
 
 def _group(problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]]) -> Group:
     smaller = without(problem, fitted, index)
-    found = []
-    for rival in rivals(problem, smaller, catalogue, fitted.names, FITTED):
-        found.append(compared(problem, fitted, rival, rival.names[-1]))
+    name = fitted.names[index]
+    fits: list[tuple[str, Fit | None]]
+    fits = [(rival.names[-1], rival) for rival in rivals(problem, smaller, catalogue, fitted.names, FITTED)]
     wide = dataclasses.replace(smaller.hypothesis, wide=True)
     if not np.all(smaller.free[: len(wide.base.coordinates())]):
-        free = safely(problem, wide, smaller.point)
-        if free is not None:
-            found.append(compared(problem, fitted, free, PARAMETER_ERROR))
-    return Group(fitted.names[index], tuple(sorted(found, key=lambda rival: rival.worse)))
+        fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
+    if name == "pretension_relaxation" and "thermal_friction_drift" not in catalogue:
+        fits.append(("thermal_friction_drift", warmth(problem, fitted, smaller, index)))
+    tolerance = INEXACT * (smaller.rss - fitted.rss)
+    found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
+    limits = _limits(problem, name)
+    found = [
+        dataclasses.replace(rival, limit=rival.name in limits and rival.worse > -PER_COORDINATE) for rival in found
+    ]
+    return Group(name, tuple(sorted(found, key=lambda rival: rival.worse)))
 
 
-def compared(problem: Problem, fitted: Fit, rival: Fit, name: str) -> Rival:
+def _limits(problem: Problem, name: str) -> set[str]:
+    """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
+    if name != "torque_offset":
+        return set()
+    moved = problem.frame.has("q_j") and float(np.ptp(problem.frame.column("q_j"))) > STILL
+    return {"joint_stiffness", "gravity_load"} if moved else {"joint_stiffness"}
+
+
+def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: float = 0.0) -> Rival:
     """How much worse `rival` fits; a further coordinate counts as in the selection.
 
     In white noise the increase of the sum of squares has the deviation 2 |d|, where d is the difference of the
@@ -84,4 +106,4 @@ def compared(problem: Problem, fitted: Fit, rival: Fit, name: str) -> Rival:
     expected = max(float(np.linalg.norm(difference)), 1e-9)
     spread = min(max(1.0, float(np.linalg.norm(within - within.mean())) / expected), MOST_SPREAD)
     extra = PER_COORDINATE * (len(rival.point) - len(fitted.point))
-    return Rival(name, rival, (total + min(extra, 0.0)) / spread**2)
+    return Rival(name, rival, (total + min(extra, 0.0)) / spread**2, tolerance)

@@ -73,7 +73,7 @@ class Noise:
         total = np.zeros((columns.shape[1], columns.shape[1]))
         for part in slices:
             length = 1 << int(np.ceil(np.log2(2 * (part.stop - part.start))))
-            density = _density(self, np.fft.rfftfreq(length))
+            density = _density(self, np.asarray(np.fft.rfftfreq(length), dtype=np.float64))
             weight = np.where(np.arange(len(density)) % (length // 2) == 0, 1.0, 2.0) * density / length
             lines = rfft(columns[part], length, axis=0)
             total += np.real((lines.conj() * weight[:, None]).T @ lines)
@@ -114,7 +114,7 @@ def estimate(
     as well) were projected out. The spectrum found multiplies the prior's.
     """
     length = 1 << int(np.ceil(np.log2(2 * max(part.stop - part.start for part in slices))))
-    frequency = np.fft.rfftfreq(length, period)
+    frequency = np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64)
     power = np.zeros(len(frequency))
     room = np.zeros(len(frequency))
     for part in slices:
@@ -125,8 +125,8 @@ def estimate(
     samples = float(mask.sum())
     room = np.maximum(room, 0.02 * samples)
     waves = room / length  # independent pairs per frequency line that the fit has left
-    ratio = _banded(np.asarray(frequency, dtype=np.float64), power, room, waves)
-    density: Array = _continued(frequency, ratio * _density(prior, np.asarray(frequency, dtype=np.float64)))
+    ratio = _banded(frequency, power, room, waves)
+    density: Array = _continued(frequency, ratio * _density(prior, frequency))
     density = np.maximum(density, FLOOR * float(np.mean(density)))
     covariance = np.fft.irfft(density)
     return _autoregressive(covariance, samples, period)

@@ -77,7 +77,7 @@ def diagnose(
     if found.insufficient:
         return _insufficient(model, found, found.insufficient)
     rng = np.random.default_rng(seed)
-    scales = scales_of(parts.frame)
+    scales = dataclasses.replace(scales_of(parts.frame), plain=isinstance(model, RigidDrive))
     catalogue, not_testable = candidates(parts.frame, model, scales)
     say("noise and recalibration")
     problem, base = _begun(parts.frame, _base(model, parts.frame, scales), scales, catalogue)

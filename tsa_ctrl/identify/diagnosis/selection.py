@@ -15,6 +15,7 @@ from tsa_ctrl.identify.diagnosis.nuisance import nuisance
 from tsa_ctrl.identify.diagnosis.pilot import renewed_noise
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.profile import refined
+from tsa_ctrl.identify.diagnosis.refit import refit
 from tsa_ctrl.identify.diagnosis.screen import Response, Score, best_by_effect, responses, scores
 
 Catalogue = Mapping[str, tuple[Variant, ...]]
@@ -22,10 +23,12 @@ Catalogue = Mapping[str, tuple[Variant, ...]]
 MOST_CAUSES = 4
 FITTED = 5  # best candidates of one stage that are fitted in full
 WITHIN = 0.25  # of the best gain: candidates below are not fitted
-BLOCK_T = 4.5  # t of 23 degrees of freedom: 0.02 % two-sided
+BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
 KEPT = 0.4  # share of the gain that must hold on blocks not fitted on
-SPREAD = 0.4  # share of the gain that must be left without the best block
+SPREAD = 0.12  # share of the gain that must be left without the best block
+ELSEWHERE = 4.0  # times the threshold, that the gain outside the best block must pass
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
+LEAST_WORTH = 0.4  # of the noise RMS at the score rate, that the plain error must lose
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
 SMALLEST_GAIN = 0.008  # of the number of samples
 
@@ -91,13 +94,22 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
 
 def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Fit], float]) -> bool:
     proof = evidence(problem, stage.fitted, found)
+    needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
     return (
-        proof.gain > max(stage.threshold, SMALLEST_GAIN * problem.count)
+        proof.gain > needed
         and proof.block_t > BLOCK_T
         and proof.kept > KEPT
         and proof.spread > SPREAD
+        and proof.spread * proof.gain > ELSEWHERE * needed
         and proof.size > SMALLEST * noise_rms(found)
+        and _worth(problem, stage.fitted, found) > LEAST_WORTH * problem.noise.rms
     )
+
+
+def _worth(problem: Problem, smaller: Fit, larger: Fit) -> float:
+    """RMS in N*m at the score rate that the plain error loses: what noise of an input feigns gains next to nothing."""
+    before, after = (refit(problem, fitted).fitted.rss for fitted in (smaller, larger))
+    return problem.noise.rms * float(np.sqrt(max(before - after, 0.0) / problem.count))
 
 
 def _renoised(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:

@@ -45,7 +45,7 @@ def _spectrum(y: Array, period: float) -> tuple[Array, Array, float, float]:
         piece = piece - (piece[0] + (piece[-1] - piece[0]) * slope)
         parts.append(np.abs(np.fft.rfft(window * piece)) ** 2)
     density = 2.0 * period * np.mean(parts, axis=0) / float(window @ window)
-    frequency = np.fft.rfftfreq(length, period)
+    frequency = np.asarray(np.fft.rfftfreq(length, period), dtype=np.float64)
     top = float(np.median(density[frequency > 0.3 / period]))
     middle = density[(frequency > 0.06 / period) & (frequency < 0.2 / period)]  # averaged noise has sunk at the top
     floor = max(top, float(np.quantile(middle, 0.25))) if middle.size else top
