@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from tests.bus.local_nodes import bench
@@ -68,6 +68,15 @@ class SpoiledBus:
                 self._waiting.append(any_frame(draw))
             return self.recv(0.0)
         return frame
+
+    def gather(self, until: float, most: int) -> Sequence[Frame]:
+        return self._bus.gather(until, most)
+
+    def listen_for(self, can_id: int) -> None:
+        self._bus.listen_for(can_id)
+
+    def answers(self, timeout: float, most: int) -> Sequence[Frame]:
+        return self._bus.answers(timeout, most)
 
     def accept(self, can_ids: Iterable[int] | None) -> None:
         self._bus.accept(can_ids)

@@ -104,14 +104,15 @@ def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check
         yield Check("bus", Result.FAIL, str(error), wanted, "mend the lines above, or [bus] interface and channel")
         return
     try:
-        yield _listen(bus, wanted)
+        yield listen(bus, wanted)
         for axis in axes:
             yield _round_trip(bus, axis)
     finally:
         bus.close()
 
 
-def _listen(bus: Bus, wanted: str) -> Check:
+def listen(bus: Bus, wanted: str) -> Check:
+    """Half a second of who talks: a failed bus or another master fails."""
     seen: dict[int, int] = {}
     end = time.monotonic() + LISTEN_TIME
     while bus.fault is None and (left := end - time.monotonic()) > 0.0:
@@ -131,15 +132,7 @@ def _listen(bus: Bus, wanted: str) -> Check:
 def _round_trip(bus: Bus, axis: AxisNodes) -> Check:
     """Time from an SDO request for 0x1000 (device type) to its answer: adapter, wire and drive together."""
     node, name = axis.drive.node_id, f"round trip to node {axis.drive.node_id}"
-    times = []
-    for _ in range(ROUND_TRIPS):
-        begin = time.monotonic()
-        bus.send(0x600 + node, UPLOAD_DEVICE_TYPE)
-        while (left := begin + ANSWER_TIME - time.monotonic()) > 0.0:
-            frame = bus.recv(left)
-            if frame is not None and frame[0] == 0x580 + node:
-                times.append(time.monotonic() - begin)
-                break
+    times = [took for _ in range(ROUND_TRIPS) if (took := answering(bus, node)) is not None]
     if not times:
         fix = "switch the drive on, check its node id and bit rate; or start `tsa plant`"
         return Check(name, Result.FAIL, "no answer", "an answer to SDO 0x1000", fix)
@@ -147,6 +140,17 @@ def _round_trip(bus: Bus, axis: AxisNodes) -> Check:
     found = f"p50 {p50:.2f}, worst {worst:.2f} ms, {len(times)} of {ROUND_TRIPS} answered"
     fix = "check the adapter (latency timer of USB), the bus load and the wiring"
     return judge(name, len(times) == ROUND_TRIPS and p50 < MOST_ROUND_TRIP, found, f"below {MOST_ROUND_TRIP:g} ms", fix)
+
+
+def answering(bus: Bus, node: int) -> float | None:
+    """Seconds until a node answered an SDO request; None when it did not."""
+    begin = time.monotonic()
+    bus.send(0x600 + node, UPLOAD_DEVICE_TYPE)
+    while (left := begin + ANSWER_TIME - time.monotonic()) > 0.0 and bus.fault is None:
+        frame = bus.recv(left)
+        if frame is not None and frame[0] == 0x580 + node:
+            return time.monotonic() - begin
+    return None
 
 
 def _load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Check:

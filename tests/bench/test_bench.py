@@ -1,0 +1,107 @@
+"""tsa bench: from times to a rate, and the whole of it on a bus in this process."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.conftest import ROOT
+from tsa_ctrl.bench.cycles import Measured, Times
+from tsa_ctrl.bench.rate import HIGHEST, LOWEST, bounds, holds, rounded_down
+from tsa_ctrl.cli import cli, main
+
+QUICK = Times(1e-5, 2e-5, 3e-5, 9e-5)
+MEASURED = Measured(
+    rate=1000.0,
+    cycles=1000,
+    lost=0,
+    late=0,
+    enabled=1000,
+    lateness=QUICK,
+    command=Times(1e-4, 2e-4, 3e-4, 1e-3),
+    busy=Times(2e-4, 3e-4, 5e-4, 2e-3),
+)
+
+
+def test_the_slowest_thing_bounds_the_rate() -> None:
+    """At 30 % margin: a cycle of 0.5 ms allows 1400 Hz, answers after 0.3 ms in 60 % of the period the same."""
+    found = {bound.name: bound.rate for bound in bounds(MEASURED, 0.3, 0.6, 1488.0, 0.9)}
+    assert found == pytest.approx({"cycle": 1400.0, "answers": 1400.0, "bit rate": 1488.0, "configuration": HIGHEST})
+
+
+def test_bounds_come_with_the_lowest_first() -> None:
+    """Whatever it is."""
+    assert bounds(MEASURED, 0.3, 0.6, 100.0, 0.9)[0].name == "bit rate"
+    assert bounds(replace(MEASURED, busy=Times(0.1, 0.1, 0.1, 0.1)), 0.3, 0.6, 100.0, 0.9)[0].name == "cycle"
+
+
+def test_nothing_measured_allows_no_rate() -> None:
+    """Not a number is not a rate."""
+    nothing = Times(math.nan, math.nan, math.nan, math.nan)
+    lowest = bounds(replace(MEASURED, busy=nothing, command=nothing), 0.3, 0.6, 1488.0, 0.9)[0]
+    assert rounded_down(lowest.rate) == 0.0
+
+
+@given(st.floats(LOWEST, HIGHEST))
+def test_rounding_is_down_and_by_less_than_a_tenth(rate: float) -> None:
+    """Two digits."""
+    assert 0.9 * rate < rounded_down(rate) <= rate * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("rate", [9.999, 0.0, -1.0, math.nan])
+def test_below_what_can_be_configured_is_no_rate(rate: float) -> None:
+    """0: not even the lowest."""
+    assert rounded_down(rate) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "good"),
+    [({}, True), ({"lost": 1}, False), ({"late": 1}, False), ({"busy": Times(2e-4, 3e-4, 9e-4, 2e-3)}, False)],
+)
+def test_a_rate_holds_when_nothing_is_lost_or_late(change: dict[str, object], good: bool) -> None:
+    """And half of the margin is still free."""
+    assert holds(replace(MEASURED, **change), 0.3) is good  # type: ignore[arg-type]
+
+
+def bench(folder: Path, *edits: tuple[str, str]) -> Result:
+    shutil.copytree(ROOT / "config", folder, dirs_exist_ok=True)
+    path = folder / "controller.toml"
+    text = path.read_text(encoding="utf-8")
+    for before, after in (("# allow_without = false", "allow_without = true"), *edits):
+        assert before in text
+        text = text.replace(before, after)
+    path.write_text(text, encoding="utf-8")
+    return CliRunner().invoke(cli, ["bench", str(path), "--seconds", "0.3", "--json"])
+
+
+def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
+    """python-can's virtual bus, no rights, no nodes: the loop runs with torque, and the rate is below all bounds."""
+    slow = (("rate = 1000.0", "rate = 50.0"), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "))
+    run = bench(tmp_path, ('interface = "socketcan"', 'interface = "virtual"'), *slow)
+    assert run.exit_code == 0, run.output
+    found = json.loads(run.stdout)
+    assert (found["schema"], found["nodes"]) == (1, "simulated")
+    assert found["measured"][0]["enabled"] > 0
+    assert 0.0 <= found["rate"]["highest"] <= min(bound["rate"] for bound in found["bounds"])
+    assert found["rate"]["fits"] is (found["rate"]["highest"] >= 50.0)
+    busy = found["measured"][0]["busy"]
+    assert 0.0 < busy["p50"] <= busy["p99"] <= busy["p999"] <= busy["worst"]
+
+
+def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 1, and what to do."""
+    shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "controller.toml"
+    path.write_text(path.read_text("utf-8").replace('channel = "vcan0"', 'channel = "can17"'), encoding="utf-8")
+    with pytest.raises(SystemExit) as left:
+        main(["bench", str(path)])
+    said = capsys.readouterr()
+    assert (left.value.code, said.out, said.err.count("\n")) == (1, "", 1)

@@ -1,0 +1,53 @@
+"""tsa bench on a vcan: with nodes that stand in, beside a plant, and beside another master."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.daemon.test_vcan import STARTED, Rig, until
+
+pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
+
+
+@pytest.fixture
+def rig(tmp_path: Path, vcan: str) -> Iterator[Rig]:
+    made = Rig(tmp_path, vcan)
+    yield made
+    made.end()
+
+
+def bench(rig: Rig) -> tuple[int, dict[str, Any], str]:
+    command = ["tsa", "bench", "controller.toml", "--seconds", "1", "--json"]
+    run = subprocess.run(command, cwd=rig.folder, capture_output=True, text=True, check=False)
+    return run.returncode, json.loads(run.stdout or "{}"), run.stderr
+
+
+def test_without_nodes_others_stand_in_and_the_rate_is_run(rig: Rig) -> None:
+    """The rate that is named was run without a loss."""
+    code, found, err = bench(rig)
+    assert code == 0, err
+    assert found["nodes"] == "simulated"
+    assert found["measured"][0]["enabled"] > 0
+    if found["rate"]["highest"]:
+        last = found["measured"][-1]
+        assert (last["rate"], last["lost"], last["late"]) == (pytest.approx(found["rate"]["highest"]), 0, 0)
+
+
+def test_real_nodes_are_measured_and_never_enabled(rig: Rig) -> None:
+    """The plant answers; its drive was off at every cycle; another master is then refused in one line."""
+    rig.plant()
+    code, found, err = bench(rig)
+    assert code == 0, err
+    assert (found["nodes"], len(found["measured"]), found["measured"][0]["enabled"]) == ("real", 1, 0)
+    rig.run()
+    until(lambda: rig.phase("running"), STARTED)
+    code, found, err = bench(rig)
+    assert (code, found, err.count("\n")) == (1, {}, 1)
+    assert "another master" in err
+    assert rig.phase("running")

@@ -1,0 +1,1 @@
+"""`tsa bench`: how fast this machine, this adapter and this configuration can go."""

@@ -1,0 +1,165 @@
+"""Stand-in nodes for a bus without any: each SYNC is answered with constant TPDOs, the statusword follows the commands.
+
+`python -m tsa_ctrl.bench.responder`: settings of the bus and the axes' node ids as JSON on stdin; says `ready`, ends
+when its stdin closes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import msgspec
+
+from tsa_ctrl.bus import cia301, pdo
+from tsa_ctrl.bus.cia402 import Controlword, Mode
+from tsa_ctrl.bus.connect import open_bus
+from tsa_ctrl.bus.seam import Bus, Frame
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.errors import BusError
+
+PRIORITY = 70  # below the loop, above everything else
+BEATS = 20  # SYNCs between heartbeats
+LOOK = 0.2  # s between looks at whether to end
+START = 20.0  # s
+DISABLED = 0x1250  # statusword: switch on disabled
+STATUSWORDS = {Controlword.SHUTDOWN: 0x1231, Controlword.SWITCH_ON: 0x1233, Controlword.ENABLE_OPERATION: 0x1237}
+
+
+class Ids(msgspec.Struct, frozen=True):
+    """Node ids of one axis."""
+
+    drive: int
+    encoder: int | None
+    torque_sensor: int | None
+
+
+class Task(msgspec.Struct, frozen=True):
+    """What the process is told."""
+
+    bus: BusSettings
+    axes: tuple[Ids, ...]
+
+
+def ids_of(axes: Sequence[AxisNodes]) -> tuple[Ids, ...]:
+    return tuple(
+        Ids(
+            axis.drive.node_id,
+            None if axis.encoder is None else axis.encoder.node_id,
+            None if axis.torque_sensor is None else axis.torque_sensor.node_id,
+        )
+        for axis in axes
+    )
+
+
+class Responder:
+    """The nodes of some axes, all at rest."""
+
+    def __init__(self, bus: Bus, axes: Sequence[Ids]) -> None:
+        self._bus = bus
+        self._syncs = 0
+        self._status = {0x200 + axis.drive: 0x180 + axis.drive for axis in axes}
+        self._answers: dict[int, bytes] = {}
+        self._beats: list[Frame] = []
+        for axis in axes:
+            self._answers[0x180 + axis.drive] = pdo.MOTION.struct.pack(DISABLED, 0, 0)
+            self._answers[0x280 + axis.drive] = pdo.POSITION.struct.pack(0, Mode.CYCLIC_SYNC_TORQUE, 0)
+            if axis.encoder is not None:
+                self._answers[0x180 + axis.encoder] = struct.pack("<I", 0)
+            if axis.torque_sensor is not None:
+                self._answers[0x180 + axis.torque_sensor] = struct.pack("<i", 0)
+            nodes = (axis.drive, axis.encoder, axis.torque_sensor)
+            self._beats += [(cia301.HEARTBEAT + node, b"\x05") for node in nodes if node is not None]
+        bus.accept([cia301.SYNC, *self._status])
+
+    def run(self, stop: Callable[[], bool]) -> None:
+        """Answer until told to stop."""
+        due = time.monotonic() + LOOK
+        while True:
+            frame = self._bus.recv(LOOK)
+            if frame is None or time.monotonic() > due:
+                if stop():
+                    return
+                due = time.monotonic() + LOOK
+            if frame is not None:
+                self._take(*frame)
+
+    def _take(self, can_id: int, data: bytes) -> None:
+        answer = self._status.get(can_id)
+        if answer is not None and len(data) == pdo.COMMAND.length:
+            controlword, _ = pdo.COMMAND.struct.unpack(data)
+            self._answers[answer] = pdo.MOTION.struct.pack(STATUSWORDS.get(controlword, DISABLED), 0, 0)
+        elif can_id == cia301.SYNC:
+            for identifier, content in self._answers.items():
+                self._bus.send(identifier, content)
+            if self._syncs % BEATS == 0:
+                for identifier, content in self._beats:
+                    self._bus.send(identifier, content)
+            self._syncs += 1
+
+
+@contextlib.contextmanager
+def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[None]:
+    """Nodes that answer while the block lasts: a process, or a thread on python-can's bus that is in one process only.
+
+    Raises BusError when it cannot be started.
+    """
+    if settings.interface == "virtual":
+        with _in_a_thread(settings, axes):
+            yield
+        return
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tsa_ctrl.bench.responder"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    try:
+        process.stdin.write(msgspec.json.encode(Task(settings, ids_of(axes))) + b"\n")
+        process.stdin.flush()
+        readable, _, _ = select.select([process.stdout], [], [], START)
+        if not readable or process.stdout.readline() != b"ready\n":
+            raise BusError("bench: the process that stands in for the nodes did not start; is the machine too busy?")
+        yield
+    finally:
+        try:
+            process.communicate(timeout=START)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+@contextlib.contextmanager
+def _in_a_thread(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[None]:
+    bus = open_bus(settings)
+    done = threading.Event()
+    responder = Responder(bus, ids_of(axes))
+    thread = threading.Thread(target=responder.run, args=(done.is_set,), name="stand-in nodes")
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
+        bus.close()
+
+
+def main() -> int:
+    task = msgspec.json.decode(sys.stdin.buffer.readline(), type=Task)
+    bus = open_bus(task.bus)
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    os.write(sys.stdout.fileno(), b"ready\n")
+    Responder(bus, task.axes).run(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]))
+    bus.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,148 @@
+"""The whole measurement: who is on the bus, cycles as configured, the rate that follows, and cycles at that rate."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from tsa_ctrl.bench.cycles import Measured, measure
+from tsa_ctrl.bench.rate import Bound, bounds, holds, rounded_down
+from tsa_ctrl.bench.responder import standing_in
+from tsa_ctrl.bus import interface
+from tsa_ctrl.bus.bring_up import bring_up
+from tsa_ctrl.bus.connect import open_bus
+from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.seam import Bus
+from tsa_ctrl.bus.shut_down import shut_down
+from tsa_ctrl.config import Configuration
+from tsa_ctrl.control import realtime
+from tsa_ctrl.doctor.can_interface import answering, listen
+from tsa_ctrl.doctor.check import Result
+from tsa_ctrl.errors import BusError
+
+LOWER = 0.8  # factor of the next try when a rate does not hold
+TRIES = 8
+IN_ONE_MACHINE = frozenset({"virtual", "udp_multicast"})  # interfaces of python-can without a drive on them
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Found:
+    """What `tsa bench` says. `confirmed`: cycles at `highest`, where nodes stood in; None with real ones."""
+
+    bus: str
+    rights: str
+    missing: tuple[str, ...]  # rights that are not in force
+    simulated: bool
+    margin: float
+    configured: Measured
+    bounds: tuple[Bound, ...]
+    highest: float  # Hz; 0: not even the lowest rate
+    limited_by: str
+    confirmed: Measured | None
+
+    @property
+    def fits(self) -> bool:
+        """Whether the configured rate is within the margin."""
+        return self.configured.rate <= self.highest
+
+
+def bench(configuration: Configuration, seconds: float, margin: float, progress: Progress) -> Found:
+    """Measure for `seconds` at each rate that is tried; raises BusError when the bus or its nodes are not fit for it.
+
+    With real nodes on the bus nothing is enabled: they are brought up, answer every SYNC with the drives off, and are
+    left as after a run. Without any, on a virtual bus, others stand in, and the loop runs as with torque.
+    """
+    file = configuration.file
+    bus = open_bus(file.bus)
+    try:
+        simulated = _nobody(configuration, bus)
+        rights = realtime.acquire(_patient(configuration))
+        try:
+            with _nodes(configuration, bus, simulated):
+                return _measure(configuration, bus, seconds, margin, simulated, rights, progress)
+        finally:
+            realtime.release()
+    finally:
+        bus.close()
+
+
+def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
+    """The rights of the configuration, without which the measurement goes on: that they are missing is a finding."""
+    asked = configuration.file.realtime
+    return realtime.RealtimeSettings(
+        priority=asked.priority, lock_memory=asked.lock_memory, cpu=asked.cpu, allow_without=True
+    )
+
+
+def _nobody(configuration: Configuration, bus: Bus) -> bool:
+    """Whether nodes have to stand in. Raises BusError when another master is there, or a real bus has no nodes."""
+    settings = configuration.file.bus
+    heard = listen(bus, "")
+    if heard.result is Result.FAIL:
+        raise BusError(f"{bus.name}: {heard.found}; {heard.fix}")
+    drives = [axis.drive.node_id for axis in configuration.file.axes]
+    there = [node for node in drives if answering(bus, node) is not None]
+    if there == drives:
+        return False
+    link = interface.read(settings.channel) if settings.interface == "socketcan" else None
+    virtual = settings.interface in IN_ONE_MACHINE or (link is not None and link.kind == "vcan")
+    if there or not virtual:
+        silent = ", ".join(str(node) for node in drives if node not in there)
+        raise BusError(f"{bus.name}: no answer from drive node {silent}; switch it on, check node id and bit rate")
+    return True
+
+
+@contextlib.contextmanager
+def _nodes(configuration: Configuration, bus: Bus, simulated: bool) -> Iterator[None]:
+    """Nodes that answer SYNC while the block lasts."""
+    file = configuration.file
+    if simulated:
+        with standing_in(file.bus, file.axes):
+            yield
+        return
+    try:
+        bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)
+        yield
+    finally:
+        rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+        rig.start()
+        shut_down(rig, configuration.period)
+
+
+def _measure(
+    configuration: Configuration,
+    bus: Bus,
+    seconds: float,
+    margin: float,
+    simulated: bool,
+    rights: realtime.Rights,
+    progress: Progress,
+) -> Found:
+    file = configuration.file
+
+    def at(rate: float) -> Measured:
+        return measure(configuration, bus, rate, seconds, simulated, lambda share: progress(f"{rate:g} Hz", share))
+
+    configured = at(file.controller.rate)
+    if configured.lost == configured.cycles:
+        raise BusError(f"{bus.name}: the nodes do not answer every SYNC; check their mapping (tsa run says more)")
+    bus_rate = configuration.load.highest_rate(file.bus.max_load)
+    found = bounds(configured, margin, file.controller.collect, bus_rate, file.bus.max_load)
+    highest, limited_by = rounded_down(found[0].rate), found[0].name
+    confirmed = None
+    for _ in range(TRIES if simulated else 0):
+        if highest == 0.0:
+            break
+        confirmed = at(highest)
+        if holds(confirmed, margin):
+            break
+        highest, limited_by = rounded_down(LOWER * highest), "what was lost or late at a higher rate"
+    else:
+        if simulated:
+            highest = 0.0
+    return Found(
+        bus.name, str(rights), rights.missing, simulated, margin, configured, found, highest, limited_by, confirmed
+    )

@@ -1,0 +1,115 @@
+"""`tsa bench`: how fast can I go."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import Progress
+from rich.table import Table
+
+from tsa_ctrl.config import load_configuration
+
+if TYPE_CHECKING:
+    from tsa_ctrl.bench.cycles import Measured, Times
+    from tsa_ctrl.bench.run import Found
+
+
+@click.command("bench", epilog="Example: tsa bench config/controller.toml")
+@click.argument("controller", type=click.Path(path_type=Path))
+@click.option("--seconds", default=5.0, show_default=True, type=click.FloatRange(0.1, 600.0), help="At each rate.")
+@click.option("--margin", default=0.3, show_default=True, type=click.FloatRange(0.0, 0.9), help="Of the period, free.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(controller: Path, seconds: float, margin: float, as_json: bool) -> int:
+    """The highest rate that this machine, this adapter and this CONTROLLER.toml carry with margin.
+
+    The loop's own cycle runs at the configured rate: waking up, SYNC, answers, law, limiter, command, record. With
+    drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process
+    stands in for them, and the rate that was found is run to confirm it.
+    """
+    configuration = load_configuration(controller)
+    from tsa_ctrl.bench.run import bench  # the loop and all it needs, not loaded for a mistake in the file
+
+    with Progress(console=Console(file=sys.stderr), transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("bench", total=1.0)
+        found = bench(
+            configuration, seconds, margin, lambda what, share: bar.update(task, description=what, completed=share)
+        )
+    if as_json:
+        click.echo(json.dumps(_as_dict(found, configuration.load.bitrate), allow_nan=False))
+    else:
+        _show(found)
+    return 0
+
+
+def _show(found: Found) -> None:
+    console = Console()
+    nodes = "a process stands in for the nodes" if found.simulated else "the nodes answer, their drives off"
+    console.print(f"{found.bus}: {nodes}; {found.rights}", markup=False, highlight=False)
+    for line in found.missing:
+        console.print(f"without: {line}", markup=False, highlight=False, soft_wrap=True)
+    table = Table("us", "p50", "p99", "p99.9", "worst")
+    for measured in (found.configured, found.confirmed):
+        if measured is None:
+            continue
+        table.add_section()
+        table.add_row(f"{measured.rate:g} Hz, {measured.cycles} cycles, {measured.lost} lost, {measured.late} late")
+        for name in ("lateness", "command", "busy"):
+            table.add_row(f"  {NAMES[name]}", *_micros(getattr(measured, name)))
+    console.print(table)
+    limits = Table("bound", "Hz", "found")
+    for bound in found.bounds:
+        limits.add_row(bound.name, f"{bound.rate:.0f}", escape(bound.found))
+    console.print(limits)
+    fits = "within it" if found.fits else "above it: lower [controller] rate"
+    console.print(
+        f"highest rate with {100 * found.margin:.0f} % margin: {found.highest:g} Hz, limited by: {found.limited_by}; "
+        f"configured are {found.configured.rate:g} Hz, {fits}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+NAMES = {"lateness": "late at waking up", "command": "SYNC to the last command", "busy": "deadline to end of cycle"}
+
+
+def _micros(times: Times) -> list[str]:
+    return ["-" if math.isnan(t) else f"{1e6 * t:.0f}" for t in (times.p50, times.p99, times.p999, times.worst)]
+
+
+def _as_dict(found: Found, bitrate: int) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "bus": found.bus,
+        "bitrate": bitrate,
+        "rights": found.rights,
+        "missing_rights": list(found.missing),
+        "nodes": "simulated" if found.simulated else "real",
+        "margin": found.margin,
+        "rate": {
+            "configured": found.configured.rate,
+            "highest": found.highest,
+            "limited_by": found.limited_by,
+            "fits": found.fits,
+        },
+        "bounds": [
+            {"name": b.name, "rate": b.rate if math.isfinite(b.rate) else None, "found": b.found} for b in found.bounds
+        ],
+        "measured": [_measured(m) for m in (found.configured, found.confirmed) if m is not None],
+    }
+
+
+def _measured(measured: Measured) -> dict[str, Any]:
+    counts = {key: getattr(measured, key) for key in ("rate", "cycles", "lost", "late", "enabled")}
+    times = {
+        name: {key: None if math.isnan(value) else value for key, value in vars(getattr(measured, name)).items()}
+        for name in NAMES
+    }
+    return {**counts, **times}
