@@ -32,11 +32,11 @@ def answer(kind: bytes = b"can", flags: int = 1, bitrate: int = 500_000, state: 
 
 
 def test_can_interface_in_full() -> None:
-    assert parse(answer()) == Interface(True, "can", 128, 500_000, CanState.ERROR_ACTIVE, (8, 127))
+    assert parse(answer()) == Interface(True, "can", 128, 500_000, CanState.ERROR_ACTIVE, (8, 127), is_can=True)
 
 
 def test_virtual_interface_has_no_bit_rate() -> None:
-    assert parse(answer(kind=b"vcan", flags=0)) == Interface(False, "vcan", 128)
+    assert parse(answer(kind=b"vcan", flags=0)) == Interface(False, "vcan", 128, is_can=True)
 
 
 def test_error_message_is_none() -> None:

@@ -78,7 +78,7 @@ def test_any_interface_of_python_can_may_be_asked_for() -> None:
 
 
 def test_without_a_vcan_the_bus_needs_no_rights(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_choice, "_up_interfaces", dict)
+    monkeypatch.setattr(bus_choice, "can_interfaces", dict)
     monkeypatch.setattr(bus_choice, "_make_vcan", lambda name: False)
     assert choose().interface == "udp_multicast"
 

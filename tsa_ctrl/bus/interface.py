@@ -16,6 +16,7 @@ _LINK = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, chang
 _ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
 _RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST = 16, 18, 1
 _IFF_UP = 1
+_ARPHRD_CAN = 280  # linux/if_arp.h
 _TYPE_MASK = 0x3FFF  # without NLA_F_NESTED
 _IFLA_TXQLEN, _IFLA_LINKINFO, _INFO_KIND, _INFO_DATA = 13, 18, 1, 2
 _CAN_BITTIMING, _CAN_STATE, _CAN_BERR_COUNTER = 1, 4, 8  # of linux/can/netlink.h
@@ -44,6 +45,7 @@ class Interface:
     bitrate: int | None = None  # bit/s
     state: CanState | None = None
     errors: tuple[int, int] | None = None  # transmit and receive error counters
+    is_can: bool = False  # of whatever kind
 
 
 def read(channel: str) -> Interface | None:
@@ -65,20 +67,27 @@ def parse(message: bytes) -> Interface | None:
     length, kind, *_ = _MESSAGE.unpack_from(message)
     if kind != _RTM_NEWLINK:
         return None
-    flags = _LINK.unpack_from(message, _MESSAGE.size)[3]
+    _, link_type, _, flags, _ = _LINK.unpack_from(message, _MESSAGE.size)
     attributes = dict(_attributes(message[_MESSAGE.size + _LINK.size : length]))
     info = dict(_attributes(attributes.get(_IFLA_LINKINFO, b"")))
     data = dict(_attributes(info.get(_INFO_DATA, b"")))
     name = info.get(_INFO_KIND)
-    is_can = name is not None and name.rstrip(b"\0") == b"can"
+    real = name is not None and name.rstrip(b"\0") == b"can"
     return Interface(
         up=bool(flags & _IFF_UP),
+        is_can=link_type == _ARPHRD_CAN,
         kind=None if name is None else name.rstrip(b"\0").decode(),
         queue_length=_u32(attributes.get(_IFLA_TXQLEN)),
-        bitrate=_u32(data.get(_CAN_BITTIMING)) if is_can else None,
-        state=_state(_u32(data.get(_CAN_STATE))) if is_can else None,
-        errors=_pair(data.get(_CAN_BERR_COUNTER)) if is_can else None,
+        bitrate=_u32(data.get(_CAN_BITTIMING)) if real else None,
+        state=_state(_u32(data.get(_CAN_STATE))) if real else None,
+        errors=_pair(data.get(_CAN_BERR_COUNTER)) if real else None,
     )
+
+
+def can_interfaces() -> dict[str, Interface]:
+    """The CAN interfaces of this machine that are up, by name."""
+    found = {name: read(name) for _, name in socket.if_nameindex()}
+    return {name: link for name, link in found.items() if link is not None and link.is_can and link.up}
 
 
 def check(channel: str, bitrate: int) -> None:

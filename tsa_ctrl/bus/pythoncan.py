@@ -33,7 +33,7 @@ class PythonCan:
         self._echoes: deque[Frame] | None = deque(maxlen=_MAX_ECHOES) if interface in _ECHOING else None
         arguments: dict[str, Option] = {"bitrate": bitrate}
         if interface == "udp_multicast":
-            arguments = {"fd": False}
+            arguments = {"fd": False, "hop_limit": 0}  # never beyond this machine, unless the options say so
         arguments.update(options or {})
         try:
             self._bus: can.BusABC = can.Bus(interface=interface, channel=channel, **arguments)

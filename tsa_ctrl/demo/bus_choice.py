@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
 from dataclasses import dataclass
 
+from tsa_ctrl.bus.interface import can_interfaces
 from tsa_ctrl.errors import UsageError
-
-MULTICAST_GROUP = "239.74.163.2"  # python-can's udp_multicast; stays on this machine's networks
 
 
 @dataclass(frozen=True)
@@ -34,33 +32,20 @@ def choose(asked: str | None = None) -> BusChoice:
         if ":" in asked:
             interface, _, channel = asked.partition(":")
             return BusChoice(interface, channel)
-        if asked not in _up_interfaces():
-            there = ", ".join(_up_interfaces()) or "none"
-            raise UsageError(f"demo: no CAN interface {asked} that is up; up are: {there}; or leave --bus out")
+        there = can_interfaces()
+        if asked not in there:
+            names = ", ".join(there) or "none"
+            raise UsageError(f"demo: no CAN interface {asked} that is up; up are: {names}; or leave --bus out")
         return BusChoice("socketcan", asked)
     named = os.environ.get("TSA_VCAN")
-    virtual = [name for name, kind in _up_interfaces().items() if kind == "vcan"]
+    virtual = [name for name, link in can_interfaces().items() if link.kind == "vcan"]
     if named in virtual:
         return BusChoice("socketcan", str(named))
     if virtual:
         return BusChoice("socketcan", virtual[0])
     if _make_vcan("vcan0"):
         return BusChoice("socketcan", "vcan0")
-    return BusChoice("udp_multicast", MULTICAST_GROUP)
-
-
-def _up_interfaces() -> dict[str, str]:
-    """CAN interfaces that are up, with their kind ("vcan", "can", ...)."""
-    if shutil.which("ip") is None:
-        return {}
-    run = subprocess.run(["ip", "-details", "-json", "link", "show"], capture_output=True, text=True, check=False)
-    if run.returncode != 0:
-        return {}
-    return {
-        link["ifname"]: link.get("linkinfo", {}).get("info_kind", "can")
-        for link in json.loads(run.stdout or "[]")
-        if link.get("link_type") == "can" and "UP" in link.get("flags", [])
-    }
+    return BusChoice("udp_multicast", "239.255.{}.{}".format(*os.urandom(2)))  # RFC 2365; no two demos hear each other
 
 
 def _make_vcan(name: str) -> bool:
