@@ -10,6 +10,7 @@ import numpy as np
 
 from .bench import Bench, Recipe, draw_bench
 from .cases import NEEDS, Case, finish, generator, in_domain, log_uniform
+from .rivals import is_unique
 from .size import size
 from .strength import Strength, draw_strength, solve
 
@@ -274,6 +275,8 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
         other = draw_bench(rng, recipe, like=bench)
         reached = size(other, effects)
         if reached < 1e-3 * other.scale or not in_domain(other, effects):
+            continue
+        if not is_unique(other, effects, min(noise, reached / 1.5)):  # it is to part the twins
             continue
         case.experiment = finish(
             rng, "experiment", name, seed, other, effects, min(noise, reached / 1.5), "parts " + " and ".join(row.twins)

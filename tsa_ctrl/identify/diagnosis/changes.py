@@ -25,7 +25,7 @@ BURST_SHARE = 0.03  # of the time: bursts may take
 BURST_ENERGY = 0.12  # of the mean square that they hold, above what noise puts there
 REFERENCE_BAND = (0.4, 5.0)  # Hz, from which noise is continued to lower frequencies
 STEEPEST = 1.2  # power of 1/f that noise may have there
-DRIFT_SHARE = 0.25  # of the noise RMS that a drift must have
+DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have
 DRIFT_RATIO = 4.0  # of its power to the continued noise
 
 

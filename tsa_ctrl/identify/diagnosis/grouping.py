@@ -22,7 +22,8 @@ from tsa_ctrl.identify.diagnosis.warmth import warmth
 PARAMETER_ERROR = "parameter_error"
 SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
 MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
-INEXACT = 0.005  # of what the cause explains: inputs and filters are no better known than that
+INEXACT = 0.01  # of what the cause explains: inputs and filters are no better known than that
+MOST_INEXACT = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 FITTED = 6  # rivals that are fitted in full
 
@@ -77,7 +78,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tu
         fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
     if name == "pretension_relaxation" and "thermal_friction_drift" not in catalogue:
         fits.append(("thermal_friction_drift", warmth(problem, fitted, smaller, index)))
-    tolerance = INEXACT * (smaller.rss - fitted.rss)
+    tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)
     found = [

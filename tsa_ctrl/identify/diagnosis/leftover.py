@@ -21,7 +21,7 @@ DRAWS = 200
 RIDGES = (3.0, 30.0, 300.0)  # precision of a coefficient before the data, white units
 SURE = 5.0  # standard deviations of the null
 DISTINCT = 1e-2  # of a column's size: what two columns differ by less is the noise of what they are made from
-LEAST_SHARE = 0.02  # of the mean square of the white residual
+LEAST_SHARE = 0.04  # of the mean square of the white residual
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ effect that can stand in for it would be named. So its fast part, which is mostl
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,6 +29,7 @@ from tsa_ctrl.model.effects.memory import TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
 NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
@@ -122,7 +124,22 @@ def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
             [_late(run, part, model) for run, part in zip(frame.runs, fast(frame, e), strict=True)] for e in FAST
         ]
     columns = np.column_stack([frame.stack(column) for column in smooth])
-    return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], _moments(frame, patterns))
+    moments = _moments(frame, patterns)
+    if "backlash" in model.effects:
+        moments += _moments(frame, [_engaging(run, model) for run in frame.runs])
+    return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], moments)
+
+
+def _engaging(run: Run, model: Model) -> Array:
+    """The torque that play holds back, N*m, beside the moments at which it ends, which no sample places better."""
+    tight = dataclasses.replace(model, effects={k: v for k, v in model.effects.items() if k != "backlash"})
+    held = predict(model, run.signals) - predict(tight, run.signals)
+    flips = np.flatnonzero(np.diff(held != 0.0))
+    out = np.zeros(len(held))
+    for flip in flips:
+        near = slice(max(0, flip - 1), flip + 3)
+        out[near] = held[flip] or held[flip + 1]
+    return out
 
 
 def fast(frame: Frame, edge: float) -> list[Array]:

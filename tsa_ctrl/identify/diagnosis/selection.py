@@ -26,7 +26,7 @@ WITHIN = 0.25  # of the best gain: candidates below are not fitted
 BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
 KEPT = 0.4  # share of the gain that must hold on blocks not fitted on
 SPREAD = 0.12  # share of the gain that must be left without the best block
-ELSEWHERE = 4.0  # times the threshold, that the gain outside the best block must pass
+ELSEWHERE = 2.0  # times the threshold, that the gain outside the best block must pass
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
 LEAST_WORTH = 0.4  # of the noise RMS at the score rate, that the plain error must lose
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
@@ -81,15 +81,41 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
     found = responses(problem, fitted, variants)
     screened = scores(problem, fitted, found)
-    best = sorted((refined(problem, fitted, s, found) for s in best_by_effect(screened)), key=lambda s: -s.gain)
+    best = _refined(problem, fitted, screened, found)
     promising = [s for s in best if s.gain > WITHIN * best[0].gain][:FITTED]
     ranked = []
     for score in promising:
-        larger = safely(problem, fitted.hypothesis.plus(score.variant), np.concatenate([fitted.point, score.start]))
+        larger = extended(problem, fitted, score)
         if larger is not None:
             ranked.append((score, larger))
     ranked.sort(key=lambda pair: pair[1].rss + PER_COORDINATE * len(pair[1].point))
     return Stage(fitted, tuple(ranked), tuple(best), tuple(found), family_threshold(rng, screened))
+
+
+def _refined(problem: Problem, fitted: Fit, screened: list[Score], found: list[Response]) -> list[Score]:
+    """The best score of each effect, best first, each variant of the leading ones refined on its own."""
+    leading = best_by_effect(screened)[:FITTED]
+    names = {score.variant.effect for score in leading if score.gain > WITHIN * leading[0].gain}
+    by_variant: dict[int, Score] = {}
+    for score in screened:
+        number = id(score.variant)
+        if score.variant.effect in names and (number not in by_variant or score.gain > by_variant[number].gain):
+            by_variant[number] = score
+    others = [score for score in best_by_effect(screened) if score.variant.effect not in names]
+    return best_by_effect([*(refined(problem, fitted, score, found) for score in by_variant.values()), *others])
+
+
+def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
+    """The fit with one effect more, from where the score begins; if that goes astray, from no effect at all."""
+    hypothesis = fitted.hypothesis.plus(score.variant)
+    found = safely(problem, hypothesis, np.concatenate([fitted.point, score.start]))
+    if score.variant.amplitude and (found is None or found.rss > fitted.rss - 0.5 * score.gain):
+        start = score.start.copy()
+        start[list(score.variant.amplitude)] = np.array(score.variant.starts[0])[list(score.variant.amplitude)]
+        again = safely(problem, hypothesis, np.concatenate([fitted.point, start]))
+        if again is not None and (found is None or again.rss < found.rss):
+            return again
+    return found
 
 
 def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Fit], float]) -> bool:
@@ -156,11 +182,10 @@ def rivals(problem: Problem, smaller: Fit, catalogue: Catalogue, barred: Sequenc
     """The best fits of `smaller` with one more effect that is not barred, best first."""
     variants = [v for name, options in catalogue.items() if name not in barred for v in options]
     found = responses(problem, smaller, variants)
-    best = best_by_effect(scores(problem, smaller, found))
-    best = sorted((refined(problem, smaller, s, found) for s in best), key=lambda s: -s.gain)
+    best = _refined(problem, smaller, scores(problem, smaller, found), found)
     fits = []
     for score in best[:most]:
-        rival = safely(problem, smaller.hypothesis.plus(score.variant), np.concatenate([smaller.point, score.start]))
+        rival = extended(problem, smaller, score)
         if rival is not None:
             fits.append(rival)
     return sorted(fits, key=lambda f: f.rss)
