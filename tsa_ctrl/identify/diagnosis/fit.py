@@ -44,8 +44,12 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
             break
         moved = False
         small = False  # whether the last step was not worth another
-        for _ in range(TRIES):
-            step = _step(jacobian, residual, point, hypothesis, damping)
+        rough = hypothesis.rough
+        for attempt in range(2 * TRIES if rough.any() else TRIES):
+            if attempt == TRIES:  # along some coordinates a gradient means little: try without them
+                damping = 1e-4
+            used = jacobian if attempt < TRIES else np.where(rough, 0.0, jacobian)
+            step = _step(used, residual, point, hypothesis, damping)
             trial = np.clip(point + step, hypothesis.low, hypothesis.high)
             change = trial - point
             expected = rss - float(np.sum((residual - jacobian @ change) ** 2))

@@ -91,7 +91,8 @@ def _limits(problem: Problem, name: str) -> set[str]:
     """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
     if name != "torque_offset":
         return set()
-    moved = problem.frame.has("q_j") and float(np.ptp(problem.frame.column("q_j"))) > STILL
+    angle = next((name for name in ("q_j", "q_m") if problem.frame.has(name)), "")
+    moved = bool(angle) and float(np.ptp(problem.frame.column(angle))) > STILL
     return {"joint_stiffness", "gravity_load"} if moved else {"joint_stiffness"}
 
 

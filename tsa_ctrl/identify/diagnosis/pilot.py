@@ -1,4 +1,4 @@
-"""The first noise model: from what the whole catalogue cannot explain, before anything is named.
+"""The noise model: from what the whole catalogue cannot explain, before anything is named and after each cause.
 
 A spectrum taken from the residual of the base model would hold the hidden effect and hide it; so all responses are
 projected out first, then, in the colours found so, only those that matter.
@@ -26,11 +26,6 @@ def pilot_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tup
     for span in (_saturated, _pursuit):
         problem, fitted = _under(problem, fitted, span(problem, fitted, found))
     return problem, fitted
-
-
-def renewed_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tuple[Problem, Fit]:
-    """The same once the noise is roughly known: only responses that matter are taken out."""
-    return _under(problem, fitted, _pursuit(problem, fitted, found))
 
 
 def _under(problem: Problem, fitted: Fit, basis: Array) -> tuple[Problem, Fit]:

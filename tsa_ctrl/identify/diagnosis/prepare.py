@@ -28,6 +28,7 @@ SCORE_SAMPLES = 12_000  # of all logs together at most
 BLOCKS = 24  # for block-robust statistics
 HIGHEST = {"tau_m": 100.0}  # Hz, cut-off of the denoising: torques follow a reversal at once
 ANGLE_HIGHEST = 40.0  # Hz, of angles and velocities
+ACCELERATION_HIGHEST = 20.0  # Hz, of a velocity that is to be derived
 STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
 RINGING = 0.1  # s beside a standstill in which the velocity is left as it is
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
@@ -120,6 +121,8 @@ def prepare(logs: Sequence[Dataset], target: str) -> list[Run]:
     runs = []
     for log in logs:
         full, noise, error = _clean(log)
+        if target == "tau_m":
+            full = _accelerated(full, log)
         own = factor * max(1, round(log.rate / slowest))
         measured = log[target]
         small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
@@ -151,6 +154,16 @@ def _clean(log: Dataset) -> tuple[Signals, float, Array]:
             error = np.hypot(noise, distortion(smooth, log.period, cutoff))
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
+
+
+def _accelerated(clean: Signals, log: Dataset) -> Signals:
+    """A plain drive's torque is inertia above all: its motion is derived anew, as sharp as its noise allows."""
+    angle = clean.q_m if clean.q_m is not None else clean.q_j
+    omega = clean.omega_j
+    if {"omega_j", "omega_m"} & log.derived and angle is not None:
+        omega = np.where(omega == 0.0, 0.0, np.gradient(angle, log.period))
+    slow = denoised(omega, log.period, ACCELERATION_HIGHEST)[0]
+    return dataclasses.replace(clean, omega_j=omega, acceleration_j=np.gradient(slow, log.period))
 
 
 def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:

@@ -49,6 +49,12 @@ class Hypothesis:
     def steps(self) -> Array:
         return np.array([c.step for c in self.coordinates])
 
+    @cached_property
+    def rough(self) -> NDArray[np.bool_]:
+        """Coordinates along which the prediction jumps: those of effects without an amplitude."""
+        own = [not variant.amplitude for variant in self.variants for _ in variant.coordinates]
+        return np.array([False] * len(self.base.coordinates(self.wide)) + own, dtype=np.bool_)
+
     def own(self, point: Array) -> list[Array]:
         """The coordinates of each variant."""
         parts, at = [], len(self.base.coordinates())

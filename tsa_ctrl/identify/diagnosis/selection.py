@@ -12,7 +12,7 @@ from tsa_ctrl.identify.diagnosis.candidates import Variant
 from tsa_ctrl.identify.diagnosis.confirm import Evidence, evidence, family_threshold
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit, safely
 from tsa_ctrl.identify.diagnosis.nuisance import nuisance
-from tsa_ctrl.identify.diagnosis.pilot import renewed_noise
+from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.profile import refined
 from tsa_ctrl.identify.diagnosis.refit import refit
@@ -145,7 +145,7 @@ def _renoised(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Prob
         problem = dataclasses.replace(problem, nuisance=columns)
         fitted = fit(problem, fitted.hypothesis, fitted.point)
     variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
-    return renewed_noise(problem, fitted, responses(problem, fitted, variants))
+    return pilot_noise(problem, fitted, responses(problem, fitted, variants))
 
 
 def _settled(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
