@@ -21,6 +21,7 @@ from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.limiter import LimiterSettings
 from tsa_ctrl.control.oscillation import OscillationSettings
+from tsa_ctrl.control.plausibility import PlausibilitySettings
 from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
@@ -28,6 +29,7 @@ from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.serial_line import settings as serial_line
 from tsa_ctrl.serial_line.settings import SerialSensorSettings
 
+MARGIN = 0.05  # s, beyond the longest time-out: to notice, to tell the drive, for its torque to fall
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
 
@@ -56,6 +58,13 @@ class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     group: str | None = None  # this group may use it too; default: the user who started the daemon alone
 
 
+class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What the rig is held to, by `tsa verify-safety` and the fault campaign."""
+
+    zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = None  # s; default: longest time-out + 0.05
+    torque: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None  # N*m at the motor; default: 0.1 of rated torque
+
+
 class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     """One axis: its nodes and everything that controls it."""
 
@@ -68,6 +77,7 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     estimator: EstimatorSettings = EstimatorSettings()
     bending: BendingSettings = BendingSettings()
     oscillation: OscillationSettings = OscillationSettings()
+    plausibility: PlausibilitySettings = PlausibilitySettings()
     serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions
 
 
@@ -77,6 +87,7 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     realtime: RealtimeSettings = RealtimeSettings()
     log: LogSettings = LogSettings()
     socket: SocketSettings = SocketSettings()
+    safety: SafetySettings = SafetySettings()
     axes: tuple[AxisSettings, ...] = msgspec.field(name="axis")
 
 
@@ -97,6 +108,12 @@ class Configuration:
         return 1.0 / self.file.controller.rate
 
     @property
+    def zero_torque_within(self) -> float:
+        """s, from a fault, a hang or the death of this computer until every drive's torque is zero."""
+        given = self.file.safety.zero_torque_within
+        return given if given is not None else longest_timeout(self.file)[0] + MARGIN
+
+    @property
     def folder(self) -> Path:
         return self.path.parent
 
@@ -112,6 +129,7 @@ def load_configuration(path: str | Path) -> Configuration:
     if not file.axes:
         raise UsageError(f"{path}: no [[axis]]; give at least one")
     _check_unique(path, file)
+    _check_safety(path, file)
     folder = path.parent
     models = tuple(load_tendon_sheath(folder / axis.model) for axis in file.axes)
     profiles = tuple(load_profile(axis.drive.profile, folder) for axis in file.axes)
@@ -123,6 +141,27 @@ def load_configuration(path: str | Path) -> Configuration:
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
     return Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load)
+
+
+def longest_timeout(file: ControllerFile) -> tuple[float, str]:
+    """The longest time for which something may be silent before torque is taken away, s; and its name."""
+    found = []
+    for axis in file.axes:
+        found.append((axis.drive.host_timeout, f"axis '{axis.name}' drive.host_timeout"))
+        for role in ("drive", "encoder", "torque_sensor"):
+            node = getattr(axis, role)
+            if node is not None:
+                found.append((node.heartbeat_timeout, f"axis '{axis.name}' {role}.heartbeat_timeout"))
+    return max(found)
+
+
+def _check_safety(path: Path, file: ControllerFile) -> None:
+    given, (longest, name) = file.safety.zero_torque_within, longest_timeout(file)
+    if given is not None and given <= longest:
+        raise UsageError(
+            f"{path}: [safety] zero_torque_within {given:g} s is not above {name} = {longest:g} s, in which nothing "
+            "happens yet; lower that time-out, or raise zero_torque_within"
+        )
 
 
 def _check_unique(path: Path, file: ControllerFile) -> None:

@@ -375,6 +375,35 @@ def test_torque_with_none_of_the_65536_statuswords_but_those_that_say_enabled_an
     assert wrong == []
 
 
+def test_a_drive_that_obeys_is_not_cut_off() -> None:
+    bench = enabled()
+    bench.supervisor.trip("a limit", bench.now)
+    cut = []
+    for _ in range(500):
+        bench.step(Request.ENABLE)
+        cut.append(bench.supervisor.cut_off)
+    assert not any(cut)
+    assert not bench.supervisor.needs_bring_up
+
+
+def test_a_drive_that_stays_enabled_after_a_fault_is_stopped_by_nmt_again_and_again() -> None:
+    """50 ms after it was told to leave, and every 50 ms until it says so; then all is to be configured anew."""
+    bench = enabled()
+    bench.obeys = False
+    bench.supervisor.trip("a limit", bench.now)
+    begin = bench.now
+    at = []
+    for _ in range(220):
+        bench.step(Request.ENABLE)
+        if bench.supervisor.cut_off:
+            at.append(round(bench.now - begin, 3))
+    assert at == pytest.approx([0.051, 0.101, 0.151, 0.201], abs=2e-3)
+    assert bench.supervisor.needs_bring_up
+    bench.state = PowerState.FAULT
+    bench.step(Request.ENABLE, 200)
+    assert not bench.supervisor.cut_off
+
+
 class AnyOrder(RuleBasedStateMachine):
     """Random statuswords, events, requests and resets: torque only ever when everything is good and was asked for."""
 

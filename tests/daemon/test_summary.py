@@ -31,6 +31,8 @@ def summary() -> Summary:
         skipped=2,
         overruns=1,
         late=1,
+        error_frames=0,
+        flooded=0,
         dropped=0,
         load=(0.5, 0.6),
         rights="SCHED_FIFO 80, 100 MiB locked",
@@ -52,6 +54,7 @@ def test_json_has_no_nan_and_counts_cycles() -> None:
     text = json.dumps(summary().as_dict(), allow_nan=False)
     found = json.loads(text)
     cycles = {"planned": 10, "sent": 8, "skipped": 2, "overruns": 1, "late": 1, "missed_pdo": 4, "dropped": 0}
+    cycles |= {"error_frames": 0, "flooded": 0}
     assert found["cycles"] == cycles
     assert found["work"]["p50"] is None
     assert found["lateness"]["bins"][-1] == [None, 1]

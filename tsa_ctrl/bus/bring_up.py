@@ -17,6 +17,7 @@ from tsa_ctrl.bus.checks import (
     check_watchdog,
     confirm_mode,
     read_errors,
+    reset_fault,
     switch_off,
 )
 from tsa_ctrl.bus.eds import check_plan, load_eds
@@ -38,9 +39,16 @@ _LEAST_ANSWERED = 0.8  # share of SYNCs that each node must answer before torque
 
 
 def bring_up(
-    bus: Bus, settings: BusSettings, axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile], period: float
+    bus: Bus,
+    settings: BusSettings,
+    axes: Sequence[AxisNodes],
+    profiles: Sequence[DriveProfile],
+    period: float,
+    reset_faults: bool = False,
 ) -> Report:
     """Configure and start all nodes of `axes` for a SYNC period in s; on return they are operational, drives disabled.
+
+    `reset_faults`: somebody asked for drives found in fault to be reset; without it they stay as they are.
 
     Raises UsageError when the configuration is wrong (load, contradictions, rated torque) and BusError when the bus or
     a node is.
@@ -51,7 +59,7 @@ def bring_up(
     plans = [_plan(node, settings, period) for node in nodes]
     with Session(bus, settings) as session:
         _boot(bus, session, nodes)
-        reports = [_configure(session, node, plan) for node, plan in zip(nodes, plans, strict=True)]
+        reports = [_configure(session, node, plan, reset_faults) for node, plan in zip(nodes, plans, strict=True)]
         missing = session.start((node.settings.node_id for node in nodes), START_TIMEOUT)
         if missing:
             names = ", ".join(node.name for node in nodes if node.settings.node_id in missing)
@@ -119,7 +127,7 @@ def _boot(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
     )
 
 
-def _configure(session: Session, node: Node, plan: Sequence[Write]) -> NodeReport:
+def _configure(session: Session, node: Node, plan: Sequence[Write], reset_faults: bool) -> NodeReport:
     report = NodeReport(node.name)
     if node.role is Role.DRIVE and node.profile.eds is not None:
         report.notes += check_plan(load_eds(node.profile.eds), node.profile.eds, plan)
@@ -127,6 +135,8 @@ def _configure(session: Session, node: Node, plan: Sequence[Write]) -> NodeRepor
     read_errors(session, node, report)
     if node.role is Role.DRIVE:
         switch_off(session, node)
+        if reset_faults:
+            reset_fault(session, node, report)
         check_drive(session, node, report)
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)

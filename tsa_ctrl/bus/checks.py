@@ -101,12 +101,30 @@ def switch_off(session: Session, node: Node) -> None:
         raise BusError(f"{node.name}: is enabled and does not switch off; cut its power")
 
 
+def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
+    """On request: lead a drive found in fault out of it; the rising edge of bit 7, by SDO. Raises BusError."""
+    node_id = node.settings.node_id
+    faulty = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
+    if cia402.decode(session.read(node_id, objects.STATUSWORD)) not in faulty:
+        return
+    code = session.read_if_there(node_id, objects.ERROR_CODE) or 0
+    found = f"error 0x{code:04X} ({emcy.text(code)})"
+    session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
+    session.write(node_id, objects.CONTROLWORD, Controlword.FAULT_RESET)
+    if not _poll(lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in faulty, _OFF_TIMEOUT):
+        raise BusError(f"{node.name}: {found} is still there and cannot be reset; remove its cause, and start again")
+    session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
+    report.notes.append(f"was in fault: {found}; reset as asked")
+
+
 def check_drive(session: Session, node: Node, report: NodeReport) -> None:
     node_id = node.settings.node_id
     state = cia402.decode(session.read(node_id, objects.STATUSWORD))
     if state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
         code = session.read_if_there(node_id, objects.ERROR_CODE) or 0
-        report.notes.append(f"in fault: error 0x{code:04X} ({emcy.text(code)}); it must be reset before it can enable")
+        report.notes.append(
+            f"in fault: error 0x{code:04X} ({emcy.text(code)}); it must be reset before it can enable: --reset-faults"
+        )
     if node.profile.has(objects.SUPPORTED_MODES):
         modes = session.read_if_there(node_id, objects.SUPPORTED_MODES)
         if modes is None:

@@ -1,7 +1,11 @@
-"""What the kernel says of a CAN interface (rtnetlink, RTM_GETLINK): kind, bit rate, state, error counters, queue."""
+"""What the kernel says of a CAN interface (rtnetlink, RTM_GETLINK): kind, bit rate, state, error counters, queue.
+
+And to switch one down and up (RTM_NEWLINK), for the simulated machine's faults.
+"""
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 import sys
@@ -14,7 +18,7 @@ from tsa_ctrl.errors import BusError
 _MESSAGE = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
 _LINK = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, change
 _ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
-_RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST = 16, 18, 1
+_RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST, _NLM_F_ACK = 16, 18, 1, 4
 _IFF_UP = 1
 _ARPHRD_CAN = 280  # linux/if_arp.h
 _TYPE_MASK = 0x3FFF  # without NLA_F_NESTED
@@ -60,6 +64,18 @@ def read(channel: str) -> Interface | None:
             return parse(netlink.recv(_BUFFER))
     except (OSError, AttributeError):  # AttributeError: not Linux
         return None
+
+
+def set_up(channel: str, up: bool) -> None:
+    """Switch an interface up or down, as `ip link set CHANNEL up`; raises OSError with the kernel's reason."""
+    body = _LINK.pack(0, 0, socket.if_nametoindex(channel), int(up), _IFF_UP)
+    request = _MESSAGE.pack(_MESSAGE.size + len(body), _RTM_NEWLINK, _NLM_F_REQUEST | _NLM_F_ACK, 1, 0) + body
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as netlink:
+        netlink.settimeout(_TIMEOUT)
+        netlink.send(request)
+        code = -struct.unpack_from("=i", netlink.recv(_BUFFER), _MESSAGE.size)[0]
+    if code:
+        raise OSError(code, os.strerror(code))
 
 
 def parse(message: bytes) -> Interface | None:

@@ -19,6 +19,7 @@ _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
 _TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
 _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
+_OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
 _MAX_FAULTS = 16  # the first is the cause; what follows from it is kept for the log up to this many
 
 
@@ -85,7 +86,8 @@ class Fault:
 class Supervisor:
     """Supervises one axis. `reports_following`: the drive has statusword bit 12 (see the drive's profile).
 
-    Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`).
+    Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`),
+    `cut_off` (in this cycle the drive is to be stopped by NMT: it did not say that it obeyed).
     """
 
     def __init__(self, settings: SupervisionSettings, reports_following: bool = True) -> None:
@@ -104,6 +106,8 @@ class Supervisor:
         self.phase = Phase.STANDBY
         self.faults: list[Fault] = []
         self.needs_bring_up = False
+        self.cut_off = False
+        self._cut_off_due = 0.0
 
     @property
     def fault(self) -> Fault | None:
@@ -129,6 +133,7 @@ class Supervisor:
         self._reset_edge = request is Request.RESET and self._last_request is not Request.RESET
         self._last_request = request
         self._watch(image, now)
+        self.cut_off = False
         if self.phase is Phase.FAULT or self.phase is Phase.RESETTING:
             return self._in_fault(image, state, now), False, self.fault
         if state is PowerState.FAULT or state is PowerState.FAULT_REACTION_ACTIVE:
@@ -228,6 +233,11 @@ class Supervisor:
     def _in_fault(self, image: Image, state: PowerState, now: float) -> Controlword:
         """Torque stays off; on request, and only when nothing is left that needs a new bring-up, reset the drive."""
         if self.phase is Phase.FAULT:
+            if state is not PowerState.OPERATION_ENABLED:
+                self._cut_off_due = now + _OBEY_TIME
+            elif now >= self._cut_off_due:
+                self._cut_off_due = now + _OBEY_TIME
+                self.cut_off = self.needs_bring_up = True
             if self._reset_edge and not self.needs_bring_up:
                 self._enter(Phase.RESETTING, now)
             return Controlword.DISABLE_VOLTAGE
@@ -252,6 +262,8 @@ class Supervisor:
             self.faults.append(Fault(cause, detail, now))
         self.needs_bring_up = self.needs_bring_up or cause.needs_bring_up
         self._armed = False
+        if self.phase is not Phase.FAULT:
+            self._cut_off_due = now + _OBEY_TIME
         self._enter(Phase.FAULT, now)
 
     def _enter(self, phase: Phase, now: float) -> None:

@@ -16,20 +16,26 @@ from tsa_ctrl.config import Configuration, load_configuration
 @click.command(
     "run",
     epilog="Example: tsa run config/controller.toml --seconds 20",
-    help="Bring the drives up, run the loop and log, until SIGTERM, SIGINT or `tsa stop`.",
+    help="Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`.",
 )
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.option("--check", is_flag=True, help="Validate the configuration and what it refers to; move nothing.")
 @click.option("--seconds", type=click.FloatRange(min=0.0, min_open=True), help="End after this time of torque.")
+@click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
-def command(controller: Path, check: bool, seconds: float | None, as_json: bool) -> int:
+def command(controller: Path, check: bool, seconds: float | None, reset_faults: bool, as_json: bool) -> int:
     configuration = load_configuration(controller)
     if check:
         click.echo(_checked(configuration))
         return 0
     from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
 
-    summary = run(configuration, math.inf if seconds is None else seconds, lambda line: click.echo(line, err=True))
+    summary = run(
+        configuration,
+        math.inf if seconds is None else seconds,
+        lambda line: click.echo(line, err=True),
+        reset_faults=reset_faults,
+    )
     if as_json:
         click.echo(json.dumps(summary.as_dict()))
     else:

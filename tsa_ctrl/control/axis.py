@@ -14,6 +14,7 @@ from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.limiter import Limiter, Reason
 from tsa_ctrl.control.oscillation import OscillationMonitor
+from tsa_ctrl.control.plausibility import Plausibility
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -50,6 +51,7 @@ class ControlAxis:
         law: Law,
         limiter: Limiter,
         monitor: OscillationMonitor,
+        plausibility: Plausibility,
         period: float,
         most_age: float,
         stop_time: float,
@@ -68,11 +70,14 @@ class ControlAxis:
         self.law = law
         self.limiter = limiter
         self.monitor = monitor
+        self.plausibility = plausibility
         self.most_age = most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
         self.terms = Terms()
-        self._ramp_step = period / stop_time
+        self._period = period
+        self._stop_time = stop_time
+        self._ramp_from: float | None = None  # s, when the ramp to 0 began
         self._stopping = False
         self._enabled_at: float | None = None
         self._has_encoder = io.nodes.encoder is not None
@@ -88,6 +93,7 @@ class ControlAxis:
     def enable(self) -> None:
         """Ask for torque; it comes when drive and supervisor agree, and fades in."""
         self._stopping = False
+        self._ramp_from = None
         self.ramp = 1.0
         self.request = Request.ENABLE
 
@@ -114,8 +120,10 @@ class ControlAxis:
         if self._enabled_at is None:
             self._enabled_at = now
         if self._stopping and self.request is Request.ENABLE:
-            self.ramp -= self._ramp_step
-            if self.ramp <= 0.0:
+            if self._ramp_from is None:
+                self._ramp_from = now - self._period
+            self.ramp = 1.0 - (now - self._ramp_from) / self._stop_time  # by time: lost cycles do not lengthen it
+            if self.ramp <= 1e-9:
                 self.ramp = 0.0
                 self.request = Request.DISABLE
         return now - self._enabled_at
@@ -131,6 +139,13 @@ class ControlAxis:
         self.law.applied(terms.tau_m_cmd)
         if terms.reason in _TRIPPING:
             self.supervisor.trip(f"{terms.reason.name.lower().replace('_', '-')} at the limiter", now)
+        if image.fresh:
+            feedback = (image.tau_m, image.q_m, image.omega_m)
+            wrong = self.plausibility.update(
+                now, terms.tau_m_cmd, feedback, terms.q_j, terms.sigma, instruments.tau_j, self._used
+            )
+            if wrong is not None:
+                self.supervisor.trip(wrong, now)
         self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
         self.adapt()
         self.monitor.update(terms.omega_j, terms.tau_j_des)
@@ -146,6 +161,7 @@ class ControlAxis:
         self.estimator.reset()
         self.law.reset()
         self.monitor.reset()
+        self.plausibility.reset()
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)
 

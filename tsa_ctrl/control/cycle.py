@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from tsa_ctrl.bus.cia301 import NmtCommand
 from tsa_ctrl.bus.rig import Rig
 from tsa_ctrl.control.axis import ControlAxis
 
@@ -37,4 +38,6 @@ def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
     """The rest of a cycle, which need not delay its commands: it acts from the next one on."""
     for axis in axes:
         axis.follow(now)
+        if axis.supervisor.cut_off:  # commands do not reach it, or it does not obey: its reaction 0x6007 is left
+            rig.nmt(NmtCommand.STOP, axis.io.nodes.drive.node_id)
     rig.heartbeat(now)

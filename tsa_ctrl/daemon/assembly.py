@@ -16,6 +16,7 @@ from tsa_ctrl.control.law import Inverse, Law
 from tsa_ctrl.control.limiter import Limiter, Reason
 from tsa_ctrl.control.live import Tuner, parameters_of
 from tsa_ctrl.control.oscillation import OscillationMonitor
+from tsa_ctrl.control.plausibility import Plausibility
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.daemon.phase import LoopPhase
@@ -52,6 +53,13 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 law=Law(inverse_of(model, period, signals), ratio, settings.law, period),
                 limiter=Limiter(settings.limits, period),
                 monitor=OscillationMonitor(settings.oscillation, period),
+                plausibility=Plausibility(
+                    settings.plausibility,
+                    settings.limits.torque,
+                    settings.drive.rated_torque * settings.drive.gear_ratio,
+                    (model.motor_pulley_radius, model.joint_pulley_radius),
+                    settings.encoder is not None,
+                ),
                 period=period,
                 most_age=most_age,
                 stop_time=file.controller.stop_time,

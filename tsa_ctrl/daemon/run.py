@@ -29,6 +29,7 @@ from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import BusError, UsageError
 
 Say = Callable[[str], None]
+STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
 def run(
@@ -36,21 +37,33 @@ def run(
     seconds: float = math.inf,
     say: Say = lambda line: None,
     configured: bool = False,
+    reset_faults: bool = False,
+    watch: Callable[[Rig], None] = lambda rig: None,
 ) -> Summary:
     """Run the controller until it is stopped, or for `seconds` of torque; `say` gets a line for whoever watches.
 
-    `configured`: the nodes are operational and mapped as they should be; nothing is written to them.
+    `configured`: the nodes are operational and mapped as they should be; nothing is written to them. `reset_faults`:
+    drives found in fault at the start are reset. `watch` gets the rig before anything is sent.
     Raises UsageError or BusError for what fails before the first cycle; what happens later is in the summary.
     """
-    return Daemon(configuration, say, configured).run(seconds)
+    return Daemon(configuration, say, configured, reset_faults, watch).run(seconds)
 
 
 class Daemon:
     """One run; every way out of it goes through the same descent."""
 
-    def __init__(self, configuration: Configuration, say: Say, configured: bool) -> None:
+    def __init__(
+        self,
+        configuration: Configuration,
+        say: Say,
+        configured: bool = False,
+        reset_faults: bool = False,
+        watch: Callable[[Rig], None] = lambda rig: None,
+    ) -> None:
         self._configuration = configuration
         self._configured = configured
+        self._reset_faults = reset_faults
+        self._watch = watch
         self._say = say
         self._loop: Loop | None = None
         self._early_stop: str | None = None
@@ -63,6 +76,7 @@ class Daemon:
         bus = open_bus(file.bus)
         try:
             rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+            self._watch(rig)
             axes = control_axes(configuration, rig)
             tuners = tuners_of(axes, configuration.period)
             children = Children(configuration, tuners)
@@ -110,7 +124,7 @@ class Daemon:
         period = configuration.period
         realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
         try:
-            self._bring_up(bus, rig)
+            self._bring_up(bus, rig, self._reset_faults)
             self._loop = loop
             if self._early_stop is not None:
                 loop.stop(self._early_stop)
@@ -126,11 +140,11 @@ class Daemon:
             self._unconfirmed = shut_down(rig, period)
             loop.last_words(self._unconfirmed)
 
-    def _bring_up(self, bus: Bus, rig: Rig) -> None:
+    def _bring_up(self, bus: Bus, rig: Rig, reset_faults: bool) -> None:
         configuration = self._configuration
         file = configuration.file
         if not self._configured:
-            report = bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period)
+            report = bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period, reset_faults)
             for line in report.lines():
                 self._say(line)
         rig.start()
@@ -140,7 +154,7 @@ class Daemon:
         bus.clear_fault()
         try:
             with self._notifier.no_loop():
-                self._bring_up(bus, rig)
+                self._bring_up(bus, rig, reset_faults=False)  # the supervisors do it
         except BusError as error:
             loop.note(f"recovery failed: {error}")
             loop.run(seconds, LoopPhase.FAULTED)
@@ -152,7 +166,7 @@ class Daemon:
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """SIGTERM and SIGINT ask for the descent; a second one changes nothing."""
+        """SIGTERM, SIGINT and SIGHUP (the terminal is gone) ask for the descent; a second one changes nothing."""
 
         def handle(number: int, frame: FrameType | None) -> None:
             name = signal.Signals(number).name
@@ -161,7 +175,8 @@ class Daemon:
             else:
                 self._early_stop = self._early_stop or name
 
-        before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+        wanted = [number for number in STOPPING if signal.getsignal(number) is not signal.SIG_IGN]  # nohup stays so
+        before = {number: signal.signal(number, handle) for number in wanted}
         try:
             yield
         finally:
@@ -186,6 +201,8 @@ class Daemon:
             overruns=loop.overruns,
             late=loop.late,
             dropped=rig.bus.counters.dropped,
+            error_frames=rig.error_frames,
+            flooded=rig.flooded,
             load=(configuration.load.least, configuration.load.worst),
             rights=rights,
             lateness=distribution(mailbox.lateness),

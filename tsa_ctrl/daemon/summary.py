@@ -46,6 +46,8 @@ class Summary:
     overruns: int
     late: int  # cycles that began later than half a period
     dropped: int  # frames that could not be sent
+    error_frames: int
+    flooded: int  # cycles whose answers could not be told from old ones
     load: tuple[float, float]  # of the bit rate: least and worst bit stuffing
     rights: str
     lateness: Distribution
@@ -81,6 +83,8 @@ class Summary:
                 "late": self.late,
                 "missed_pdo": self.missed_pdo,
                 "dropped": self.dropped,
+                "error_frames": self.error_frames,
+                "flooded": self.flooded,
             },
             "load": list(self.load),
             "rights": self.rights,
@@ -105,6 +109,7 @@ class Summary:
         table.add_row("periods skipped, in overruns", f"{self.skipped} in {self.overruns}")
         table.add_row("cycles begun late (over half a period)", str(self.late))
         table.add_row("frames dropped", str(self.dropped))
+        table.add_row("error frames; cycles flooded", f"{self.error_frames}; {self.flooded}")
         table.add_row("bus load", f"{100 * self.load[0]:.0f} to {100 * self.load[1]:.0f} % of the bit rate")
         table.add_row("rights", self.rights)
         if self.log is not None:

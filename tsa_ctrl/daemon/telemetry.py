@@ -50,6 +50,7 @@ class Telemetry:
         self._push = None if ring is None else ring.push
         self._note = None if ring is None else ring.note
         self._noted = 0
+        self._error_frames = 0
         self._log = log
         self._sensors = sensors
         self._notifier = notifier
@@ -152,6 +153,13 @@ class Telemetry:
         """About once a second: say when a serial sensor is lost or back."""
         if self._sensors is not None:
             self._sensors.check(t, self._events)
+
+    def check_bus(self, t: float) -> None:
+        """About once a second: say that error frames came."""
+        more = self._rig.error_frames - self._error_frames
+        if more:
+            self._error_frames += more
+            self._events.add(t, "", f"{more} error frames, the last one: {self._rig.last_error}")
 
     def check_log(self, t: float, records: int) -> None:
         """About once a second: say it when the log writer is in trouble or gone; `records` is how many it was given."""

@@ -273,7 +273,7 @@ def listen(path: str, group: str | None) -> socket.socket:
 
 def main(argv: list[str]) -> int:
     """Serve until the daemon's end of stdin closes; events are printed as they come."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # they reach the whole group; the daemon decides
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they reach the whole group; the daemon decides
         signal.signal(number, signal.SIG_IGN)
     description = msgspec.json.decode(sys.stdin.buffer.readline(), type=Description)
     mailbox = Mailbox(int(argv[0]), len(description.axes), len(description.parameters[0]))

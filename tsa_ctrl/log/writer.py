@@ -121,7 +121,11 @@ def _joined(blocks: Blocks) -> NDArray[np.float64]:
 
 def main(argv: list[str]) -> int:
     """Run until the owner finishes the ring or dies."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # they reach the whole group; the owner decides when records end
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+        signal.SIGHUP,
+    ):  # they reach the whole group; the owner decides when records end
         signal.signal(number, signal.SIG_IGN)
     fd, path = int(argv[0]), Path(argv[1])
     owner = os.getppid()

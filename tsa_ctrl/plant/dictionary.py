@@ -108,8 +108,11 @@ class ObjectDictionary:
         else:
             self.values[entry.key] = entry.default
 
-    def remove(self, index: int) -> None:
-        """Take an object away, as on a drive that does not have it."""
+    def remove(self, index: int, sub: int | None = None) -> None:
+        """Take an object away, or one sub-index of it, as on a drive that does not have it."""
+        if sub is not None:  # the node itself may still look at its value
+            self.entries.pop((index, sub), None)
+            return
         for key in [key for key in self.entries if key[0] == index]:
             del self.entries[key]
             self.values.pop(key, None)

@@ -11,6 +11,7 @@ import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.cia402 import PowerState, PowerStateMachine
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.node import EmcyCode, Identity, Node, Send
@@ -79,16 +80,19 @@ class Drive(Node):
         hooks = self.dictionary.on_write
         hooks[0x6040, 0] = self._write_controlword
         hooks[0x6060, 0] = self._write_mode
-        for index in settings.absent:
-            self.dictionary.remove(index)
+        for absent in settings.absent:
+            if isinstance(absent, int):
+                self.dictionary.remove(absent)
+            else:
+                self.dictionary.remove(*_key(absent))
         for name, value in settings.objects.items():
             self._override(name, value)
 
     def _override(self, name: str, value: int) -> None:
         """`"0x6076:0" = 1000`: another power-on value, to imitate a drive."""
-        index, _, sub = name.partition(":")
-        key = (int(index, 16), int(sub or "0"))
-        entry = self.dictionary.entries[key]
+        entry = self.dictionary.entries.get(_key(name))
+        if entry is None:
+            raise UsageError(f"[axis.drive] objects: there is no {name} in this drive; correct index and sub-index")
         self.dictionary.add(
             Entry(entry.index, entry.sub, entry.type, entry.access, value, entry.mappable, entry.low, entry.high)
         )
@@ -234,6 +238,12 @@ class Drive(Node):
         values[0x6077, 0] = _bounded(round(torque * per_mille), 0x7FFF)
         values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
         values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
+
+
+def _key(name: str) -> Key:
+    """`"0x6076:0"`, `"0x6076"`: index and sub-index."""
+    index, _, sub = name.partition(":")
+    return int(index, 16), int(sub or "0")
 
 
 def _bounded(value: int, bound: int) -> int:

@@ -31,6 +31,12 @@ class Rig(Protocol):
     def inject(self, can_id: int, data: bytes) -> bool:
         """Put any frame on the bus."""
 
+    def set_interface(self, up: bool) -> None:
+        """Take the interface down, or up again; raises UsageError where this user may not."""
+
+    def replay_commands(self, since: float, now: float) -> None:
+        """Hear again what the master sent since then."""
+
 
 @dataclass(frozen=True)
 class Target:
@@ -131,6 +137,17 @@ def _replay(target: Target) -> Undo:
     return _nothing
 
 
+def _interface_down(target: Target) -> Undo:
+    target.rig.set_interface(False)
+
+    def up(now: float) -> None:
+        target.rig.set_interface(True)
+        target.outlet.replay(target.value + now - target.now)
+        target.rig.replay_commands(target.now - target.value, now)
+
+    return up
+
+
 FAULTS: Mapping[str, FaultKind] = {
     "power_cycle": FaultKind("the nodes of the axis lose power; after the duration they boot", _power_cycle),
     "fault": FaultKind("the drive faults", _fault, 0x2310, "error code", 1, 0xFFFF),
@@ -150,9 +167,14 @@ FAULTS: Mapping[str, FaultKind] = {
     "ignored_command": FaultKind(
         "bit 12 is low, the target torque is not followed", lambda t: _swap(t.drive.faults, "ignore_command", True)
     ),
+    "rpdo_lost": FaultKind("commands do not reach the node", lambda t: _swap(t.node, "deaf", True)),
     "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: _swap(t.outlet, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
     "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
+    "interface_down": FaultKind(
+        "the interface is down; when it is up again, what was on the bus just before is replayed to both sides",
+        _interface_down, 0.05, "s", 0.0, 10.0,
+    ),
     "flood": FaultKind(
         "frames of other identifiers", lambda t: _swap(t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
     ),

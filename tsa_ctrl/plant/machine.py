@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import random
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tsa_ctrl.bus.interface import set_up
 from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis
@@ -27,6 +29,7 @@ TICK = 1e-3  # s between two looks at the timers
 _AFTER_SYNC = 1.5e-3  # s: with a SYNC every millisecond the timer never comes before it
 _UNUSED = 0x5F0  # an identifier of nobody here
 _FLOOD_BURST = 2e-3  # s of a flood that are sent at once
+_HEARD = 1024  # frames of the master that a replay can reach back
 _LONGEST_GAP = 0.25  # s that the mechanics make up for; more is time in which this machine stood still
 
 
@@ -90,6 +93,7 @@ class Machine:
         self.housekeeping: Callable[[float], None] = lambda now: None
         self.recorder: Recorder | None = None
         self._flood_due = 0.0
+        self._heard: deque[tuple[float, int, bytes]] = deque(maxlen=_HEARD)  # SYNC and RPDOs
         self._epoch = clock()
         self._routes: dict[int, tuple[Node, ...]] = {}
         self._next_tick = self._epoch
@@ -130,6 +134,8 @@ class Machine:
         self.counts.frames += 1
         if can_id & ERROR_FLAG:
             return
+        if can_id == SYNC or 0x200 <= can_id < 0x580:
+            self._heard.append((now, can_id, data))
         if can_id == SYNC:
             self.counts.syncs += 1
             self.advance(now)
@@ -192,6 +198,22 @@ class Machine:
     def inject(self, can_id: int, data: bytes) -> bool:
         """Put any frame on the bus."""
         return self.bus.send(can_id, data)
+
+    def set_interface(self, up: bool) -> None:
+        """Take the interface down, or up again; raises UsageError where this user may not."""
+        try:
+            set_up(self.bus.name, up)
+        except OSError as error:
+            raise UsageError(
+                f"fault interface_down: {self.bus.name} cannot be switched ({error.strerror or error}); it needs a "
+                "network interface, and the right to administrate it"
+            ) from None
+
+    def replay_commands(self, since: float, now: float) -> None:
+        """Hear again what the master sent since then."""
+        stale = [(can_id, data) for at, can_id, data in self._heard if at >= since]
+        for can_id, data in stale:
+            self.handle(can_id, data, now)
 
     def _release(self, now: float) -> None:
         for unit in self.axes:

@@ -87,6 +87,7 @@ class Node:
     ) -> None:
         self.node_id = node_id
         self.powered = True
+        self.deaf = False  # RPDOs are lost on their way
         self.state = NmtState.BOOT_UP
         self.transmit: Send = send
         self.routes: dict[int, Callable[[bytes, float], None]] = {}
@@ -219,7 +220,7 @@ class Node:
 
     def _rpdo_handler(self, rpdo: Rpdo) -> Callable[[bytes, float], None]:
         def handle(data: bytes, now: float) -> None:
-            if self.state is not NmtState.OPERATIONAL:
+            if self.state is not NmtState.OPERATIONAL or self.deaf:
                 return
             if len(data) < rpdo.packing.size:
                 self.communication_error(EmcyCode.PDO_TOO_SHORT)

@@ -19,6 +19,7 @@ NonNegative = Annotated[float, Meta(ge=0.0)]
 Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
+ObjectName = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9]{1,3})?$")]
 Counts = Annotated[int, Meta(ge=1, le=1 << 31)]
 
 
@@ -57,7 +58,7 @@ class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     peak_torque: Positive = 3.0  # N*m at the motor, what the power stage can do
     torque_noise: NonNegative = 2e-3  # N*m at the pulley, standard deviation of 0x6077
     objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
-    absent: list[int] = []  # objects that this drive does not have, 0x60A9
+    absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
 
 
 class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

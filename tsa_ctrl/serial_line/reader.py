@@ -95,7 +95,8 @@ def parent_gone(wait: float) -> bool:
 
 
 def main() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the daemon, which then ends this process
+    for number in (signal.SIGINT, signal.SIGHUP):  # they are for the daemon, which then ends this process
+        signal.signal(number, signal.SIG_IGN)
     fd, count, index, text = sys.argv[1:]
     settings = msgspec.json.decode(text, type=SerialSensorSettings)
     SerialReader(settings, Slots(int(count), int(fd)), int(index)).run()

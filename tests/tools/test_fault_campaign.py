@@ -1,0 +1,111 @@
+"""The fault campaign: its judgement, which must be able to say no, and the campaign itself on a vcan."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+
+
+def load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+verdict = load("_verdict")
+faults = load("_faults")
+Row, Expected, Seen, judge = verdict.Row, verdict.Expected, verdict.Seen, verdict.judge
+
+GOOD = Seen(0.02, 0.001, "faulted", ("stale PDO: drive node 1",), (), 0.8, False, 0.8)
+STOPS = Expected(cause="stale PDO")
+ON = Seen(None, 0.001, "running", (), ("log: No space left on device",), 0.8, False, 0.8)
+GOES_ON = Expected(harmless="counted", said="No space")
+
+
+def rows(*torques: float) -> list[object]:
+    return [Row(1.0 + 0.001 * n, torque) for n, torque in enumerate(torques)]
+
+
+def test_zero_counts_from_the_last_row_with_torque() -> None:
+    assert verdict.zero_after(rows(0.5, 0.5, 0.3, 0.005, 0.0, 0.0), 1.001) == pytest.approx(0.002)
+    assert verdict.zero_after(rows(0.5, 0.0, 0.0, 0.2, 0.0), 1.0) == pytest.approx(0.004)
+    assert verdict.zero_after(rows(0.5, 0.0, 0.0, -0.2), 1.0) is None
+    assert verdict.zero_after(rows(0.0, 0.0), 1.0) == 0.0
+
+
+def test_a_hole_in_the_record_is_found() -> None:
+    assert verdict.longest_gap([*rows(0.0, 0.0), Row(1.2, 0.0)]) == pytest.approx(0.199)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"zero": None}, "does not stay zero"),
+        ({"zero": 0.26}, "260 ms, allowed are 250"),
+        ({"faults": ("tripped: over-speed",)}, "does not name its cause"),
+        ({"faults": ()}, "no fault"),
+        ({"came_back": True}, "came back by itself"),
+        ({"phase": "running"}, "not latched"),
+        ({"torque_before": 0.0}, "no torque to lose"),
+    ],
+)
+def test_a_fault_that_is_not_met_is_unsafe(change: dict[str, object], words: str) -> None:
+    found = judge(STOPS, dataclasses.replace(GOOD, **change), 0.25, 2.0)
+    assert not found.safe
+    assert words in "; ".join(found.wrong)
+
+
+def test_a_fault_that_is_met_is_safe() -> None:
+    found = judge(STOPS, GOOD, 0.25, 2.0)
+    assert (found.safe, found.latched, found.cause_in_log, found.detected) == (True, True, True, GOOD.faults[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"notes": ()}, "nobody says so"),
+        ({"faults": ("stale PDO",), "phase": "faulted"}, "stops: stale PDO"),
+        ({"phase": "silent"}, "the loop is silent"),
+        ({"most": 2.2}, "above the limit"),
+    ],
+)
+def test_a_loss_that_stops_or_is_not_said_is_unsafe(change: dict[str, object], words: str) -> None:
+    assert judge(GOES_ON, ON, 0.25, 2.0).safe
+    found = judge(GOES_ON, dataclasses.replace(ON, **change), 0.25, 2.0)
+    assert words in "; ".join(found.wrong)
+
+
+def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
+    from tsa_ctrl.plant.faults import FAULTS, parse_fault
+
+    lines = [fault.plant for fault in faults.FAULTS if fault.plant]
+    assert {line.split()[0] for line in lines} == set(FAULTS)
+    for line in lines:
+        parse_fault(line)
+    names = [fault.name for fault in faults.FAULTS]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_every_fault_is_met_safely(vcan: str) -> None:
+    """Torque zero in time at the plant, cause in the log, latched; or the loop goes on and says what was lost."""
+    done = subprocess.run([TOOLS / "fault_campaign", "--json"], capture_output=True, text=True)
+    assert done.stdout, done.stderr
+    found = json.loads(done.stdout)["faults"]
+    assert {fault["name"] for fault in found} == {fault.name for fault in faults.FAULTS}
+    assert [(fault["name"], fault["wrong"]) for fault in found if not fault["safe"]] == []

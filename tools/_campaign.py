@@ -1,0 +1,473 @@
+"""Plant and daemons on a vcan, one fault after the other: start, inject, watch, recover, and keep the evidence."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from _faults import Fault
+from _verdict import STALL, ZERO, Record, Seen, Verdict, judge, longest_gap, zero_after
+
+from tsa_ctrl.bus.socketcan import SocketCan
+from tsa_ctrl.errors import BusError, TsaError
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.protocol import Recover, Status
+from tsa_ctrl.log.reader import LogFile
+from tsa_ctrl.plant.channel import ask
+
+CONFIG = Path(__file__).resolve().parent.parent / "config"
+BOUND = 0.25  # s, [safety] zero_torque_within
+LIMIT = 2.0  # N*m, [axis.limits] torque
+STARTED, PATIENCE, RECOVERED = 120.0, 30.0, 10.0  # s; the first start on a machine compiles
+LATCH_TIME = 0.4  # s that the torque must stay zero after the cause is gone
+FLUSHED = 0.3  # s until the plant's record is in its file
+HANG = 0.5  # s
+ATTEMPTS = 3  # of a fault during which the machine stood still
+CLIENTS = 4
+SMALL_DISK = "size=4m"
+
+PLANT = """
+[bus]
+channel = "{channel}"
+[[axis]]
+name = "knee"
+actuator = "actuator.toml"
+[axis.perturbation]
+friction_coefficient = 1.08
+pretension = 0.95
+"""
+BARE = """[axis.drive]
+absent = ["0x1400:5"]
+"""
+CONTROLLER = """
+[controller]
+name = "campaign"
+rate = 500.0
+settle_cycles = 20
+[bus]
+channel = "{channel}"
+[bus.supervision]
+tolerated_misses = 5
+[realtime]
+allow_without = true
+[log]
+folder = "{logs}"
+[socket]
+path = "{folder}/tsa.sock"
+[safety]
+zero_torque_within = {bound}
+[[axis]]
+name = "knee"
+model = "actuator.toml"
+[axis.drive]
+node_id = 1
+max_torque = 3.0
+rpdo_timeout = 0.05
+[axis.encoder]
+node_id = 32
+[axis.torque_sensor]
+node_id = 64
+[axis.setpoint]
+kind = "constant"
+offset = {wanted}
+[axis.law]
+fade_in = 0.2
+[axis.limits]
+torque = {limit}
+"""
+
+
+class LostError(Exception):
+    """A process that did not come or did not go; the campaign itself has failed."""
+
+
+@dataclass
+class Trial:
+    """One fault done, with what was seen at the plant; `injected` and `ended` are CLOCK_MONOTONIC in s."""
+
+    fault: Fault
+    injected: float
+    ended: float
+    zero: float | None
+    gap: float
+    phase: str
+    most: float
+    came_back: bool
+    torque_before: float
+    repeated: int = 0
+
+    def seen(self, faults: tuple[str, ...], notes: tuple[str, ...]) -> Seen:
+        return Seen(self.zero, self.gap, self.phase, faults, notes, self.most, self.came_back, self.torque_before)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A trial with its verdict."""
+
+    trial: Trial
+    verdict: Verdict
+
+
+def until(condition: Callable[[], Any], patience: float, what: str) -> Any:
+    end = time.monotonic() + patience
+    while not (found := condition()):
+        if time.monotonic() > end:
+            raise LostError(f"{what} did not happen within {patience:g} s")
+        time.sleep(0.01)
+    return found
+
+
+class Plant:
+    """The plant as a process, with its record and its control socket."""
+
+    def __init__(self, folder: Path, channel: str, bare: bool) -> None:
+        text = PLANT.format(channel=channel) + (BARE if bare else "")
+        (folder / "plant.toml").write_text(text, encoding="utf-8")
+        self.control = folder / "plant.sock"
+        self.record = Record(folder / "truth.csv")
+        command = ["tsa", "plant", "plant.toml", "--record", "truth.csv", "--control", str(self.control)]
+        self.process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            if "ready" in line:
+                return
+        raise LostError(f"the plant: {self.process.communicate()[1]}")
+
+    def tell(self, line: str) -> float:
+        """One line to it; CLOCK_MONOTONIC of when it was done."""
+        answer = ask(self.control, line)
+        if not answer.startswith("ok"):
+            raise LostError(answer)
+        return float(answer.split()[1])
+
+    def torque(self) -> float:
+        state = json.loads(ask(self.control, "state"))
+        return float(state["axes"][0]["torque_loop"])
+
+    def end(self) -> None:
+        self.process.terminate()
+        try:
+            self.process.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.communicate()
+
+
+class Daemon:
+    """`tsa run` as a process."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self.socket = str(folder / "tsa.sock")
+        self.process = subprocess.Popen(
+            ["tsa", "run", name, "--json", "--reset-faults"],
+            cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self.start = 0.0  # CLOCK_MONOTONIC of t = 0 in its log
+
+    def status(self) -> dict[str, Any] | None:
+        try:
+            with Client(self.socket, timeout=1.0) as client:
+                status = client.ask(Status())
+        except TsaError:
+            return None
+        self.start = time.monotonic() - status["age"] - status["uptime"]
+        return status
+
+    @property
+    def phase(self) -> str:
+        if self.process.poll() is not None:
+            return "dead" if self.process.returncode < 0 else "ended"
+        status = self.status()
+        return "silent" if status is None else str(status["phase"])
+
+    def recover(self) -> None:
+        with contextlib.suppress(TsaError), Client(self.socket) as client:
+            client.ask(Recover())
+
+    def children(self, word: str) -> list[int]:
+        """Processes of it whose command line has `word`."""
+        pid = self.process.pid
+        listed = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+        return [int(child) for child in listed if word in Path(f"/proc/{child}/cmdline").read_text(encoding="utf-8")]
+
+    def end(self) -> dict[str, Any]:
+        """Its summary; nothing when it was killed."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGCONT)
+            self.process.terminate()
+        try:
+            out, error = self.process.communicate(timeout=PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            out, error = self.process.communicate()
+        self.said = error
+        return dict(json.loads(out)) if out.strip() else {}
+
+
+@dataclass
+class Campaign:
+    """All faults given, on one plant as far as it goes; `progress` is told each fault's name."""
+
+    folder: Path
+    channel: str
+    progress: Callable[[str], None] = lambda name: None
+    results: list[Result] = field(default_factory=list)
+    _daemon: Daemon | None = None
+    _trials: list[Trial] = field(default_factory=list)
+    _logs: Path = Path()
+    _filler: Path | None = None
+
+    def run(self, faults: tuple[Fault, ...]) -> list[Result]:
+        """The verdict on each, in order. Raises LostError when a process does not come."""
+        shutil.copy(CONFIG / "actuator.toml", self.folder)
+        for bare in (False, True):
+            chosen = [fault for fault in faults if fault.bare is bare]
+            if not chosen:
+                continue
+            self.plant = Plant(self.folder, self.channel, bare)
+            try:
+                for negative in (False, True):
+                    group = [fault for fault in chosen if fault.negative is negative]
+                    with self._disk(negative):
+                        self._run_group(group, negative)
+            finally:
+                if self._daemon is not None:
+                    self._daemon.end()
+                self.plant.end()
+        order = [fault.name for fault in faults]
+        return sorted(self.results, key=lambda result: order.index(result.trial.fault.name))
+
+    @contextlib.contextmanager
+    def _disk(self, small: bool) -> Iterator[None]:
+        """The folder of the logs; a small disk of its own where this user may mount one."""
+        self._logs = self.folder / ("small" if small else "logs")
+        self._logs.mkdir(exist_ok=True)
+        mount = ["mount", "-t", "tmpfs", "-o", SMALL_DISK, "none", str(self._logs)]
+        self._mounted = small and subprocess.run(mount, capture_output=True, check=False).returncode == 0
+        try:
+            yield
+        finally:
+            if self._mounted:
+                subprocess.run(["umount", "-l", str(self._logs)], capture_output=True, check=False)
+
+    def _run_group(self, group: list[Fault], negative: bool) -> None:
+        text = CONTROLLER.format(
+            channel=self.channel,
+            folder=self.folder,
+            logs=self._logs,
+            bound=BOUND,
+            limit=LIMIT,
+            wanted=-0.8 if negative else 0.8,
+        )
+        (self.folder / "controller.toml").write_text(text, encoding="utf-8")
+        for fault in group:
+            self.progress(fault.name)
+            for attempt in range(ATTEMPTS):
+                daemon = self._running()
+                trial = self._try(daemon, fault)
+                trial.repeated = attempt
+                late = trial.zero is None or trial.zero > (fault.expected.within or BOUND)
+                wrong = (late or trial.came_back) if fault.expected.cause else trial.phase != "running"
+                if not (wrong and trial.gap > STALL):
+                    break
+            self._trials.append(trial)
+            if fault.alone:
+                self._end_life()
+        self._end_life()
+
+    def _running(self) -> Daemon:
+        """A daemon with torque; recovered, or a new one."""
+        if self._daemon is not None:
+            with contextlib.suppress(LostError):
+                return self._with_torque(self._daemon, RECOVERED)
+            self._end_life()
+        self._daemon = Daemon(self.folder, "controller.toml")
+        return self._with_torque(self._daemon, STARTED)
+
+    def _with_torque(self, daemon: Daemon, patience: float) -> Daemon:
+        asked = -1.0
+
+        def ready() -> bool:
+            nonlocal asked
+            phase = daemon.phase
+            if phase == "faulted" and time.monotonic() - asked > 1.0:
+                asked = time.monotonic()
+                daemon.recover()
+            if phase in ("dead", "ended"):
+                raise LostError(f"the daemon ended: {daemon.end() and ''}{daemon.said}")
+            return phase == "running" and abs(self.plant.torque()) > 10.0 * ZERO
+
+        until(ready, patience, "torque")
+        time.sleep(0.15)  # faded in
+        if not ready():
+            until(ready, patience, "torque")
+        return daemon
+
+    def _try(self, daemon: Daemon, fault: Fault) -> Trial:
+        """Inject, watch, take the cause away, watch again."""
+        undo: Callable[[], None] = lambda: None  # noqa: E731
+        if fault.plant:
+            injected = self.plant.tell(fault.plant)
+        else:
+            injected = time.monotonic()
+            undo = getattr(self, f"_{fault.act}")(daemon) or undo
+        time.sleep(max(0.0, injected + fault.watch - time.monotonic()))
+        undo()
+        cleared = self.plant.tell("clear")
+        time.sleep(LATCH_TIME)
+        phase = daemon.phase
+        ended = time.monotonic()
+        time.sleep(FLUSHED)
+        self.plant.record.read()
+        rows = self.plant.record.between(injected - 0.1, ended)
+        after = [row for row in rows if row.clock >= injected]
+        before = [abs(row.torque) for row in rows if row.clock < injected]
+        return Trial(
+            fault,
+            injected,
+            ended,
+            zero_after(rows, injected),
+            longest_gap(rows),
+            phase,
+            max((abs(row.torque) for row in after), default=0.0),
+            any(abs(row.torque) > ZERO for row in after if row.clock > cleared),
+            max(before, default=0.0),
+        )
+
+    def _end_life(self) -> None:
+        """End the daemon, read what it left behind, judge its trials."""
+        daemon, trials = self._daemon, self._trials
+        self._daemon, self._trials = None, []
+        if daemon is None:
+            return
+        summary = daemon.end()
+        start = summary.get("start", daemon.start)
+        notes = self._notes()
+        told = [(event["t"], event["text"]) for event in summary.get("events", [])]
+        counts = [
+            f"{node['node']}: late {node['late']}, repeated {node['repeated']}"
+            for node in summary.get("nodes", [])
+            if node["late"] or node["repeated"]
+        ]
+        lost = summary.get("log_records", {}).get("lost", 0)
+        counts += [f"{lost} records lost"] if lost else []
+        for place, trial in enumerate(trials):
+            last = place + 1 == len(trials)
+            begin = trial.injected - start - 0.02
+            end = float("inf") if last else trials[place + 1].injected - start - 0.02
+            mine = [note for note in notes if begin <= note.t < end]
+            faults = tuple(n.text for n in mine if n.fault or (trial.phase == "ended" and n.text.startswith("ended")))
+            said = [note.text for note in mine] + [text for t, text in told if begin <= t < end]
+            self.results.append(
+                Result(trial, judge(trial.fault.expected, trial.seen(faults, (*said, *counts)), BOUND, LIMIT))
+            )
+
+    def _notes(self) -> list[Any]:
+        """Of the newest log; a writer whose loop was killed completes it soon."""
+        logs = sorted(self._logs.glob("*.mcap"), key=lambda path: path.stat().st_mtime)
+        if not logs:
+            return []
+        log = LogFile(logs[-1])
+        end = time.monotonic() + 3.0
+        while True:
+            notes = log.read_notes()
+            if log.complete or time.monotonic() > end:
+                return notes
+            time.sleep(0.05)
+
+    # what the plant cannot do: each returns how it is undone
+
+    def _second_master(self, daemon: Daemon) -> None:
+        self._send(0x080, b"")
+
+    def _second_commander(self, daemon: Daemon) -> None:
+        self._send(0x201, bytes.fromhex("0f00e803"))  # enabled, at rated torque
+
+    def _reset_node(self, daemon: Daemon) -> None:
+        self._send(0x000, bytes((0x82, 32)))
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        bus = SocketCan(self.channel)
+        bus.send(can_id, data)
+        bus.close()
+
+    def _hang(self, daemon: Daemon) -> None:
+        daemon.process.send_signal(signal.SIGSTOP)
+        time.sleep(HANG)
+        daemon.process.send_signal(signal.SIGCONT)
+
+    def _kill(self, daemon: Daemon) -> None:
+        daemon.process.kill()
+
+    def _hang_up(self, daemon: Daemon) -> None:
+        daemon.process.send_signal(signal.SIGHUP)
+
+    def _kill_log(self, daemon: Daemon) -> None:
+        for pid in daemon.children("log.writer"):
+            os.kill(pid, signal.SIGKILL)
+
+    def _fill_disk(self, daemon: Daemon) -> Callable[[], None]:
+        if not self._mounted:  # a limit on the writer's file stands in
+            (pid,) = daemon.children("log.writer")
+            size = max(path.stat().st_size for path in self._logs.glob("*.mcap"))
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
+            return lambda: resource.prlimit(pid, resource.RLIMIT_FSIZE, (-1, -1)) and None
+        filler = self._logs / "filler"
+        with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
+            while True:
+                file.write(bytes(1 << 12))
+        return lambda: filler.unlink(missing_ok=True)
+
+    def _flood_socket(self, daemon: Daemon) -> Callable[[], None]:
+        stop = threading.Event()
+
+        def flood() -> None:
+            while not stop.is_set():
+                with contextlib.suppress(TsaError, OSError), Client(daemon.socket, timeout=0.2) as client:
+                    while not stop.is_set():
+                        client.ask(Status())
+
+        threads = [threading.Thread(target=flood, daemon=True) for _ in range(CLIENTS)]
+        for thread in threads:
+            thread.start()
+
+        def end() -> None:
+            stop.set()
+            for thread in threads:
+                thread.join()
+
+        return end
+
+    def _hanging_client(self, daemon: Daemon) -> Callable[[], None]:
+        clients = [socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(CLIENTS)]
+        for client in clients:
+            client.connect(daemon.socket)
+            client.send(b'{"verb": "sta')
+
+        def end() -> None:
+            for client in clients:
+                client.close()
+
+        return end
+
+
+def check_free(channel: str) -> None:
+    """Raises BusError when somebody else talks on the bus."""
+    bus = SocketCan(channel)
+    try:
+        if bus.recv(0.1) is not None:
+            raise BusError(f"{channel}: somebody is active on this bus; stop the other programs, or take another vcan")
+    finally:
+        bus.close()

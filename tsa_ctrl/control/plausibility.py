@@ -1,0 +1,134 @@
+"""Whether measurements agree with each other and with the command: what lies, or came loose, is found by contradiction.
+
+    torque        the drive reports another torque than was commanded
+    frozen        not one bit of what the drive reports moves, while the command does
+    slip          motor and joint moved apart: a torn or loose tendon, a slipped encoder, a wrong count or sign
+    joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign
+
+Contradictions must last before they count. Like the limiter it imports nothing of the control law.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta
+
+Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
+Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
+
+DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
+DEFAULT_JOINT_TORQUE = 0.5  # of that limit, at the joint
+FROZEN_SHARE = 0.05  # of rated torque that the command moves while nothing of the feedback does
+FROZEN_TIME = 0.03  # s that a drive may take to show it
+SLIP_TIME = 0.01  # s
+
+
+class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
+    joint_torque: Torque | None = None  # N*m at the joint; default: half of limits.torque, at the joint
+    duration: Duration = 0.1  # s that either must last
+    slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 0.5  # rad at the motor since the enable
+
+
+class Plausibility:
+    """One axis' check; `update` while torque is permitted, `reset` when it is not."""
+
+    def __init__(
+        self,
+        settings: PlausibilitySettings,
+        limit: float,
+        rated: float,
+        radii: tuple[float, float],
+        has_encoder: bool,
+    ) -> None:
+        """`limit`: of the limiter, N*m; `rated`: torque at the motor pulley, N*m; `radii`: r_M, r_J in m."""
+        r_m, r_j = radii
+        self._torque = DEFAULT_TORQUE * limit if settings.torque is None else settings.torque
+        self._joint_torque = (
+            DEFAULT_JOINT_TORQUE * limit * r_j / r_m if settings.joint_torque is None else settings.joint_torque
+        )
+        self._duration = settings.duration
+        self._slip = settings.slip
+        self._frozen = FROZEN_SHARE * rated
+        self._geared = r_j / r_m
+        self._r_j = r_j
+        self._has_encoder = has_encoder
+        self.reset()
+
+    def reset(self) -> None:
+        """Torque is not permitted: the next enable starts afresh."""
+        self._offset = math.nan
+        self._torque_since = self._joint_since = self._slip_since = math.inf
+        self._last: tuple[float, float, float] | None = None
+        self._frozen_since = 0.0
+        self._low = self._high = 0.0
+
+    def update(
+        self,
+        now: float,
+        command: float,
+        feedback: tuple[float, float, float],
+        q_j: float,
+        sigma: float,
+        tau_j: float,
+        model: tuple[float, float],
+    ) -> str | None:
+        """What is wrong, in words; None while everything agrees.
+
+        `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
+        sensor; `model`: friction angle (1) and pretension (N) in use.
+        """
+        tau_m, q_m, _ = feedback
+        if feedback != self._last:
+            self._last = feedback
+            self._frozen_since = now
+            self._low = self._high = command
+        else:
+            self._low, self._high = min(self._low, command), max(self._high, command)
+            if self._high - self._low > self._frozen and now - self._frozen_since > FROZEN_TIME:
+                moved = self._high - self._low
+                return (
+                    f"the drive's feedback is frozen: not a bit of it moved for {1e3 * (now - self._frozen_since):.0f} "
+                    f"ms, while the command moved by {moved:.2f} N*m"
+                )
+        if abs(command - tau_m) <= self._torque:
+            self._torque_since = math.inf
+        elif now - (since := min(self._torque_since, now)) >= self._duration:
+            return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
+        else:
+            self._torque_since = since
+        return self._apart(now, q_m, q_j) or self._joint(now, tau_m, sigma, tau_j, model)
+
+    def _apart(self, now: float, q_m: float, q_j: float) -> str | None:
+        if not self._has_encoder:
+            return None
+        apart = q_m - self._geared * q_j
+        if not abs(apart - self._offset) > self._slip:  # also while there is no reference yet
+            self._slip_since = math.inf
+            if self._offset != self._offset:
+                self._offset = apart
+            return None
+        self._slip_since = min(self._slip_since, now)
+        if now - self._slip_since < SLIP_TIME:
+            return None
+        return (
+            f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable: a tendon is "
+            "torn or loose, or an encoder slipped, or its counts or sign are wrong"
+        )
+
+    def _joint(self, now: float, tau_m: float, sigma: float, tau_j: float, model: tuple[float, float]) -> str | None:
+        x = sigma * model[0]
+        predicted = tau_m * self._geared * math.cosh(x) - 2.0 * model[1] * self._r_j * math.sinh(x)
+        if not abs(tau_j - predicted) > self._joint_torque:  # nan: no sensor, or none that is fresh
+            self._joint_since = math.inf
+            return None
+        self._joint_since = min(self._joint_since, now)
+        if now - self._joint_since < self._duration:
+            return None
+        return (
+            f"the joint torque sensor says {tau_j:.2f} N*m, the model {predicted:.2f} N*m, for {self._duration:g} s: "
+            "a sign is reversed, or one of the two torques is wrong"
+        )
