@@ -279,7 +279,9 @@ class Campaign:
                 trial = self._try(daemon, fault)
                 trial.repeated = attempt
                 late = trial.zero is None or trial.zero > (fault.expected.within or BOUND)
-                wrong = (late or trial.came_back) if fault.expected.cause else trial.phase != "running"
+                running = trial.phase == "running"
+                wrong = late or trial.came_back if fault.expected.cause else not running
+                wrong = wrong and not (running and fault.expected.harmless)
                 if not (wrong and trial.gap > STALL):
                     break
             self._trials.append(trial)

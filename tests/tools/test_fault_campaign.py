@@ -88,6 +88,14 @@ def test_a_loss_that_stops_or_is_not_said_is_unsafe(change: dict[str, object], w
     assert words in "; ".join(found.wrong)
 
 
+def test_a_fault_that_may_stop_the_loop_is_safe_either_way() -> None:
+    either = Expected(cause="stale PDO", harmless="tolerated")
+    assert judge(either, dataclasses.replace(ON, notes=()), 0.25, 2.0).latched is None
+    assert judge(either, GOOD, 0.25, 2.0).latched is True
+    assert not judge(either, dataclasses.replace(GOOD, zero=None), 0.25, 2.0).safe
+    assert not judge(either, dataclasses.replace(ON, phase="silent"), 0.25, 2.0).safe
+
+
 def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
     from tsa_ctrl.plant.faults import FAULTS, parse_fault
 

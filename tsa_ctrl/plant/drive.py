@@ -135,16 +135,15 @@ class Drive(Node):
         self._obey()
 
     def communication_error(self, code: EmcyCode) -> None:
-        if code is EmcyCode.RPDO_TIMEOUT and self.machine.state in (
-            PowerState.OPERATION_ENABLED,
-            PowerState.QUICK_STOP_ACTIVE,
-        ):
+        enabled = self.machine.state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
+        if code is EmcyCode.RPDO_TIMEOUT and enabled and self.settings.watchdogs:
             self.fault(code)
         else:
             super().communication_error(code)
 
     def connection_lost(self) -> None:
-        if self.machine.state not in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE):
+        enabled = self.machine.state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
+        if not enabled or not self.settings.watchdogs:
             return
         reaction = self.values.get((0x6007, 0), 0)
         if reaction == ConnectionLoss.FAULT:

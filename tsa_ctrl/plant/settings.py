@@ -57,6 +57,7 @@ class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     torque_time_constant: NonNegative = 0.5e-3  # s, current loop
     peak_torque: Positive = 3.0  # N*m at the motor, what the power stage can do
     torque_noise: NonNegative = 2e-3  # N*m at the pulley, standard deviation of 0x6077
+    watchdogs: bool = True  # false: it takes its time-outs, reports them, and does nothing else
     objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
     absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
 
