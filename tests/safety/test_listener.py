@@ -51,6 +51,7 @@ def test_without_guard_it_only_listens(bench: Bench) -> None:
 
 
 def test_on_guard_it_sends_the_sync_that_fails_to_come_and_only_then(bench: Bench) -> None:
+    bench.hear(tpdo(100))
     bench.listener.guard()
     for _ in range(20):
         bench.bus.clock.now += 0.001
