@@ -19,6 +19,7 @@ from tsa_ctrl.identify.dataset import Dataset, load_log
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.model.parameters import RigidDrive, load_model
+from tsa_ctrl.model.signals import hold_direction
 
 N = 400
 T = np.arange(N) * 1e-3
@@ -115,6 +116,25 @@ class TestDerivedVelocity:
         found = Dataset.from_arrays({"t": t, "tau_m": np.cos(t), "q_j": q})
         assert set(found["omega_j"][:700].tolist()) == {0.0}
         assert set(found["omega_j"][2400:].tolist()) == {0.0}
+
+    def test_a_joint_that_stands_before_it_turns_back_turns_in_the_middle(self) -> None:
+        """Sliding, 1 s without a count, and back: the direction changes half way, and nowhere else."""
+        way = 0.05 * np.sin(0.5 * np.pi * np.arange(1000) * 1e-3)
+        q = np.concatenate([way, np.full(1000, way[-1]), way[::-1]])
+        count = 2.0 * np.pi / 4000.0
+        found = Dataset.from_arrays({"t": np.arange(3000) * 1e-3, "tau_m": q, "q_j": np.round(q / count) * count})
+        sigma = hold_direction(found["omega_j"])
+        (turn,) = np.flatnonzero(np.diff(sigma))
+        assert abs(turn - 1500) < 20
+        assert sigma[0] == 1.0
+
+    def test_a_joint_that_stands_and_goes_on_keeps_its_direction(self) -> None:
+        way = 0.05 * np.sin(0.5 * np.pi * np.arange(1000) * 1e-3)
+        q = np.concatenate([way, np.full(1000, way[-1]), 2.0 * way[-1] - way[::-1]])
+        count = 2.0 * np.pi / 4000.0
+        found = Dataset.from_arrays({"t": np.arange(3000) * 1e-3, "tau_m": q, "q_j": np.round(q / count) * count})
+        assert set(hold_direction(found["omega_j"]).tolist()) == {1.0}
+        assert set(found["omega_j"][1300:1700].tolist()) == {0.0}
 
     def test_a_measured_velocity_is_kept(self) -> None:
         omega = 5.0 * np.cos(5.0 * T) + 0.1

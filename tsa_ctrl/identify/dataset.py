@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 
 CUTOFF = 10.0  # Hz, of the zero-phase low-pass in front of the derivative of an angle
 MOST_JITTER = 0.20  # of the period; worse is an error
+STANDING = 0.5  # s: slower than one encoder count in it, an angle has no velocity of a certain direction
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST = 10  # rows
 LONGEST_SKIP = 0.020  # s of cycles that the daemon skipped, and says so: filled by straight lines
@@ -157,7 +158,7 @@ def _dataset(table: Table, name: str, sha256: str) -> Dataset:
     derived: set[str] = set()
     for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
         if angle in columns and velocity not in columns:
-            columns[velocity] = _stilled(columns[angle], derivatives[angle])
+            columns[velocity] = _directed(columns[angle], derivatives[angle])
             derived.add(velocity)
             notes.append(
                 f"{velocity} is derived from {angle}: zero-phase Butterworth low-pass at {CUTOFF:g} Hz (second order, "
@@ -249,11 +250,21 @@ def _uniform(
     return {"t": uniform, **resampled}, grid.period, grid.jitter
 
 
-def _stilled(angle: Array, velocity: Array) -> Array:
-    """`velocity` with what is far below the encoder's resolution set to 0, so that a standstill stays one."""
+def _directed(angle: Array, velocity: Array) -> Array:
+    """`velocity` with the direction of the motion around wherever the encoder all but stands.
+
+    Slower than a count in STANDING the sign is the filter's ringing. The velocity there is 0, so that the direction of
+    before holds; but where the motion after goes the other way it turns in the middle, as the angle's extremum lies
+    somewhere between the last count there and the first one back.
+    """
     steps = np.abs(np.diff(angle))
     moved = steps[steps > 0.0]
-    if len(moved) == 0:
+    count = float(moved.min()) if len(moved) else 0.0  # rad, of an unquantised angle next to nothing
+    surely = (np.abs(velocity) > count / STANDING) & (velocity != 0.0)
+    moving = np.flatnonzero(surely)
+    if len(moving) == 0:
         return np.zeros_like(velocity)
-    count = float(moved.min())  # rad, one count; of an unquantised angle next to nothing
-    return np.where(np.abs(velocity) < 0.1 * count * CUTOFF, 0.0, velocity)
+    nearest = np.searchsorted((moving[1:] + moving[:-1] + 1) // 2, np.arange(len(angle)), side="right")
+    direction = np.sign(velocity[moving[nearest]])
+    held = np.sign(velocity[moving[np.maximum(np.cumsum(surely) - 1, 0)]])
+    return np.where(surely, velocity, np.where(direction == held, 0.0, direction * np.abs(velocity)))

@@ -49,7 +49,8 @@ def calibrate(
     `certified_gain`: the torque channels' gain is certified, so the slope counts. `tensioner`: known change of the
     pretension in N by log name (patterns allowed). `hold_out`: pattern of the logs on which the errors are measured
     (default: every third by name; with one log, blocks). `split="fit"` chooses x and T_p by least simulation error
-    within [uncertainty] where the data cannot part them, instead of keeping the file's proportion.
+    within [uncertainty] where the data cannot part them, instead of keeping the file's proportion; so does a slope
+    below r_J/r_M, which (3.55) cannot have whatever the proportion.
 
     Raises UsageError when the logs do not show enough (naming what is lacking), or a column is missing.
     """
@@ -78,18 +79,21 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
     elif joint is not None:
         found, condition = quantities(joint), joint.condition
     is_split = found is not None and narrower(found, model)
+    ratio = model.joint_pulley_radius / model.motor_pulley_radius
+    impossible = slope.high < ratio and not model.effects
+    if impossible:
+        notes.append(
+            f"the slope {slope} lies below r_J/r_M = {ratio:.4g}, which no friction angle gives: "
+            "an effect is missing or a gain is wrong; `tsa diagnose` tells which"
+        )
     if found is not None and is_split:
         x, tension = found
     else:
         if found is not None:
             notes.append("the data part x and T_p less well than [uncertainty] does: the file's proportion is kept")
-        x, tension = least_error(logs, model) if split == "fit" else keep_split(model, half_loop, notes)
-    ratio = model.joint_pulley_radius / model.motor_pulley_radius
-    if slope.high < ratio and not model.effects:
-        notes.append(
-            f"the slope {slope} lies below r_J/r_M = {ratio:.4g}, which no friction angle gives: "
-            "an effect is missing or a gain is wrong; `tsa diagnose` tells which"
-        )
+        x, tension = least_error(logs, model) if split == "fit" or impossible else keep_split(model, half_loop, notes)
+        if impossible and split == "keep":
+            notes.append("so x and T_p are those of least simulation error within [uncertainty]")
     for name, quantity, (low, high) in zip(("friction angle", "pretension"), (x, tension), bounds(model), strict=True):
         if not low * 0.999 <= quantity.value <= high * 1.001:
             notes.append(f"the {name} {quantity} lies outside the file's [uncertainty], {low:.4g} to {high:.4g}")
