@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime as dt
 import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import click
@@ -12,43 +14,97 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import choose
+from tsa_ctrl.demo.bus_choice import BusChoice, choose
 from tsa_ctrl.demo.motion import from_file, gait
 from tsa_ctrl.demo.outcome import Outcome
 from tsa_ctrl.demo.run import demo
 from tsa_ctrl.errors import UsageError
 
+SECONDS = 11.0
+FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
+
 
 @click.command("demo", epilog="Example: tsa demo --seconds 10 --out out/demo")
 @click.option("--setpoint", type=click.Path(path_type=Path), help="CSV with t, tau_j_des and q_j; default: a gait.")
-@click.option("--seconds", default=11.0, show_default=True, type=click.FloatRange(3.0, 3600.0), help="Torque per run.")
+@click.option(
+    "--seconds",
+    type=click.FloatRange(3.0, 3600.0),
+    help=f"Torque per run.  [default: {SECONDS:g}; with --full {FULL_SECONDS:g}]",
+)
 @click.option("--rate", default=1000.0, show_default=True, type=click.FloatRange(50.0, 4000.0), help="Of the loop, Hz.")
 @click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL of python-can; default: the best there is.")
 @click.option("--tendon", type=click.Choice(["full", "distributed"]), default="full", show_default=True)
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for files, logs and picture; default: out/demo-DATE."
 )
+@click.option("--full", is_flag=True, help="The full circle: hide an effect, run, calibrate, diagnose, run again.")
+@click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Of --full: what is hidden.")
+@click.option(
+    "--hidden", multiple=True, metavar="EFFECT", help="Of --full: hide this (repeatable), sized by seed."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    setpoint: Path | None, seconds: float, rate: float, bus: str | None, tendon: str, out: Path | None, as_json: bool
+    setpoint: Path | None,
+    seconds: float | None,
+    rate: float,
+    bus: str | None,
+    tendon: str,
+    out: Path | None,
+    full: bool,
+    seed: int,
+    hidden: tuple[str, ...],
+    as_json: bool,
 ) -> None:
-    """Simulated drive and joint on a bus, the daemon, a set-point: what compensation gains."""
+    """Simulated drive and joint on a bus, the daemon, a set-point: what compensation gains.
+
+    With --full: five runs on a plant with a hidden effect (without compensation, with the nominal, the calibrated, the
+    extended and the true model), the models estimated from the nominal run's log.
+    """
+    if full:
+        if setpoint is not None or tendon != "full":
+            raise UsageError("demo: --full has a motion and tendons of its own; leave --setpoint and --tendon out")
+        _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, out, as_json)
+        return
+    if hidden:
+        raise UsageError("demo: --hidden belongs to --full; give both")
+    seconds = SECONDS if seconds is None else seconds
     play = gait() if setpoint is None else from_file(setpoint, rig.MOST_TORQUE)
     chosen = choose(bus)
     folder = _folder(out)
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(f"demo on {chosen.name}", total=1.0)
-
-        def say(what: str, share: float) -> None:
-            progress.update(task, description=what, completed=share)
-
+    with _progress(chosen) as say:
         outcome = demo(folder, chosen, play, seconds, rate, tendon, say)
     if as_json:
         click.echo(json.dumps(outcome.to_dict(), allow_nan=False))
     else:
         _show(outcome)
+
+
+@contextlib.contextmanager
+def _progress(bus: BusChoice) -> Iterator[Callable[[str, float], None]]:
+    """What is being done and its share of the whole, on stderr where that is a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(f"demo on {bus.name}", total=1.0)
+        yield lambda what, share: progress.update(task, description=what, completed=share)
+
+
+def _full_circle(
+    seed: int, names: tuple[str, ...], seconds: float, rate: float, bus: str | None, out: Path | None, as_json: bool
+) -> None:
+    from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
+    from tsa_ctrl.demo.circle_report import show
+    from tsa_ctrl.demo.hidden import draw
+
+    hidden = draw(seed, names)
+    chosen = choose(bus)
+    folder = _folder(out)
+    with _progress(chosen) as say:
+        found = circle(folder, chosen, hidden, seconds, rate, say)
+    if as_json:
+        click.echo(json.dumps({**found.to_dict(), "folder": str(folder)}, allow_nan=False))
+    else:
+        show(found, folder)
 
 
 def _folder(out: Path | None) -> Path:

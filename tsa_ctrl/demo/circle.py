@@ -1,0 +1,121 @@
+"""The full circle: run with the nominal model, calibrate, diagnose that run's log, run again with what was found.
+
+The estimates come from the daemon's log of the nominal run alone, that is from what bus and sensors gave; the plant's
+truth serves only for the run that shows the limit.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.demo.hidden import Hidden, motion
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.identify.calibrate import calibrate
+from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.provenance import provenance
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.processes import daemon, plant
+from tsa_ctrl.tune.run import Run, read_run
+
+STAGES = ("none", "nominal", "calibrated", "extended", "true")
+COMPENSATION = 1.0  # of the friction term: the motion is imposed, nothing can begin to oscillate
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Circle:
+    """One full circle: what was hidden and found, and each stage's run; `notes` for people."""
+
+    bus: str
+    hidden: Hidden
+    diagnosis: Diagnosis
+    runs: dict[str, Run]
+    notes: tuple[str, ...]
+
+    def rms(self, stage: str) -> float:
+        """RMS error of the joint torque, N*m."""
+        return self.runs[stage].rms
+
+    @property
+    def found(self) -> str:
+        """The names found, each with the rivals that the log does not exclude."""
+        names = (" or ".join((cause.effect, *cause.alternatives)) for cause in self.diagnosis.causes)
+        return " + ".join(names) or "nothing"
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "schema": 1,
+            "bus": self.bus,
+            "hidden": {name: dict(values) for name, values in self.hidden.effects.items()},
+            "factors": dict(self.hidden.factors),
+            "found": [{"effect": c.effect, "alternatives": list(c.alternatives)} for c in self.diagnosis.causes],
+            "verdict": self.diagnosis.verdict.value,
+            "rms": {**{stage: self.rms(stage) for stage in STAGES}, "unit": "N*m"},
+            "share_of_reachable": {"from_none": self.share("none"), "from_nominal": self.share("nominal")},
+            "notes": list(self.notes),
+        }
+
+    def share(self, reference: str) -> float:
+        """Share of the reduction from `reference` to the limit that the extended model reaches."""
+        reachable = self.rms(reference) - self.rms("true")
+        return (self.rms(reference) - self.rms("extended")) / reachable if reachable > 0.0 else 1.0
+
+
+def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: float, say: Progress) -> Circle:
+    """All stages in `folder`, each with a plant that starts anew; `seconds` of torque per run, `rate` in Hz.
+
+    Raises BusError when plant or daemon fail, UsageError when the log of the nominal run shows too little.
+    """
+    nominal = rig.NOMINAL
+    controllers = {name: rig.controller(bus, name, rate, f"{name}.toml", COMPENSATION) for name in STAGES}
+    controllers["none"] = rig.controller(bus, "none", rate, "nominal.toml", 0.0)
+    rig.write(folder, motion(), rig.plant(bus, "full", hidden.axis()), controllers)
+    save_model(hidden.truth(nominal), folder / "true.toml")
+    runs: dict[str, Run] = {}
+
+    def play(stage: str) -> None:
+        runs[stage] = _play(folder, stage, seconds, lambda share: say(stage, (STAGES.index(stage) + share) / 5.0))
+
+    play("none")
+    play("nominal")
+    logs = list(runs["nominal"].learnable())
+    say("calibrate", 0.4)
+    found = calibrate(logs, nominal)
+    source = provenance("demo --full", logs, folder / "nominal.toml", found.quantities, split=found.split)
+    save_model(found.model, folder / "calibrated.toml", template=folder / "nominal.toml", provenance=source)
+    say("diagnose", 0.4)
+    diagnosis = diagnose(logs, nominal)
+    diagnosis.write(folder / "diagnosis", folder / "nominal.toml")
+    usable, notes = _controllable(diagnosis, 1.0 / rate)
+    shutil.copy(folder / ("diagnosis/extended.toml" if usable else "calibrated.toml"), folder / "extended.toml")
+    for stage in STAGES[2:]:
+        play(stage)
+    return Circle(bus.name, hidden, diagnosis, runs, notes)
+
+
+def _play(folder: Path, stage: str, seconds: float, tick: Callable[[float], None]) -> Run:
+    with plant(folder):
+        summary = daemon(folder, stage, seconds, tick)
+    if summary["log"] is None or summary["failed"]:
+        raise BusError(f"demo: the run '{stage}' failed: {summary['cause']}")
+    log = (folder / str(summary["log"])).rename(folder / f"{stage}.mcap")
+    return read_run(stage, log, "joint", rig.FADE_IN, seconds)
+
+
+def _controllable(diagnosis: Diagnosis, period: float) -> tuple[bool, tuple[str, ...]]:
+    """Whether a controller can use the extended model, and what it does not compensate, or why not."""
+    if not isinstance(diagnosis.model, TendonSheath):
+        return False, ("the diagnosis gave no model of a tendon-sheath: the calibrated one is run",)
+    try:
+        return True, Feedforward(diagnosis.model, period).notes
+    except UsageError as error:
+        return False, (f"the extended model cannot be inverted ({error}): the calibrated one is run",)

@@ -1,0 +1,100 @@
+"""What the full circle hides in its plant: effects of the catalogue, sizes and parameter errors, all drawn by seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tsa_ctrl.demo.motion import Play
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import TendonSheath
+
+OFF = 0.2  # nominal friction and pretension over the true ones, minus 1, either way
+RATE = 200.0  # Hz of set-point and motion
+SECONDS = 20.0  # s until both repeat; all frequencies below are whole multiples of its inverse
+MOTION = ((0.25, 0.35), (0.6, 0.20), (1.35, 0.08))  # Hz, rad: slow and fast strokes
+TORQUE = ((0.35, 0.25), (0.55, 0.25), (0.85, 0.25), (1.2, 0.25))  # Hz, N*m: none of the motion's frequencies
+
+Draw = Callable[[np.random.Generator], dict[str, Any]]
+
+
+def _signed(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
+
+
+# Sizes between a tenth and a third of the half loop of the demo's rig, and what the loop can compensate.
+EFFECTS: Mapping[str, Draw] = {
+    "viscous_friction": lambda rng: {"coefficient": rng.uniform(0.08, 0.16)},
+    "stribeck_friction": lambda rng: {
+        "static_excess": rng.uniform(0.5, 0.9),
+        "stribeck_velocity": rng.uniform(0.25, 0.45),
+    },
+    "load_dependent_friction": lambda rng: {"coefficient": rng.uniform(0.15, 0.25)},
+    "sheath_asymmetry": lambda rng: {"relative_difference": _signed(rng, 0.8, 1.2)},
+    "direction_asymmetric_friction": lambda rng: {"viscous_difference": _signed(rng, 0.08, 0.16)},
+    "torque_offset": lambda rng: {"offset": _signed(rng, 0.08, 0.2)},
+    "torque_ripple": lambda rng: {
+        "amplitude": rng.uniform(0.06, 0.12),
+        "cycles_per_revolution": int(rng.integers(8, 17)),
+        "phase": rng.uniform(-3.0, 3.0),
+    },
+    "inertia": lambda rng: {"inertia": rng.uniform(0.015, 0.03)},
+    "gravity_load": lambda rng: {"amplitude": rng.uniform(0.2, 0.4), "phase": rng.uniform(-1.0, 1.0)},
+    "joint_stiffness": lambda rng: {"stiffness": rng.uniform(0.3, 0.6), "rest_angle": rng.uniform(-0.3, 0.3)},
+    "configuration_dependent_bending": lambda rng: {"bending_per_joint_angle": _signed(rng, 1.0, 1.6)},
+    "presliding_hysteresis": lambda rng: {"presliding_distance": rng.uniform(0.05, 0.1), "displacement": "motor"},
+}
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What the plant has and the nominal file does not: `effects`, and factors on its parameters."""
+
+    effects: Mapping[str, Mapping[str, Any]]
+    factors: Mapping[str, float]
+
+    @property
+    def name(self) -> str:
+        return " + ".join(self.effects) or "nothing"
+
+    def axis(self) -> dict[str, dict[str, Any]]:
+        """Tables of the plant's axis: stiff tendons bent at the joint, so that (3.55) lacks nothing but the effects."""
+        return {
+            "effects": {name: dict(values) for name, values in self.effects.items()},
+            "perturbation": {**self.factors, "axial_stiffness": 10.0},
+            "tendon": {"kind": "full", "curvature": "joint_end"},
+            "motor": {"inertia": 1e-5},
+        }
+
+    def truth(self, nominal: TendonSheath) -> TendonSheath:
+        """The model that knows everything: the limit of what any estimate can reach."""
+        x = nominal.friction_angle * self.factors["friction_coefficient"]
+        tension = nominal.pretension * self.factors["pretension"]
+        return nominal.recalibrated(x, tension).with_effects(dict(self.effects))
+
+
+def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
+    """Factors and sizes by seed; the effect too, where no names are given.
+
+    Raises UsageError for a name that the demo cannot hide.
+    """
+    for name in names:
+        if name not in EFFECTS:
+            raise UsageError(f"demo: --hidden {name} is none of {', '.join(EFFECTS)}; choose one of these")
+    rng = np.random.default_rng(seed)
+    factors = {key: float(1.0 / (1.0 + rng.uniform(-OFF, OFF))) for key in ("friction_coefficient", "pretension")}
+    chosen = list(names) or [str(rng.choice(list(EFFECTS)))]
+    return Hidden({name: EFFECTS[name](rng) for name in chosen}, factors)
+
+
+def motion() -> Play:
+    """Strokes of many speeds against a load that varies independently: what a diagnosis needs to see."""
+    t = np.arange(0.0, SECONDS + 0.5 / RATE, 1.0 / RATE)
+    angle = np.sum([a * np.sin(2.0 * math.pi * f * t) for f, a in MOTION], axis=0)
+    phases = [-math.pi * k * (k + 1) / len(TORQUE) for k in range(len(TORQUE))]  # Schroeder's: a low crest factor
+    waves = [a * np.sin(2.0 * math.pi * f * t + p) for (f, a), p in zip(TORQUE, phases, strict=True)]
+    return Play(t, np.sum(waves, axis=0), angle)
