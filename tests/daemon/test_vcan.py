@@ -59,7 +59,12 @@ class Rig:
         self.edit(*PATIENT, ('# path = ""', f'path = "{self.socket}"'), ('"vcan0"', f'"{interface}"'))
 
     def edit(self, *changes: tuple[str, str]) -> None:
-        path = self.folder / "controller.toml"
+        self._edit(self.folder / "controller.toml", *changes)
+
+    def edit_plant(self, *changes: tuple[str, str]) -> None:
+        self._edit(self.folder / "plant.toml", *changes)
+
+    def _edit(self, path: Path, *changes: tuple[str, str]) -> None:
         text = path.read_text(encoding="utf-8")
         for before, after in changes:
             assert before in text, before
@@ -142,6 +147,23 @@ def test_delivers_the_wanted_torque(rig: Rig) -> None:
     without = 2.0 * 45.0 * 0.025 * np.sinh(0.26)  # half loop of the nominal model, N*m
     assert np.sqrt(np.mean(error**2)) < 0.2 * without
     assert np.abs(direction[during]).mean() > 0.8
+
+
+@pytest.mark.parametrize("kind", ["epos4", "elmo_gold"])
+def test_runs_a_drive_of_another_make(rig: Rig, kind: str) -> None:
+    """With its own profile torque, clamp and velocity have the right units: the speed is that of the angle."""
+    shutil.copytree(CONFIG / "drives", rig.folder / "drives")
+    rig.edit(('# profile = "generic"  ', f'profile = "{kind}"  '))
+    rig.edit_plant(('# kind = "generic"  ', f'kind = "{kind}"  '))
+    rig.plant()
+    summary, err, code = ended(rig.run("--seconds", "3"))
+    assert code == 0, err
+    t, angle, speed, torque, command = columns(summary, "t", "q_m", "omega_m", "tau_m", "tau_m_cmd")
+    moving = t > 1.0
+    difference = np.gradient(angle[moving], t[moving])
+    assert np.dot(difference, speed[moving]) / np.dot(difference, difference) == pytest.approx(1.0, abs=0.15)
+    assert np.abs(command[moving]).max() > 0.2
+    assert np.corrcoef(command[moving][:-2], torque[moving][2:])[0, 1] > 0.95
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

@@ -193,7 +193,17 @@ def confirm_mode(session: Session, node: Node) -> None:
 
 def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> None:
     there = {row.entry.key for row in report.rows if row.after is not None}
-    if any(write.watchdog and write.entry.key in there for write in plan):
+    watched = any(write.watchdog and write.entry.key in there for write in plan)
+    reacts = objects.CONNECTION_LOSS.key in there
+    if watched and reacts:
+        return
+    if watched and node.axis.drive.require_watchdog:
+        raise BusError(
+            f"{node.name}: has a watchdog, but no reaction to a lost connection (0x6007), so nobody knows what it does "
+            "when this computer dies; use another drive, or try it (tsa verify-safety) with require_watchdog = false"
+        )
+    if watched:
+        report.notes.append("has a watchdog, but its reaction (0x6007) is not known: try tsa verify-safety")
         return
     if node.axis.drive.require_watchdog:
         raise BusError(

@@ -107,7 +107,7 @@ def can_interfaces() -> dict[str, Interface]:
 
 
 def check(channel: str, bitrate: int) -> None:
-    """Raise BusError when a real CAN interface has another bit rate, or is not error-active."""
+    """Raise BusError when a real CAN interface has another bit rate, is not error-active, or has counted errors."""
     found = read(channel)
     if found is None:
         return
@@ -122,6 +122,11 @@ def check(channel: str, bitrate: int) -> None:
         raise BusError(
             f"[bus] channel '{channel}': the controller is in state {found.state.name.lower()}{counters}; "
             f"check cable, termination and bit rate, then: {restart}"
+        )
+    if found.errors is not None and any(found.errors):
+        raise BusError(
+            f"[bus] channel '{channel}': its error counters are {found.errors[0]} (tx) and {found.errors[1]} (rx), "
+            f"wanted are 0: something disturbs the bus; check cable, termination and bit rate, then: {restart}"
         )
 
 

@@ -69,7 +69,12 @@ def drive_plan(
         *pdo_writes(pdo.POSITION, drive.node_id, Transmission.EVERY_SYNC),
         *spare_pdos(received=True, first=2, last=profile.rpdo_count),
         *spare_pdos(received=False, first=3, last=profile.tpdo_count),
-        *([] if si_code is None else [Write(objects.VELOCITY_UNIT, si_code, optional=True)]),
+        # Without it the unit of 0x606C would only be believed: then the profile must say that the drive lacks it.
+        *(
+            []
+            if si_code is None
+            else [Write(objects.VELOCITY_UNIT, si_code, optional=drive.velocity_source != "drive")]
+        ),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
         _torque_clamp(profile, scale),

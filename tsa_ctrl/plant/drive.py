@@ -6,16 +6,20 @@ The power stage and the motor are elsewhere: the drive writes its command to a `
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+
+import msgspec
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.cia402 import PowerState, PowerStateMachine
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, Type
 from tsa_ctrl.plant.node import EmcyCode, Identity, Node, Send
 from tsa_ctrl.plant.pdo import INVALID, PdoDefault
+from tsa_ctrl.plant.persona import CURRENT, LIMIT, PERSONAS, RPM, Persona
 from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
 
@@ -27,6 +31,7 @@ _VOLTAGE_ENABLED, _WARNING, _REMOTE = 1 << 4, 1 << 7, 1 << 9
 _INTERNAL_LIMIT, _FOLLOWS_COMMAND = 1 << 11, 1 << 12
 _ERROR_REGISTER_PROFILE = 0x20
 _OWN_CYCLE = 1e-3  # s, of a drive that does not follow the SYNC
+_POWERED = (PowerState.SWITCHED_ON, PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _RESTING = 0.01  # of rated torque: below it a quick stop or a fault reaction is complete
 
 
@@ -55,6 +60,13 @@ class Drive(Node):
     def __init__(
         self, settings: DriveSettings, readings: Readings, command: MotorCommand, noise: random.Random, send: Send
     ) -> None:
+        self.persona = persona = PERSONAS[settings.kind]
+        if persona.vendor is not None and persona.product is not None:
+            settings = msgspec.structs.replace(
+                settings, name=persona.name, vendor=persona.vendor, product=persona.product
+            )
+        if persona.rated_torque_unit is not None:
+            settings = msgspec.structs.replace(settings, rated_torque_unit=persona.rated_torque_unit)
         self.settings = settings
         self._noise = noise
         self.readings = readings
@@ -64,6 +76,7 @@ class Drive(Node):
         self.error_cause = False  # the cause of the fault is still there
         self.limited = False
         self._own_cycle = 0
+        self._unit_code = _unit_code(settings)  # of a drive that does not have 0x60A9
         self.before_change: Callable[[float], None] = lambda now: None
         assert settings.node_id is not None
         node = settings.node_id
@@ -80,6 +93,7 @@ class Drive(Node):
         hooks = self.dictionary.on_write
         hooks[0x6040, 0] = self._write_controlword
         hooks[0x6060, 0] = self._write_mode
+        self._impersonate(persona)
         for absent in settings.absent:
             if isinstance(absent, int):
                 self.dictionary.remove(absent)
@@ -87,6 +101,31 @@ class Drive(Node):
                 self.dictionary.remove(*_key(absent))
         for name, value in settings.objects.items():
             self._override(name, value)
+
+    def _impersonate(self, persona: Persona) -> None:
+        """Objects of the maker, and what the standard's objects do otherwise."""
+        dictionary = self.dictionary
+        for entry in persona.added:
+            dictionary.add(entry)
+        for key, value in persona.defaults.items():
+            dictionary.add(dataclasses.replace(dictionary.entries[key], default=value))
+        for key in persona.read_only:
+            dictionary.add(dataclasses.replace(dictionary.entries[key], access=Access.RO))
+        for key in {*persona.fixed, *persona.off_only}:
+            dictionary.on_write[key] = self._guard(key, persona)
+        for index, sub in persona.absent:
+            dictionary.remove(index, sub)
+
+    def _guard(self, key: Key, persona: Persona) -> Callable[[int], None]:
+        allowed, off_only = persona.fixed.get(key), key in persona.off_only
+
+        def check(value: int) -> None:
+            if allowed is not None and value not in allowed:
+                raise SdoAbort(AbortCode.INVALID_VALUE)
+            if off_only and self.machine.state in _POWERED:
+                raise SdoAbort(AbortCode.DEVICE_STATE)
+
+        return check
 
     def _override(self, name: str, value: int) -> None:
         """`"0x6076:0" = 1000`: another power-on value, to imitate a drive."""
@@ -186,7 +225,7 @@ class Drive(Node):
         target = 0
         self.limited = False
         if enabled and values[0x6060, 0] == CST and not self.faults.ignore_command:
-            wanted, limit = values[0x6071, 0], values[0x6072, 0]
+            wanted, limit = values[0x6071, 0], self._clamp()
             target = max(-limit, min(limit, wanted))
             self.limited = target != wanted
         scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio * 1e-3
@@ -198,6 +237,20 @@ class Drive(Node):
         if wanted_command != (command.torque, command.enabled, command.max_speed):
             self.before_change(self.now)
             command.torque, command.enabled, command.max_speed = wanted_command
+
+    def _clamp(self) -> int:
+        """Largest torque, per mille of rated."""
+        values = self.values
+        if self.persona.limited_by_current:
+            return values[LIMIT] * 1000 // max(1, values[CURRENT])
+        return values[0x6072, 0]
+
+    def _velocity_digit(self) -> float:
+        """rad/s of the motor per digit of 0x606C."""
+        if self.persona.velocity_in_counts:
+            return 2.0 * math.pi / self.settings.counts_per_revolution
+        exponent = self.values.get((0x60A9, 0), self._unit_code) >> 24
+        return float(_RPM * 10.0 ** (exponent - 256 if exponent > 127 else exponent))
 
     def power_off(self) -> None:
         super().power_off()
@@ -227,7 +280,7 @@ class Drive(Node):
         gear = settings.gear_ratio
         per_mille = 1e3 * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
         turns = settings.position_sign * gear / (2.0 * math.pi)
-        velocity = settings.position_sign * gear * readings.motor_speed / (_RPM * 10.0**settings.velocity_exponent)
+        velocity = settings.position_sign * gear * readings.motor_speed / self._velocity_digit()
         torque = readings.motor_torque
         if settings.torque_noise > 0.0:
             torque += self._noise.gauss(0.0, settings.torque_noise)
@@ -237,6 +290,11 @@ class Drive(Node):
         values[0x6077, 0] = _bounded(round(torque * per_mille), 0x7FFF)
         values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
         values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
+
+
+def _unit_code(settings: DriveSettings) -> int:
+    """0x60A9: 10^exponent revolutions per minute."""
+    return (settings.velocity_exponent & 0xFF) << 24 | RPM
 
 
 def _key(name: str) -> Key:
@@ -278,7 +336,7 @@ def _objects(settings: DriveSettings) -> list[Entry]:
         Entry(0x6077, 0, Type.I16, ro, mappable=True),
         Entry(0x6080, 0, Type.U32, rw, 3000),  # rpm of the motor
         Entry(0x6087, 0, Type.U32, rw, 100_000),  # per mille of rated torque per s
-        Entry(0x60A9, 0, Type.U32, rw, (settings.velocity_exponent & 0xFF) << 24 | 0x00B44700),  # 10^exponent rev/min
+        Entry(0x60A9, 0, Type.U32, rw, _unit_code(settings)),
         Entry(0x60C2, 0, Type.U8, Access.CONST, 2),
         Entry(0x60C2, 1, Type.U8, rw, 1, low=1),
         Entry(0x60C2, 2, Type.I8, rw, -3, low=-6, high=0),

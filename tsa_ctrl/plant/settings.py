@@ -44,6 +44,7 @@ class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     """CiA 402 drive and its motor's electronics."""
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
+    kind: Literal["generic", "epos4", "elmo_gold"] = "generic"  # the drive that it impersonates, see `persona`
     name: str = "simulated drive"
     vendor: Word = 0x00000F0F
     product: Word = 0x0402

@@ -1,0 +1,84 @@
+"""Drives that the plant can impersonate: identity, units, and what their objects do otherwise than CiA 402 has it.
+
+From the makers' public documentation, and written down here apart from the controller's profiles, so that one can be
+tested against the other.
+
+epos4      maxon EPOS4 Firmware Specification (rel8234): 0x6076 in uN*m, computed from the nominal current 0x3001:1 and
+           read-only; the torque is limited by the output current limit 0x3001:2 (mA), there is no 0x6072; 0x60A9 takes
+           the prefixes of rpm only, and only while the power stage is off; 0x60C2:2 is -3; 0x605A is 6; no RPDO event
+           timer. Vendor 0xFB; product code of an EPOS4 Micro 24/5 as in its published device descriptions.
+elmo_gold  Elmo DSP 402 Implementation Guide MAN-CAN402IG: 0x6076 in mN*m; velocities in counts/s, no 0x60A9; 0x605E is
+           0; 0x6502 is 0x3ED. Vendor 0x9A, product code 0x30924 as its drives report it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from tsa_ctrl.plant.dictionary import Access, Entry, Key, Type
+
+RPM = 0x00B44700  # 0x60A9: revolutions per minute, prefix 10^0
+CURRENT, LIMIT = (0x3001, 1), (0x3001, 2)  # mA: nominal, and most that is put out
+_NOMINAL = 5000  # mA
+_PEAK = 2  # times nominal, at power-on
+_RPM_PREFIXES = frozenset(prefix << 24 | RPM for prefix in (0x00, 0xFF, 0xFE, 0xFD))
+
+
+@dataclass(frozen=True)
+class Persona:
+    """`vendor` and `product` None: those of the settings. `velocity_in_counts`: 0x606C is counts/s.
+
+    `fixed`: objects with one value that they take, or a few. `added`: objects of the maker. `read_only`: objects that
+    cannot be written. `off_only`: objects that can be written while the power stage is off. `limited_by_current`: the
+    torque's clamp is the current limit.
+    """
+
+    name: str
+    vendor: int | None = None
+    product: int | None = None
+    rated_torque_unit: float | None = None  # N*m per digit of 0x6076; None: that of the settings
+    velocity_in_counts: bool = False
+    limited_by_current: bool = False
+    absent: tuple[tuple[int, int | None], ...] = ()  # index and sub-index, None for all
+    added: tuple[Entry, ...] = ()
+    fixed: Mapping[Key, frozenset[int]] = field(default_factory=dict)
+    defaults: Mapping[Key, int] = field(default_factory=dict)
+    read_only: frozenset[Key] = frozenset()
+    off_only: frozenset[Key] = frozenset()
+
+
+_GENERIC = Persona("simulated drive")
+_EPOS4 = Persona(
+    "EPOS4",
+    vendor=0x000000FB,
+    product=0x69500000,
+    rated_torque_unit=1e-6,
+    limited_by_current=True,
+    absent=((0x6072, None), *((0x1400 + number, 5) for number in range(4))),
+    added=(
+        Entry(0x3001, 0, Type.U8, Access.CONST, 5),
+        Entry(*CURRENT, Type.U32, Access.RW, _NOMINAL),
+        Entry(*LIMIT, Type.U32, Access.RW, _PEAK * _NOMINAL),
+    ),
+    fixed={
+        (0x60A9, 0): _RPM_PREFIXES,
+        (0x60C2, 2): frozenset({-3}),
+        (0x605A, 0): frozenset({6}),
+    },
+    defaults={(0x60A9, 0): RPM, (0x605A, 0): 6},
+    read_only=frozenset({(0x6076, 0)}),
+    off_only=frozenset({(0x60A9, 0)}),
+)
+_ELMO_GOLD = Persona(
+    "Gold drive",
+    vendor=0x0000009A,
+    product=0x00030924,
+    rated_torque_unit=1e-3,
+    velocity_in_counts=True,
+    absent=((0x60A9, None),),
+    fixed={(0x605E, 0): frozenset({0})},
+    defaults={(0x605E, 0): 0, (0x6502, 0): 0x3ED},
+)
+
+PERSONAS: Mapping[str, Persona] = {"generic": _GENERIC, "epos4": _EPOS4, "elmo_gold": _ELMO_GOLD}
