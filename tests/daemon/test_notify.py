@@ -91,11 +91,12 @@ def test_a_bring_up_may_take_longer(manager: Manager, tmp_path: Path) -> None:
     notifier.close()
 
 
-def test_stopping_is_said_once(manager: Manager, tmp_path: Path) -> None:
-    """And from then on nothing is hurried."""
+@pytest.mark.parametrize("phase", [LoopPhase.STOPPING, LoopPhase.ENDED])
+def test_stopping_is_said_once(manager: Manager, tmp_path: Path, phase: LoopPhase) -> None:
+    """With a ramp to 0 or without one; and from then on nothing is hurried."""
     notifier = Notifier(asked(tmp_path, WATCHDOG_USEC="2000000"))
     for look in range(3):
-        notifier.update(0.02 * look, LoopPhase.STOPPING)
+        notifier.update(0.02 * look, phase)
     assert manager.heard()[:2] == ["STOPPING=1\nSTATUS=stopping", f"WATCHDOG_USEC={round(LONGEST * 1e6)}\nWATCHDOG=1"]
     notifier.close()
 

@@ -39,9 +39,7 @@ FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
 )
 @click.option("--full", is_flag=True, help="The full circle: hide an effect, run, calibrate, diagnose, run again.")
 @click.option("--seed", default=1, show_default=True, type=click.IntRange(0), help="Of --full: what is hidden.")
-@click.option(
-    "--hidden", multiple=True, metavar="EFFECT", help="Of --full: hide this (repeatable), sized by seed."
-)
+@click.option("--hidden", multiple=True, metavar="EFFECT", help="Of --full: hide this (repeatable), sized by seed.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     setpoint: Path | None,

@@ -16,6 +16,7 @@ from tsa_ctrl.daemon.phase import LoopPhase
 PER_INTERVAL = 4  # signs of life in the time after which the manager would act
 LONGEST = 60.0  # s that a new bring-up, or the end of a run, may take without a sign of life
 _READY = frozenset({LoopPhase.RUNNING, LoopPhase.FAULTED})
+_STOPPING = frozenset({LoopPhase.STOPPING, LoopPhase.ENDED})  # a run may end without a ramp
 
 
 class Notifier:
@@ -38,7 +39,7 @@ class Notifier:
         if not self._ready and phase in _READY:
             self._ready = True
             self._say(f"READY=1\nSTATUS={phase.name.lower()}")
-        if not self._stopping and phase is LoopPhase.STOPPING:
+        if not self._stopping and phase in _STOPPING:
             self._stopping = True
             self._say("STOPPING=1\nSTATUS=stopping")
             self._allow(LONGEST)

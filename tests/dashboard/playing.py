@@ -1,0 +1,66 @@
+"""A socket server whose loop is played by a thread: it takes commands, moves its parameters and publishes."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.daemon.serving import Serving
+from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, Command
+
+PERIOD = 0.01  # s
+
+
+class Played:
+    """`taken`: the commands so far, in order; `gone`: the daemon ends with the block."""
+
+    def __init__(self, path: Path) -> None:
+        self.serving = Serving(path, ["knee", "hip"])
+        assert self.serving.ready, self.serving.greeting
+        self.path = str(path)
+        self.taken: list[Command] = []
+        self.compensation = [0.95, 0.95]
+        self._done = threading.Event()
+        self._start = time.monotonic()
+        self._thread = threading.Thread(target=self._play)
+        self._thread.start()
+
+    def _play(self) -> None:
+        cycles = 0
+        while not self._done.wait(PERIOD):
+            cycles += 1
+            command = self.serving.mailbox.take()
+            if command is not None:
+                self.taken.append(command)
+                if command.parameter == 0:
+                    self.compensation[command.axis] = command.value
+            now = time.monotonic()
+            general = dict.fromkeys(GENERAL, 0.0) | {"time": now, "start": self._start, "phase": 2.0, "cycles": cycles}
+            self.serving.mailbox.lateness[2] = cycles
+            self.serving.mailbox.publish(
+                tuple(general.values()), [self._axis(index, now - self._start) for index in range(2)]
+            )
+
+    def _axis(self, index: int, t: float) -> tuple[float, ...]:
+        values = dict.fromkeys(AXIS, 0.25) | {"state": 1.0, "estimate_state": 0.0, "limit_reason": 0.0, "missed": 3.0}
+        wanted = math.sin(2.0 * t)
+        values |= {"t": t, "tau_j_des": wanted, "tau_j": 0.9 * wanted, "tau_m_cmd": 0.7 * wanted}
+        return (*values.values(), self.compensation[index], 45.0)
+
+    def end(self) -> None:
+        self._done.set()
+        self._thread.join()
+        self.serving.end()
+
+
+@contextlib.contextmanager
+def played(path: Path) -> Iterator[Played]:
+    made = Played(path)
+    try:
+        yield made
+    finally:
+        made.end()

@@ -1,0 +1,150 @@
+"""The page's server: what it answers, and to whom."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from starlette.testclient import TestClient
+
+from tests.dashboard.playing import Played, played
+from tsa_ctrl.dashboard.feed import Feed
+from tsa_ctrl.dashboard.server import application, serve
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.mailbox import Command
+
+TOKEN, PORT = "secret-of-the-test", 8402
+ALLOWED = {"x-token": TOKEN}
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Played]:
+    with played(tmp_path / "tsa.sock") as made:
+        yield made
+
+
+@pytest.fixture
+def client(daemon: Played) -> Iterator[TestClient]:
+    feed = Feed(daemon.path)
+    yield TestClient(application(feed, TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}")
+    feed.close()
+
+
+def test_page_needs_its_token(client: TestClient) -> None:
+    """With it the page; without it, or with another one, nothing."""
+    assert "<title>tsa</title>" in client.get("/", params={"token": TOKEN}).text
+    for given in ({}, {"token": ""}, {"token": TOKEN + "x"}, {"token": "ä"}):
+        assert client.get("/", params=given).status_code == 403
+
+
+@pytest.mark.parametrize(("path", "body"), [("/set", {"name": "knee.compensation", "value": 0.5}), ("/stop", {})])
+def test_requests_need_the_token_in_their_head(
+    client: TestClient, daemon: Played, path: str, body: dict[str, object]
+) -> None:
+    """An address that leaked into a link is not enough: a form of another page could send that."""
+    assert client.post(path, json=body).status_code == 403
+    assert client.post(path, json=body, params={"token": TOKEN}).status_code == 403
+    assert (daemon.taken, daemon.serving.mailbox.stop_requested) == ([], False)
+
+
+@pytest.mark.parametrize(
+    "head", [{"host": "evil.example"}, {"host": "127.0.0.1:1"}, {"origin": "http://evil.example"}, {"origin": "null"}]
+)
+def test_other_hosts_and_pages_are_refused(client: TestClient, daemon: Played, head: dict[str, str]) -> None:
+    """A name that was turned to this address, or a page from elsewhere: even with the token."""
+    body = {"name": "knee.compensation", "value": 0.5}
+    assert client.post("/set", json=body, headers=ALLOWED | head).status_code == 403
+    assert daemon.taken == []
+
+
+def test_set_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
+    """And comes back with what it was before."""
+    answer = client.post("/set", json={"name": "knee.compensation", "value": 0.5}, headers=ALLOWED)
+    assert (answer.status_code, answer.json()["before"], answer.json()["value"]) == (200, 0.95, 0.5)
+    assert daemon.taken == [Command(0, 0, 0.5)]
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b'{"name":"knee.compensation","value":7}', "out of bounds; allowed is 0 to 1.2"),
+        (b'{"name":"knee.nothing","value":1}', "no parameter"),
+        (b'{"name":"recover","value":1}', "say of which axis"),
+        (b'{"name":"knee.compensation","value":"1"}', "finite number"),
+        (b'{"name":"knee.compensation","value":true}', "finite number"),
+        (b'{"name":"knee.compensation","value":NaN}', "finite number"),
+        (b'{"name":7,"value":1}', "name"),
+        (b'{"name":"' + b"a" * 100 + b'","value":1}', "name"),
+        (b"[1]", "is wanted"),
+        (b"x" * 2000, "longer"),
+        (b"{", "not JSON"),
+        (b"\xff", "not JSON"),
+        (b"[" * 1000, "not JSON"),
+        (b"", "not JSON"),
+    ],
+)
+def test_nonsense_is_refused_in_words(client: TestClient, daemon: Played, body: bytes, words: str) -> None:
+    """Status 400, and nothing reaches the loop."""
+    answer = client.post("/set", content=body, headers=ALLOWED)
+    assert answer.status_code == 400
+    assert words in answer.json()["error"]
+    assert daemon.taken == []
+
+
+def test_stop_asks_the_daemon_to_stop(client: TestClient, daemon: Played) -> None:
+    """As `tsa stop` does."""
+    assert client.post("/stop", headers=ALLOWED).status_code == 200
+    assert daemon.serving.mailbox.stop_requested
+
+
+def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:
+    """The page lives on."""
+    daemon.end()
+    answer = client.post("/set", json={"name": "knee.compensation", "value": 0.5}, headers=ALLOWED)
+    assert (answer.status_code, "daemon" in answer.json()["error"]) == (503, True)
+    assert "error" in Feed(daemon.path).status()
+
+
+def test_a_daemon_that_comes_back_is_found(tmp_path: Path) -> None:
+    """The connection is made anew."""
+    feed = Feed(str(tmp_path / "tsa.sock"))
+    for _ in range(2):
+        assert "error" in feed.status()
+        with played(tmp_path / "tsa.sock"):
+            assert feed.status()["schema"] == 1
+    feed.close()
+
+
+def test_what_is_served_asks_for_nothing_from_elsewhere(client: TestClient) -> None:
+    """The browser is told so, and no file names another place."""
+    head = client.get("/", params={"token": TOKEN}).headers
+    assert head["content-security-policy"].startswith("default-src 'self'")
+    for name in ("app.js", "style.css", "uPlot.iife.min.js", "uPlot.min.css"):
+        text = client.get(f"/static/{name}").text
+        assert "http://" not in text.replace("http://www.w3.org", "")
+
+
+def test_static_files_only(client: TestClient) -> None:
+    """No way out of the folder."""
+    assert client.get("/static/../server.py").status_code in (403, 404)
+    assert client.get("/static/%2e%2e/server.py").status_code == 404
+
+
+def test_port_that_is_taken_is_one_line() -> None:
+    """And what to do."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(UsageError, match="leave it out for a free one"):
+            serve("/nowhere", taken.getsockname()[1], print)
+
+
+def test_loop_and_command_do_not_need_the_extra() -> None:
+    """The page's libraries are loaded by `tsa dashboard` alone."""
+    code = "import sys, tsa_ctrl.daemon.run, tsa_ctrl.cli.dashboard; print({'starlette', 'uvicorn'} & set(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "set()"

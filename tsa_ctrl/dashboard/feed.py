@@ -1,0 +1,63 @@
+"""What the page is told and may ask, over the daemon's local socket: nothing that happens here delays the loop."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from typing import Any
+
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.protocol import Set, Status, Stop
+
+TIMEOUT = 2.0  # s for an answer
+LONGEST_NAME = 64
+
+
+class Feed:
+    """One connection to the daemon, made anew when it was lost. Thread-safe."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+        self._client: Client | None = None
+        self._lock = threading.Lock()
+
+    def status(self) -> dict[str, Any]:
+        """The daemon's status, or {"error": ...} while nobody answers."""
+        try:
+            return self._ask(Status())
+        except BusError as error:
+            return {"error": str(error)}
+
+    def set(self, name: object, value: object) -> dict[str, Any]:
+        """Change a parameter; the daemon checks name and bounds. Raises UsageError, BusError, ValueError (nonsense)."""
+        if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME:
+            raise ValueError("name: a parameter as the status lists them is wanted")
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise ValueError("value: a finite number is wanted")
+        return self._ask(Set(name, float(value)))
+
+    def stop(self) -> dict[str, Any]:
+        """Ramp the torque to 0 and end the daemon."""
+        return self._ask(Stop())
+
+    def close(self) -> None:
+        with self._lock:
+            self._drop()
+
+    def _ask(self, request: Status | Set | Stop) -> dict[str, Any]:
+        with self._lock:
+            try:
+                if self._client is None:
+                    self._client = Client(self.path, TIMEOUT)
+                return self._client.ask(request)
+            except BusError:
+                self._drop()
+                raise
+
+    def _drop(self) -> None:
+        if self._client is not None:
+            with contextlib.suppress(OSError):
+                self._client.__exit__(None, None, None)
+            self._client = None

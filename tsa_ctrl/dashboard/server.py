@@ -1,0 +1,166 @@
+"""The page's server: loopback only, a token for everything, and nothing is answered to a page of somebody else.
+
+GET / the page; GET /events the status as server-sent events; POST /set {"name", "value"}; POST /stop. The token stands
+in the page's address and comes back with each request; requests whose Host or Origin is not this server are refused.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from tsa_ctrl.dashboard.feed import Feed
+from tsa_ctrl.errors import BusError, UsageError
+
+STATIC = Path(__file__).parent / "static"
+RATE = 20.0  # Hz of events
+LOOPBACK = "127.0.0.1"
+MOST_BODY = 1024  # bytes of a request
+HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-store",
+}
+
+
+class Guard:
+    """Refuses what does not come from this server's own page with its token."""
+
+    def __init__(self, app: ASGIApp, token: str, hosts: frozenset[str]) -> None:
+        self._app = app
+        self._token = token
+        self._hosts = hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        request = Request(scope)
+        origin = request.headers.get("origin")
+        if request.headers.get("host") not in self._hosts:
+            refusal = "another host"
+        elif origin is not None and origin.removeprefix("http://") not in self._hosts:
+            refusal = "another page"
+        elif not request.url.path.startswith("/static/") and not self._knows(request):
+            refusal = "no token: open the address that `tsa dashboard` printed"
+        else:
+            await self._app(scope, receive, send)
+            return
+        await PlainTextResponse(refusal, 403, HEADERS)(scope, receive, send)
+
+    def _knows(self, request: Request) -> bool:
+        given = request.headers.get("x-token") or (
+            "" if request.method == "POST" else request.query_params.get("token")
+        )
+        return secrets.compare_digest((given or "").encode(), self._token.encode())
+
+
+def application(feed: Feed, token: str, port: int) -> Starlette:
+    """The page and its few requests."""
+
+    async def page(request: Request) -> Response:
+        return FileResponse(STATIC / "index.html", headers=HEADERS)
+
+    async def events(request: Request) -> Response:
+        return StreamingResponse(_events(feed, request), media_type="text/event-stream", headers=HEADERS)
+
+    async def change(request: Request) -> Response:
+        try:
+            body = await _body(request)
+            return JSONResponse(await run_in_threadpool(feed.set, body.get("name"), body.get("value")))
+        except (ValueError, UsageError) as error:
+            return JSONResponse({"error": str(error)}, 400)
+        except BusError as error:
+            return JSONResponse({"error": str(error)}, 503)
+
+    async def stop(request: Request) -> Response:
+        try:
+            return JSONResponse(await run_in_threadpool(feed.stop))
+        except BusError as error:
+            return JSONResponse({"error": str(error)}, 503)
+
+    hosts = frozenset({f"{LOOPBACK}:{port}", f"localhost:{port}"})
+    return Starlette(
+        routes=[
+            Route("/", page),
+            Route("/events", events),
+            Route("/set", change, methods=["POST"]),
+            Route("/stop", stop, methods=["POST"]),
+            Mount("/static", StaticFiles(directory=STATIC)),
+        ],
+        middleware=[Middleware(Guard, token=token, hosts=hosts)],
+    )
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """The JSON object of a request; raises ValueError."""
+    data = b""
+    async for part in request.stream():
+        data += part
+        if len(data) > MOST_BODY:
+            raise ValueError(f"the request is longer than {MOST_BODY} bytes")
+    try:
+        body = json.loads(data)
+    except (ValueError, RecursionError):
+        raise ValueError('not JSON; {"name": ..., "value": ...} is wanted') from None
+    if not isinstance(body, dict):
+        raise ValueError('{"name": ..., "value": ...} is wanted')
+    return body
+
+
+async def _events(feed: Feed, request: Request) -> AsyncIterator[str]:
+    """The status as it is now, again and again, until the page is closed."""
+    while not await request.is_disconnected():
+        status = await run_in_threadpool(feed.status)
+        yield f"data: {json.dumps(status, allow_nan=False)}\n\n"
+        await asyncio.sleep(1.0 / RATE)
+
+
+def serve(path: str, port: int, say: Callable[[str], None]) -> None:
+    """Serve until SIGINT or SIGTERM; `say` gets the address. Raises UsageError when the port is taken."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listener.bind((LOOPBACK, port))
+    except OSError as error:
+        listener.close()
+        raise UsageError(
+            f"--port {port}: cannot listen there ({error.strerror}); leave it out for a free one"
+        ) from None
+    number = int(listener.getsockname()[1])
+    token = secrets.token_urlsafe(24)
+    feed = Feed(path)
+    config = uvicorn.Config(
+        application(feed, token, number), log_level="error", lifespan="off", timeout_graceful_shutdown=1, ws="none"
+    )
+    server = uvicorn.Server(config)
+    startup: Callable[..., Awaitable[None]] = server.startup
+
+    async def started(sockets: list[socket.socket] | None = None) -> None:
+        await startup(sockets=sockets)
+        say(f"http://{LOOPBACK}:{number}/?token={token}")
+
+    server.startup = started  # type: ignore[method-assign]
+    try:
+        server.run(sockets=[listener])
+    finally:
+        feed.close()
+        listener.close()
