@@ -112,8 +112,8 @@ def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[A
         omega = stack.velocity_lag.true_velocity(omega, acceleration)
     sigma = hold_direction(omega)
     if stack.presliding is not None:
-        start = float(np.sign(omega[0]))
-        sigma = stack.presliding.state(stack.presliding.path(signals), start)
+        path = stack.presliding.path(signals)
+        sigma = stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
     return State(
         t=signals.t,
         omega=omega,
@@ -169,7 +169,7 @@ def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Arr
     angle = integrate(omega, signals.t) if signals.q_m is None else signals.q_m
     sigma = hold_direction(omega)
     if stack.presliding is not None:
-        sigma = stack.presliding.state(angle, float(np.sign(omega[0])))
+        sigma = stack.presliding.state(angle, stack.presliding.start(angle, signals.t, omega))
     return State(
         t=signals.t,
         omega=omega,

@@ -142,16 +142,17 @@ def _clean(log: Dataset) -> tuple[Signals, float, Array]:
     signals = log.signals()
     clean: dict[str, Array] = {}
     noise, error = 0.0, np.zeros(len(log))
+    # A displacement must turn when the velocity does that was derived from it.
+    highest = DERIVED_CUTOFF if {"omega_j", "omega_m"} & log.derived else ANGLE_HIGHEST
     for name in ("tau_m", "omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
         if column is None:
             continue
-        smooth, left = denoised(column, log.period, HIGHEST.get(name, ANGLE_HIGHEST))
+        smooth, left = denoised(column, log.period, HIGHEST.get(name, highest))
         if name == "omega_j":
             smooth = np.where(_about_standstill(column, log.period), column, smooth)
             noise = max(left, STEP_NOISE * _count(log, column))
-            cutoff = DERIVED_CUTOFF if {"omega_j", "omega_m"} & log.derived else ANGLE_HIGHEST
-            error = np.hypot(noise, distortion(smooth, log.period, cutoff))
+            error = np.hypot(noise, distortion(smooth, log.period, highest))
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
 

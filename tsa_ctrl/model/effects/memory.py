@@ -13,6 +13,8 @@ from tsa_ctrl.model.signals import Signals
 
 _GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whole numbers, and be counts
 _REVERSAL = 2.5  # counts: more than two, and safe against rounding
+_FIRST_MOMENT = 0.01  # s from the log's start in which a displacement shows whether it moves
+_STILL = 0.1  # of the RMS speed: slower is standstill
 _NOISE_TO_STEP = 3.0  # counts that stand for white noise of one standard deviation
 
 
@@ -35,6 +37,13 @@ class PreslidingHysteresis:
         if signals.q_j is not None:
             return signals.q_j
         return integrate(signals.omega_j, signals.t)
+
+    def start(self, displacement: Array, t: Array, omega: Array) -> float:
+        """z(0): the direction if the log starts moving, both the joint and the displacement that z follows; else 0.
+
+        A motor that rests while a load is put on the joint has left the friction state where it was.
+        """
+        return float(np.sign(omega[0])) if _moves_at_start(displacement, t) else 0.0
 
     def state(self, displacement: Array, start: float) -> Array:
         """z, shape (n,), along a displacement of shape (n,)."""
@@ -100,6 +109,16 @@ class TransportDelay:
 
     def apply(self, torque: Array, t: Array) -> Array:
         return np.asarray(np.interp(t - self.delay, t, torque))
+
+
+def _moves_at_start(displacement: Array, t: Array) -> bool:
+    """Whether the first moment is faster than _STILL of the log's RMS speed."""
+    if len(t) < 2:
+        return True
+    first = max(1, min(int(np.searchsorted(t, t[0] + _FIRST_MOMENT)), len(t) - 1))
+    speed = abs(float(displacement[first] - displacement[0])) / float(t[first] - t[0])
+    typical = float(np.sqrt(np.mean(np.square(np.diff(displacement))))) * (len(t) - 1) / float(t[-1] - t[0])
+    return speed > _STILL * typical
 
 
 def integrate(omega: Array, t: Array) -> Array:
