@@ -3,12 +3,15 @@
 A rival takes the place of the cause and everything is fitted anew; it stays an alternative unless it fits worse by more
 than noise explains, that of the blocks included. `parameter_error` is the rival that needs no effect: recalibration
 without regard to [uncertainty].
+
+Where most of what is left is structure, the model is off by more than noise, and a difference smaller than what is left
+excludes nothing.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +19,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.candidates import Variant
 from tsa_ctrl.identify.diagnosis.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.problem import Problem
+from tsa_ctrl.identify.diagnosis.refit import refit
 from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, rivals, without
 from tsa_ctrl.identify.diagnosis.warmth import warmth
 
@@ -26,13 +30,16 @@ INEXACT = 0.01  # of what the cause explains: inputs and filters are no better k
 MOST_INEXACT = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 FITTED = 6  # rivals that are fitted in full
+MISFIT = 0.5  # share of what is left that is structure, from which on differences are judged by it
+OF_MISFIT = 0.5  # of the structure's mean square: a rival that fits worse by less is not excluded
 
 
 @dataclass(frozen=True)
 class Rival:
     """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
 
-    `limit`: the named cause is a limit of this one, which needs further parameters for nothing.
+    `limit`: the named cause is a limit of this one, which needs further parameters for nothing. `within_misfit`: the
+    increase of the simulation error is small beside the structure that nothing explains.
     """
 
     name: str
@@ -40,10 +47,11 @@ class Rival:
     worse: float
     tolerance: float  # of `worse`, that errors of the inputs explain
     limit: bool = False
+    within_misfit: bool = False
 
     @property
     def excluded(self) -> bool:
-        return self.limit or self.worse > SURELY_WORSE + self.tolerance
+        return self.limit or (self.worse > SURELY_WORSE + self.tolerance and not self.within_misfit)
 
 
 @dataclass(frozen=True)
@@ -63,12 +71,27 @@ class Group:
         return float(1.0 / (1.0 + sum(weights)))
 
 
-def groups(problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]]) -> list[Group]:
-    """One group for each cause of `fitted`."""
-    return [_group(problem, fitted, index, catalogue) for index in range(len(fitted.names))]
+def groups(
+    problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]], misfit: float = 0.0
+) -> list[Group]:
+    """One group for each cause of `fitted`. `misfit`: share of what is left that is structure, not noise."""
+    room = _room(problem, fitted, misfit)
+    return [_group(problem, fitted, index, catalogue, room) for index in range(len(fitted.names))]
 
 
-def _group(problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]]) -> Group:
+def _room(problem: Problem, fitted: Fit, misfit: float) -> float:
+    """Sum of squares of the plain error, (N*m)^2, up to which a rival does as well; 0 where noise decides."""
+    return (1.0 + OF_MISFIT * misfit) * plain_error(problem, fitted) if misfit > MISFIT else 0.0
+
+
+def plain_error(problem: Problem, fitted: Fit) -> float:
+    """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate."""
+    return refit(problem, fitted).fitted.rss
+
+
+def _group(
+    problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]], room: float
+) -> Group:
     smaller = without(problem, fitted, index)
     name = fitted.names[index]
     fits: list[tuple[str, Fit | None]]
@@ -78,13 +101,47 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tu
         fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
     if name == "pretension_relaxation" and "thermal_friction_drift" not in catalogue:
         fits.append(("thermal_friction_drift", warmth(problem, fitted, smaller, index)))
+    if room > 0.0:
+        fits += [(rival.names[-1], rival) for rival in _from_the_file(problem, smaller, catalogue, fitted.names)]
     tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)
     found = [
         dataclasses.replace(rival, limit=rival.name in limits and rival.worse > -PER_COORDINATE) for rival in found
     ]
+    if room > 0.0:
+        found = _by_misfit(problem, found, room)
     return Group(name, tuple(sorted(found, key=lambda rival: rival.worse)))
+
+
+def _by_misfit(problem: Problem, found: Sequence[Rival], room: float) -> list[Rival]:
+    """The same, with what the simulation error says of those that noise would exclude; one of each name."""
+    judged = [
+        dataclasses.replace(rival, within_misfit=plain_error(problem, rival.fitted) < room) if rival.excluded else rival
+        for rival in found
+    ]
+    best: dict[str, Rival] = {}
+    for rival in sorted(judged, key=lambda rival: (rival.excluded, rival.worse)):
+        best.setdefault(rival.name, rival)
+    return list(best.values())
+
+
+def _from_the_file(
+    problem: Problem, smaller: Fit, catalogue: Mapping[str, tuple[Variant, ...]], barred: Sequence[str]
+) -> list[Fit]:
+    """Effects without a parameter, which act through the base model's numbers, fitted from those of the file.
+
+    Where recalibration has made up for such an effect, it changes nothing any more: a high pretension hides slack.
+    """
+    out = []
+    base = smaller.hypothesis.base.start()
+    start = np.concatenate([base, smaller.point[len(base) :]])
+    for name, options in catalogue.items():
+        for variant in options if name not in barred else ():
+            if not variant.coordinates:
+                found = safely(problem, smaller.hypothesis.plus(variant), start)
+                out += [] if found is None else [found]
+    return out
 
 
 def _limits(problem: Problem, name: str) -> set[str]:

@@ -85,15 +85,15 @@ def diagnose(
     if blind:
         return _insufficient(model, found, blind, not_testable)
     say("causes")
-    chosen = select(problem, base, catalogue, rng, lambda fitted: _full_rms(parts, fitted))
+    chosen = select(problem, base, catalogue, rng, lambda problem, fitted: _noise_rms(parts, problem, fitted))
     base = fit(chosen.problem, base.hypothesis, base.point)
-    say("what cannot be told apart")
-    grouped = groups(chosen.problem, chosen.fitted, catalogue)
     say("what is left")
     findings = _left(chosen, parts.frame, rng)
+    share = max((finding.share for finding in findings if finding.found), default=0.0)
+    say("what cannot be told apart")
+    grouped = groups(chosen.problem, chosen.fitted, catalogue, share)
     say("parameters and gain")
     shipped = refit(chosen.problem, chosen.fitted)
-    share = max((finding.share for finding in findings if finding.found), default=0.0)
     errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
     limits, invisible = _limits(chosen, parts)
     not_testable = {
@@ -166,10 +166,22 @@ def _blind(problem: Problem, base: Fit) -> str:
     return ""
 
 
-def _full_rms(parts: Split, fitted: Fit) -> float:
-    """RMS of the residual at the logs' own rate, N*m, less what wrong directions add (a median, not a mean)."""
-    residual = np.concatenate(full_residuals(parts.frame, fitted.hypothesis.model(fitted.point)))
-    return float(np.median(np.abs(residual))) / 0.6745
+def _noise_rms(parts: Split, problem: Problem, fitted: Fit) -> float:
+    """RMS of the noise at the logs' own rate, N*m: of the noise model, and of what is faster than the score rate.
+
+    At most the whole residual's, which holds whatever is not found yet. Medians, not means, for the sake of what wrong
+    directions add.
+    """
+    residuals = full_residuals(parts.frame, fitted.hypothesis.model(fitted.point))
+    fast = []
+    for run, residual in zip(parts.frame.runs, residuals, strict=True):
+        bins = residual[: run.count * run.full_bin].reshape(run.count, run.full_bin)
+        fast.append((bins - bins.mean(axis=1, keepdims=True)).ravel())
+    return min(_deviation(np.concatenate(residuals)), float(np.hypot(problem.noise.rms, _deviation(np.concatenate(fast)))))
+
+
+def _deviation(y: Array) -> float:
+    return float(np.median(np.abs(y))) / 0.6745
 
 
 def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Finding]:
@@ -224,7 +236,7 @@ def _limits(chosen: Selection, parts: Split) -> tuple[dict[str, float], tuple[st
         position: without_recalibration(response.columns[problem.mask], tangents)
         for position, response in enumerate(stage.found)
     }
-    return detection_limits(problem, screened, raw, stage.threshold, _full_rms(parts, chosen.fitted))
+    return detection_limits(problem, screened, raw, stage.threshold, _noise_rms(parts, problem, chosen.fitted))
 
 
 def _tangents(problem: Problem, fitted: Fit) -> Array:

@@ -17,6 +17,7 @@ from scipy.stats import t as student
 
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.noise import white_noise
+from tsa_ctrl.identify.diagnosis.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import CATALOGUE, Value
@@ -49,6 +50,8 @@ def refit(problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None) -
     """Fit of the same hypothesis on the plain error over `mask` (default: the problem's own), started at `found`."""
     used = problem.mask if mask is None else mask
     plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
+    if "presliding_hysteresis" in found.names:  # friction follows the displacement through a reversal: nothing unknown
+        plain = dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0))))
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))

@@ -59,9 +59,9 @@ def select(
     start: Fit,
     catalogue: Catalogue,
     rng: np.random.Generator,
-    noise_rms: Callable[[Fit], float],
+    noise_rms: Callable[[Problem, Fit], float],
 ) -> Selection:
-    """Causes that the data demand. `noise_rms`: RMS of the residual at the full rate, N*m."""
+    """Causes that the data demand. `noise_rms`: RMS of the noise at the logs' own rate, N*m."""
     fitted = start
     stages: list[Stage] = []
     while True:
@@ -118,7 +118,7 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     return found
 
 
-def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Fit], float]) -> bool:
+def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Problem, Fit], float]) -> bool:
     proof = evidence(problem, stage.fitted, found)
     needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
     return (
@@ -127,7 +127,7 @@ def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms:
         and proof.kept > KEPT
         and proof.spread > SPREAD
         and proof.spread * proof.gain > ELSEWHERE * needed
-        and proof.size > SMALLEST * noise_rms(found)
+        and proof.size > SMALLEST * noise_rms(problem, found)
         and _worth(problem, stage.fitted, found) > LEAST_WORTH * problem.noise.rms
     )
 
