@@ -7,6 +7,7 @@ memory load compiled loops when first used.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from tsa_ctrl.model.functions import ARRAYS, Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.signals import Signals, hold_direction
 
+KEPT = 8  # friction states of one log that are kept
 BLOCK = 8192  # samples at a time: temporaries stay in the cache, a third of the time for whole columns
 _ABSENT: Array = np.asarray(np.nan)
 
@@ -30,11 +32,21 @@ def predict(model: Model, signals: Signals) -> Array:
 
     Raises UsageError naming an effect and the column that it needs and the log does not have.
     """
-    if isinstance(model, RigidDrive):
-        return _predict_rigid(model, signals)
+    return predict_each(model, [signals])[0]
+
+
+def predict_each(model: Model, logs: Sequence[Signals]) -> list[Array]:
+    """`predict` for each of several logs."""
     stack = Stack.of(model.effects, model.source)
+    if isinstance(model, RigidDrive):
+        return [_predict_rigid(model, stack, signals) for signals in logs]
+    transmission = stack.transmission(model)
+    return [_predict_tendon(model, stack, transmission, signals) for signals in logs]
+
+
+def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmission, signals: Signals) -> Array:
     _require_columns(model, signals)
-    state, transmission = _joint_state(model, stack, signals), stack.transmission(model)
+    state = _joint_state(model, stack, signals)
     played_out = None if stack.backlash is None else stack.backlash.inside(state.q_j)
     tau_j = np.empty(len(signals))
     for start in range(0, len(signals), BLOCK):
@@ -110,10 +122,8 @@ def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[A
         acceleration = signals.acceleration
     if stack.velocity_lag is not None:
         omega = stack.velocity_lag.true_velocity(omega, acceleration)
-    sigma = hold_direction(omega)
-    if stack.presliding is not None:
-        path = stack.presliding.path(signals)
-        sigma = stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
+    path = None if stack.presliding is None else stack.presliding.path(signals)
+    sigma = _sliding(stack, signals, omega, path)
     return State(
         t=signals.t,
         omega=omega,
@@ -127,13 +137,27 @@ def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[A
     )
 
 
-def _predict_rigid(model: RigidDrive, signals: Signals) -> Array:
+def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -> Array:
+    """sigma, or z along `path` in its place; kept with the signals, since fits ask for the same one many times."""
+    key = (stack.velocity_lag, stack.presliding)
+    known = signals.memo.get(key)
+    if known is None:
+        known = hold_direction(omega)
+        if stack.presliding is not None:
+            assert path is not None
+            known = stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
+        while len(signals.memo) >= KEPT:
+            del signals.memo[next(iter(signals.memo))]
+        signals.memo[key] = known
+    return known
+
+
+def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
     """tau_M = J domega/dt + tau_c sign(omega) + b omega + c; an effect tau_J -= f enters as tau_M += f.
 
     Effects on the reported torque (gain, ripple) are undone, since it is the reported one that is predicted. The
     motor's motion stands for the joint's.
     """
-    stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
     state = _motor_state(model, stack, signals)
     friction = np.asarray(model.coulomb_friction or 0.0)
@@ -167,9 +191,7 @@ def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Arr
     if stack.velocity_lag is not None:
         omega = stack.velocity_lag.true_velocity(omega, acceleration)
     angle = integrate(omega, signals.t) if signals.q_m is None else signals.q_m
-    sigma = hold_direction(omega)
-    if stack.presliding is not None:
-        sigma = stack.presliding.state(angle, stack.presliding.start(angle, signals.t, omega))
+    sigma = _sliding(stack, signals, omega, angle)
     return State(
         t=signals.t,
         omega=omega,

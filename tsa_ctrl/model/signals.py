@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -56,6 +57,11 @@ class Signals:
 
     def __len__(self) -> int:
         return len(self.t)
+
+    @cached_property
+    def memo(self) -> dict[Hashable, Array]:
+        """What a prediction may want again, by what it depends on beside the signals."""
+        return {}
 
     @property
     def period(self) -> float:

@@ -17,7 +17,7 @@ from tsa_ctrl.identify.diagnosis.prepare import Frame
 from tsa_ctrl.model.catalogue import Value
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
-from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.predict import predict_each
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Problem:
 
     def predicted(self, model: Model) -> Array:
         """The model's torque at the score rate, N*m, shape (n,)."""
-        return self.frame.stack([predict(model, run.signals) for run in self.frame.runs])
+        return self.frame.stack(predict_each(model, [run.signals for run in self.frame.runs]))
 
     def whiten(self, y: Array) -> Array:
         """(n,) or (n, k) in N*m to white units over the samples that count, the nuisance projected out."""
