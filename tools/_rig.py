@@ -1,4 +1,4 @@
-"""Controller files for the measuring tools: one to four axes at the highest rate that the bus carries."""
+"""Controller files for the measuring tools: one to eight axes at the highest rate that the bus carries."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
-RATES = {1: 1000.0, 2: 750.0, 4: 375.0}  # Hz that fit 1 Mbit/s in the worst case of bit stuffing
+RATES = {1: 1000.0, 2: 750.0, 4: 375.0, 8: 180.0}  # Hz that fit 1 Mbit/s in the worst case of bit stuffing
 AXIS = """
 [[axis]]
 name = "axis{n}"
@@ -30,6 +30,7 @@ amplitude = 0.5
 frequency = 0.5
 [axis.limits]
 torque = 2.0
+{each}
 """
 
 
@@ -37,10 +38,12 @@ PATIENT = ("rpdo_timeout = 1.0\nhost_timeout = 2.0\nheartbeat_timeout = 2.0", "h
 TOLERANT = "[bus.supervision]\ntolerated_misses = 100"
 
 
-def controller_text(folder: str | Path, interface: str, axes: int, rate: float = 0.0, patient: bool = False) -> str:
+def controller_text(
+    folder: str | Path, interface: str, axes: int, rate: float = 0.0, patient: bool = False, each: str = ""
+) -> str:
     """TOML of a controller whose files lie in `folder`; `rate` 0 is the highest that the bit rate carries.
 
-    `patient`: the machine's stalls shall be measured, not end the run.
+    `patient`: the machine's stalls shall be measured, not end the run. `each`: TOML that every axis gets besides.
     """
     shutil.copy(CONFIG / "actuator.toml", folder)
     drive_more, more = PATIENT if patient else ("", "")
@@ -59,7 +62,7 @@ folder = "logs"
 path = "{folder}/tsa.sock"
 """
     return text + "".join(
-        AXIS.format(n=n, drive=1 + n, encoder=32 + n, sensor=64 + n, drive_more=drive_more, more=more)
+        AXIS.format(n=n, drive=1 + n, encoder=32 + n, sensor=64 + n, drive_more=drive_more, more=more, each=each)
         for n in range(axes)
     )
 

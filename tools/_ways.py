@@ -130,22 +130,18 @@ def ours(configuration: Configuration, bus: Bus | None = None) -> Iterator[Way]:
 
 
 @contextlib.contextmanager
+def parts_of_ours(configuration: Configuration, flooded: bool = False) -> Iterator[tuple[Any, Any, Telemetry]]:
+    """Rig, axes and telemetry, with the processes of log writer and socket server; started."""
+    with _with_children(configuration, flooded) as (rig, axes, _, _, telemetry):
+        yield rig, axes, telemetry
+
+
+@contextlib.contextmanager
 def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Way]:
     """With the record, the log writer's process, the socket server's process, and a command per cycle at most."""
-    file = configuration.file
-    bus = SocketCan(file.bus.channel, file.bus.send_queue)
-    rig = Rig(bus, file.bus, file.axes, configuration.profiles)
-    axes = control_axes(configuration, rig)
-    tuners = tuners_of(axes, configuration.period)
-    with contextlib.ExitStack() as stack:
-        stack.callback(bus.close)
-        children = Children(configuration, tuners)
-        stack.callback(children.end)
-        if flooded:
-            stack.enter_context(_flood(file.socket.path))
-        telemetry = Telemetry(rig, axes, tuners, children.mailbox, children.ring, children.log, Events())
-        rig.start()
-        mailbox, collect, count = children.mailbox, file.controller.collect * configuration.period, 0
+    collect = configuration.file.controller.collect * configuration.period
+    with _with_children(configuration, flooded) as (rig, axes, tuners, mailbox, telemetry):
+        count = 0
 
         def cycle(now: float) -> bool:
             nonlocal count
@@ -164,6 +160,24 @@ def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Wa
             return all(axis.image.fresh for axis in axes)
 
         yield Way(cycle, lambda deadline: rig.wait(deadline * 1e-9))
+
+
+@contextlib.contextmanager
+def _with_children(configuration: Configuration, flooded: bool) -> Iterator[tuple[Any, ...]]:
+    file = configuration.file
+    bus = SocketCan(file.bus.channel, file.bus.send_queue)
+    rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+    axes = control_axes(configuration, rig)
+    tuners = tuners_of(axes, configuration.period)
+    with contextlib.ExitStack() as stack:
+        stack.callback(bus.close)
+        children = Children(configuration, tuners)
+        stack.callback(children.end)
+        if flooded:
+            stack.enter_context(_flood(file.socket.path))
+        telemetry = Telemetry(rig, axes, tuners, children.mailbox, children.ring, children.log, Events())
+        rig.start()
+        yield rig, axes, tuners, children.mailbox, telemetry
         _tell_faults(axes)
 
 
