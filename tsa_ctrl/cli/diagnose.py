@@ -9,21 +9,57 @@ from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report import PAGE
 from tsa_ctrl.model.parameters import load_model
 
+EXAMPLES = """\b
+Examples:
+  tsa diagnose a.csv b.csv --model actuator.toml --out out/diagnosis
+  tsa diagnose folder-of-logs --model actuator.toml --out out/fleet
+"""
 
-@click.command("diagnose", epilog="Example: tsa diagnose a.csv b.csv --model actuator.toml --out out/diagnosis")
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+
+@click.command("diagnose", epilog=EXAMPLES)
+@click.argument("logs", metavar="LOG...|FOLDER", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--model", required=True, type=click.Path(path_type=Path), help="Actuator model file.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on stdout, and nothing else there.")
-def command(logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | None, seed: int, as_json: bool) -> None:
-    """Say what the simulation of LOG files gets wrong, name the cause, extend the model, measure the gain."""
+@click.option("--jobs", type=click.IntRange(1), help="Processes for a folder of logs (default: one per core).")
+@click.option("--scheduler", metavar="ADDRESS", help="A running Dask scheduler for a folder of logs (tcp://host:8786).")
+def command(
+    logs: tuple[Path, ...],
+    model: Path,
+    out: Path,
+    hold_out: str | None,
+    seed: int,
+    as_json: bool,
+    jobs: int | None,
+    scheduler: str | None,
+) -> None:
+    """Say what the simulation of LOG files gets wrong, name the cause, extend the model, measure the gain.
+
+    Several logs are diagnosed together, as one drive. Of a folder each log is diagnosed by itself: the answers go to
+    one table, verdicts.csv, and the same command goes on where it was interrupted.
+    """
+    folders = [path for path in logs if path.is_dir()]
+    if folders:
+        if len(logs) > 1:
+            raise UsageError(f"{folders[0]}: is a folder; give it alone, or name the logs in it")
+        if hold_out is not None:
+            raise UsageError("--hold-out: of a folder each log is diagnosed by itself; leave it out, or name the logs")
+        from tsa_ctrl.cli.fleet import diagnose_folder
+
+        diagnose_folder(folders[0], model, out, seed=seed, jobs=jobs, scheduler=scheduler, as_json=as_json)
+        return
+    if jobs is not None or scheduler is not None:
+        raise UsageError(
+            f"{'--jobs' if jobs else '--scheduler'}: is for a folder of logs; leave it out, or give a folder"
+        )
     given = load_model(model)
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())

@@ -177,7 +177,9 @@ def _noise_rms(parts: Split, problem: Problem, fitted: Fit) -> float:
     for run, residual in zip(parts.frame.runs, residuals, strict=True):
         bins = residual[: run.count * run.full_bin].reshape(run.count, run.full_bin)
         fast.append((bins - bins.mean(axis=1, keepdims=True)).ravel())
-    return min(_deviation(np.concatenate(residuals)), float(np.hypot(problem.noise.rms, _deviation(np.concatenate(fast)))))
+    return min(
+        _deviation(np.concatenate(residuals)), float(np.hypot(problem.noise.rms, _deviation(np.concatenate(fast))))
+    )
 
 
 def _deviation(y: Array) -> float:

@@ -118,7 +118,9 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     return found
 
 
-def _enters(problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Problem, Fit], float]) -> bool:
+def _enters(
+    problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Problem, Fit], float]
+) -> bool:
     proof = evidence(problem, stage.fitted, found)
     needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
     return (

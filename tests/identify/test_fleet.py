@@ -1,0 +1,290 @@
+"""A folder of logs: one table, no work done twice, processes and a Dask cluster; the logs are made here."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.identify.test_diagnosis import MODEL
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.fleet import Row, logs_in, sweep
+from tsa_ctrl.identify.fleet.executors import Workers, local
+from tsa_ctrl.identify.fleet.job import Done, Job
+from tsa_ctrl.identify.fleet.ledger import LEDGER, TABLE
+
+T = np.arange(0.0, 12.0, 0.005)
+X, PRETENSION = 0.28, 42.0
+
+
+def write_log(path: Path, viscous: float, seed: int) -> None:
+    """A log of (3.55) with a viscous term and white noise, b in N*m*s/rad."""
+    rng = np.random.default_rng(seed)
+    omega = 1.2 * np.cos(2.0 * np.pi * 0.4 * T) * (0.6 + 0.4 * np.sin(2.0 * np.pi * 0.05 * T))
+    tau_m = 0.4 * np.sin(2.0 * np.pi * 0.17 * T) + 0.2 * np.sin(2.0 * np.pi * 0.31 * T + 1.0)
+    tau_j = 0.025 * (tau_m / 0.02 * np.cosh(X) - 2.0 * PRETENSION * np.sign(omega) * np.sinh(X)) - viscous * omega
+    table = np.column_stack([T, tau_m, omega, tau_j + 5e-3 * rng.normal(size=T.size)])
+    np.savetxt(path, table, delimiter=",", header="t,tau_m,omega_j,tau_j", comments="", fmt="%.9g")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two good logs, one without joint torque, one that is no log."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_log(folder / "drive_1.csv", 0.0, 1)
+    write_log(folder / "drive_2.csv", 0.05, 2)
+    (folder / "drive_3.csv").write_text("t,tau_m,omega_j\n" + "".join(f"{0.01 * k},0.1,1\n" for k in range(50)))
+    (folder / "notes.txt").write_text("not a log\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("model") / "actuator.toml"
+    path.write_text(MODEL)
+    return path
+
+
+class Counting(Executor):
+    """One thread, and the number of jobs that it was given."""
+
+    def __init__(self) -> None:
+        self.jobs = 0
+        self._thread = ThreadPoolExecutor(1)
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.jobs += 1
+        return self._thread.submit(fn, *args, **kwargs)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers without a diagnosis, for what is about the book-keeping."""
+
+    def answer(job: Job) -> Done:
+        return Done(Row(job.name, job.key, "consistent"), {"diagnosis.json": b"{}"})
+
+    monkeypatch.setattr(sys.modules["tsa_ctrl.identify.fleet.sweep"], "carry_out", answer)
+
+
+def swept(folder: Path, model: Path, out: Path, **more: Any) -> tuple[list[Row], int]:
+    """The rows, and how many logs were diagnosed for them."""
+    executor = Counting()
+    return sweep(logs_in(folder), model, out, Workers(executor, 1), **more), executor.jobs
+
+
+@pytest.fixture(scope="module")
+def done(folder: Path, model: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a whole run leaves."""
+    out = tmp_path_factory.mktemp("fleet") / "out"
+    swept(folder, model, out)
+    return out
+
+
+def table(out: Path) -> dict[str, dict[str, str]]:
+    with (out / TABLE).open(newline="") as file:
+        return {line["log"]: line for line in csv.DictReader(file)}
+
+
+def test_each_log_has_a_row_with_its_verdict(done: Path) -> None:
+    rows = table(done)
+    assert list(rows) == ["drive_1.csv", "drive_2.csv", "drive_3.csv"]
+    assert rows["drive_1.csv"]["causes"] == ""
+    assert "viscous_friction" in rows["drive_2.csv"]["causes"]
+    assert float(rows["drive_2.csv"]["rms_extended"]) < float(rows["drive_2.csv"]["rms_recalibrated"])
+
+
+def test_a_log_that_cannot_be_diagnosed_is_a_row_with_the_reason(done: Path) -> None:
+    row = table(done)["drive_3.csv"]
+    assert row["verdict"] == "error"
+    assert row["error"].startswith("drive_3.csv: column tau_j is missing")
+
+
+def test_each_log_has_a_report_of_its_own(done: Path) -> None:
+    said = json.loads((done / "drive_2.csv" / "diagnosis.json").read_text())
+    assert table(done)["drive_2.csv"]["verdict"] == said["verdict"]
+    for name in ("report.html", "extended.toml"):
+        assert (done / "drive_2.csv" / name).is_file()
+
+
+def test_a_second_run_asks_nothing_again_and_gives_the_same_table(done: Path, folder: Path, model: Path) -> None:
+    before = (done / TABLE).read_text()
+    assert swept(folder, model, done)[1] == 0
+    assert (done / TABLE).read_text() == before
+
+
+@pytest.mark.usefixtures("quick")
+class TestResumption:
+    """A folder is gone through once, however often it is interrupted."""
+
+    def test_another_model_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
+        other = tmp_path / "other.toml"
+        other.write_text(MODEL.replace("value = 45.0", "value = 40.0"))
+        assert swept(folder, model, tmp_path / "out")[1] == 3
+        assert swept(folder, other, tmp_path / "out")[1] == 3
+
+    def test_another_seed_is_another_question(self, folder: Path, model: Path, tmp_path: Path) -> None:
+        assert swept(folder, model, tmp_path)[1] == 3
+        assert swept(folder, model, tmp_path, seed=1)[1] == 3
+
+    def test_a_log_that_changed_is_asked_again(self, model: Path, tmp_path: Path) -> None:
+        for name in ("a.csv", "b.csv"):
+            (tmp_path / name).write_text(f"t {name}\n")
+        assert swept(tmp_path, model, tmp_path / "out")[1] == 2
+        (tmp_path / "a.csv").write_text("t\n1\n")
+        assert swept(tmp_path, model, tmp_path / "out")[1] == 1
+
+    def test_it_goes_on_where_it_stopped(self, folder: Path, model: Path, tmp_path: Path) -> None:
+        def interrupt(done: int, total: int, row: Row | None) -> None:
+            if done == 1:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            swept(folder, model, tmp_path, progress=interrupt)
+        assert len(table(tmp_path)) == 1
+        rows, jobs = swept(folder, model, tmp_path)
+        assert (len(rows), jobs) == (3, 2)
+
+    def test_a_line_that_was_cut_short_is_asked_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
+        swept(folder, model, tmp_path)
+        path = tmp_path / LEDGER
+        path.write_text(path.read_text()[:-40])
+        assert swept(folder, model, tmp_path)[1] == 1
+        assert swept(folder, model, tmp_path)[1] == 0
+
+    def test_a_report_that_is_gone_is_made_again(self, folder: Path, model: Path, tmp_path: Path) -> None:
+        swept(folder, model, tmp_path)
+        (tmp_path / "drive_1.csv" / "diagnosis.json").unlink()
+        assert swept(folder, model, tmp_path)[1] == 1
+
+
+def test_a_folder_without_logs_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="holds no log"):
+        logs_in(tmp_path)
+
+
+def test_the_command_uses_processes_and_prints_what_the_table_holds(folder: Path, model: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tsa_ctrl", "diagnose", str(folder), "--model", str(model)]
+    run = subprocess.run(
+        [*command, "--out", str(tmp_path), "--jobs", "2", "--json"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    data = json.loads(run.stdout)
+    assert data["schema"] == 1
+    assert {row["log"]: row["verdict"] for row in data["logs"]} == {
+        name: row["verdict"] for name, row in table(tmp_path).items()
+    }
+    assert data["verdicts"]["error"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [(["--hold-out", "x*"], "--hold-out"), (["more.csv"], "is a folder"), (["--scheduler", "nowhere"], "--scheduler")],
+)
+def test_what_cannot_be_meant_of_a_folder_is_one_line(
+    folder: Path, model: Path, tmp_path: Path, arguments: list[str], message: str
+) -> None:
+    command = [sys.executable, "-m", "tsa_ctrl", "diagnose", str(folder), "--model", str(model)]
+    run = subprocess.run(
+        [*command, "--out", str(tmp_path), *arguments], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert run.returncode in (1, 2)
+    assert run.stdout == ""
+    assert message in run.stderr
+    assert run.stderr.count("\n") == 1
+
+
+def children_of(pid: int) -> list[int]:
+    """Processes below `pid`, from /proc."""
+    below, found = {pid}, []
+    parents = {}
+    for path in Path("/proc").iterdir():
+        if path.name.isdigit():
+            try:
+                parents[int(path.name)] = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue
+    for child in sorted(parents):
+        if parents[child] in below:
+            below.add(child)
+            found.append(child)
+    return found
+
+
+def test_ctrl_c_leaves_a_table_and_no_process(model: Path, tmp_path: Path) -> None:
+    logs, out = tmp_path / "logs", tmp_path / "out"
+    logs.mkdir()
+    for number in range(6):
+        write_log(logs / f"drive_{number}.csv", 0.05, number)
+    command = [sys.executable, "-m", "tsa_ctrl", "diagnose", str(logs), "--model", str(model), "--out", str(out)]
+    process = subprocess.Popen([*command, "--jobs", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    end = time.monotonic() + 300.0
+    while not (out / LEDGER).exists() and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.02)
+    workers = children_of(process.pid)
+    process.send_signal(signal.SIGINT)
+    errors = process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    assert errors.splitlines()[-1] == "tsa: interrupted"
+    assert "Traceback" not in errors
+    assert 1 <= len(table(out)) < 6
+    assert workers
+    while any(Path(f"/proc/{pid}").exists() for pid in workers) and time.monotonic() < end:
+        time.sleep(0.02)
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
+
+
+def test_an_unexpected_failure_costs_one_row(folder: Path, model: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    def broken(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("nobody thought of this")
+
+    monkeypatch.setattr(sys.modules["tsa_ctrl.identify.fleet.job"], "diagnose", broken)
+    rows, _ = swept(folder, model, tmp_path)
+    assert {row.error for row in rows} >= {"ZeroDivisionError: nobody thought of this"}
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """Address of a Dask scheduler with two workers."""
+    distributed = pytest.importorskip("distributed", reason="no Dask: pip install 'tsa-ctrl[fleet]'")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, protocol="tcp"
+    ) as made:
+        yield made.scheduler_address
+
+
+def test_a_dask_cluster_gives_the_same_table(
+    cluster: str, done: Path, folder: Path, model: Path, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "tsa_ctrl", "diagnose", str(folder), "--model", str(model)]
+    run = subprocess.run(
+        [*command, "--out", str(tmp_path), "--scheduler", cluster],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    assert (tmp_path / TABLE).read_text() == (done / TABLE).read_text()
+    assert (tmp_path / "drive_2.csv" / "report.html").is_file()
+
+
+def test_local_processes_end_with_the_block() -> None:
+    with local(1) as workers:
+        assert workers.executor.submit(abs, -1).result() == 1
+        processes = list(workers.executor._processes.values())  # type: ignore[attr-defined]
+    assert not any(process.is_alive() for process in processes)

@@ -1,0 +1,66 @@
+"""`tsa diagnose FOLDER`: every log of a folder by itself, with a progress bar and one table of verdicts."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from tsa_ctrl.identify.fleet import Row, executors, logs_in, sweep
+from tsa_ctrl.identify.fleet.ledger import TABLE, counted
+from tsa_ctrl.model.parameters import load_model
+
+SHOWN = 40  # rows of the table on a screen; all of them stand in verdicts.csv
+
+
+def diagnose_folder(
+    folder: Path, model: Path, out: Path, *, seed: int, jobs: int | None, scheduler: str | None, as_json: bool
+) -> None:
+    """Work through the folder and show what came out; a log that cannot be read is a row of the table."""
+    load_model(model)  # what is wrong with it is said once, and now
+    logs = logs_in(folder)
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    place = executors.local(jobs) if scheduler is None else executors.dask(scheduler)
+    with place as workers, Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("diagnosing", total=len(logs))
+
+        def tell(done: int, total: int, row: Row | None) -> None:
+            bar.update(task, completed=done)
+            if row is None and done:
+                console.print(f"{done} of {total} logs are answered in {out} already", soft_wrap=True, markup=False)
+
+        rows = sweep(logs, model, out, workers, seed=seed, progress=tell)
+    verdicts, causes = counted(rows)
+    if as_json:
+        data = {"schema": 1, "verdicts": dict(sorted(verdicts.items())), "causes": dict(sorted(causes.items()))}
+        click.echo(json.dumps({**data, "logs": [row.to_dict() for row in rows]}, allow_nan=False, ensure_ascii=False))
+    else:
+        _show(rows, out)
+
+
+def _show(rows: list[Row], out: Path) -> None:
+    console = Console()
+    table = Table("log", "verdict", "causes (or)", "recalibrated", "extended, mN*m")
+    for row in rows[:SHOWN]:
+        errors = [row.rms.get(step) for step in ("recalibrated", "extended")]
+        values = ["" if value is None else f"{1e3 * value:.3g}" for value in errors]
+        table.add_row(row.log, row.verdict, row.told or row.error, *values)
+    console.print(table)
+    if len(rows) > SHOWN:
+        console.print(f"and {len(rows) - SHOWN} more")
+    verdicts, causes = counted(rows)
+    console.print(f"{len(rows)} logs: " + ", ".join(f"{count} {name}" for name, count in verdicts.most_common()))
+    if causes:
+        console.print("causes: " + ", ".join(f"{name} {count}" for name, count in causes.most_common()), soft_wrap=True)
+    console.print(f"table: {out / TABLE}; a report for each log beside it", soft_wrap=True, markup=False)

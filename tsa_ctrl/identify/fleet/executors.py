@@ -1,0 +1,79 @@
+"""Where the work of a fleet is done: processes of this machine, or a Dask scheduler that somebody runs already."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import signal
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from tsa_ctrl.errors import BusError, UsageError
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+CONNECT = 10.0  # s to reach a scheduler
+
+
+@dataclass(frozen=True)
+class Workers:
+    """An executor (`submit` as in concurrent.futures), and how many jobs it works on at a time."""
+
+    executor: Executor
+    count: int
+
+
+@contextlib.contextmanager
+def local(jobs: int | None = None) -> Iterator[Workers]:
+    """Processes of this machine, one per core that this process may use."""
+    count = jobs or len(os.sched_getaffinity(0))
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # threads inside would only get in the other processes' way
+    context = multiprocessing.get_context("forkserver")  # a fork of this process would take its threads' locks along
+    context.set_forkserver_preload(["tsa_ctrl.identify.fleet.job"])
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    try:
+        yield Workers(pool, count)
+    except BaseException:
+        processes = list((pool._processes or {}).values())  # its public end waits for what is being worked on
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        raise
+    pool.shutdown()
+
+
+def _begin() -> None:
+    """Ctrl-C is for the process that started the fleet; a worker ends with it, however it ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+
+
+@contextlib.contextmanager
+def dask(scheduler: str) -> Iterator[Workers]:
+    """The workers of a running Dask scheduler ("tcp://host:8786"); they need this package, but none of the files.
+
+    Raises UsageError when the extra is not installed, BusError when nobody answers there.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise UsageError(
+            "--scheduler: the package distributed is not installed; pip install 'tsa-ctrl[fleet]'"
+        ) from None
+    try:
+        client: Any = Client(scheduler, timeout=CONNECT)
+    except (OSError, ValueError) as error:
+        found = " ".join(str(error).split())
+        raise BusError(
+            f"--scheduler {scheduler}: no Dask scheduler answers ({found}); start one or name another"
+        ) from None
+    with client:
+        count = sum(client.ncores().values())
+        if count == 0:
+            raise BusError(f"--scheduler {scheduler}: it has no workers; start some (dask worker {scheduler})")
+        yield Workers(client.get_executor(pure=False), count)

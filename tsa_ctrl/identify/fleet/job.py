@@ -1,0 +1,58 @@
+"""One log of a fleet, from the bytes of the file to the bytes of its report: needs no disk that others share."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from tsa_ctrl.errors import TsaError
+from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.identify.diagnosis import diagnose
+from tsa_ctrl.identify.fleet.ledger import Row, row_of
+from tsa_ctrl.model.parameters import load_model
+
+
+@dataclass(frozen=True)
+class Job:
+    """A log and the model to diagnose it with: names, and contents of the files. `key` stands for all of it."""
+
+    name: str
+    key: str
+    log: bytes
+    model_name: str
+    model: bytes
+    seed: int
+
+
+@dataclass(frozen=True)
+class Done:
+    """The line of the table, and the files of the report by name (none where the log could not be diagnosed)."""
+
+    row: Row
+    files: dict[str, bytes]
+
+
+def carry_out(job: Job) -> Done:
+    """Diagnose one log. Never raises: a fleet goes on, and what was wrong with this log stands in its row."""
+    with tempfile.TemporaryDirectory(prefix="tsa-fleet-") as name:
+        folder = Path(name)
+        log, model = folder / "log" / job.name, folder / "model" / job.model_name
+        for path, content in ((log, job.log), (model, job.model)):
+            path.parent.mkdir()
+            path.write_bytes(content)
+        try:
+            result = diagnose([load_log(log)], load_model(model), seed=job.seed)
+            result.write(folder / "report", model)
+        except TsaError as error:
+            return Done(Row(job.name, job.key, "error", error=_plain(error, folder)), {})
+        except Exception as error:  # one log that no one thought of must not cost the other hundreds their answer
+            return Done(Row(job.name, job.key, "error", error=f"{type(error).__name__}: {_plain(error, folder)}"), {})
+        files = {path.name: path.read_bytes() for path in sorted((folder / "report").iterdir()) if path.is_file()}
+        return Done(row_of(job.name, job.key, result), files)
+
+
+def _plain(error: Exception, folder: Path) -> str:
+    """The message in one line, without the folder that nobody knows."""
+    text = " ".join(str(error).split())
+    return text.replace(f"{folder / 'log'}/", "").replace(f"{folder / 'model'}/", "")

@@ -1,0 +1,125 @@
+"""What a fleet has answered so far: a file of lines that an interruption cannot spoil, and the table made from it."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis import Diagnosis
+
+LEDGER, TABLE = "fleet.jsonl", "verdicts.csv"
+
+
+@dataclass(frozen=True)
+class Row:
+    """The answer on one log. `verdict`: as in diagnosis.json, or "error" with the reason in `error`.
+
+    `causes`: pairs of a name and its alternatives; `rms` in N*m as in diagnosis.json; `key` stands for log, model, seed
+    and version, so that an answer is taken again only for the same question.
+    """
+
+    log: str
+    key: str
+    verdict: str
+    causes: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    rms: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
+    gain: float = 0.0
+    unexplained: str = ""
+    sentence: str = ""
+    error: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        causes = [{"effect": name, "alternatives": list(others)} for name, others in self.causes]
+        return {**dataclasses.asdict(self), "causes": causes}
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Row:
+        """From `to_dict`; raises KeyError or TypeError for anything else."""
+        causes = tuple((cause["effect"], tuple(cause["alternatives"])) for cause in data["causes"])
+        return Row(**{**data, "causes": causes})
+
+    @property
+    def told(self) -> str:
+        """The causes in one line: names, with what they cannot be told from."""
+        return "; ".join(name + (f" (or {', '.join(others)})" if others else "") for name, others in self.causes)
+
+
+def row_of(name: str, key: str, result: Diagnosis) -> Row:
+    """The line of the table for a diagnosis."""
+    data = result.to_dict()
+    return Row(
+        log=name,
+        key=key,
+        verdict=data["verdict"],
+        causes=tuple((cause.effect, cause.alternatives) for cause in result.causes),
+        rms={step: data["rms"][step] for step in ("as_given", "recalibrated", "extended", "noise_floor")},
+        gain=data["gain"],
+        unexplained=data["unexplained"]["description"],
+        sentence=data["summary"],
+    )
+
+
+def known_rows(folder: Path) -> dict[str, Row]:
+    """Answers of an earlier run by key; a line that an interruption cut short counts as not written."""
+    path = folder / LEDGER
+    if not path.exists():
+        return {}
+    rows = {}
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            row = Row.from_dict(json.loads(line))
+        except (ValueError, KeyError, TypeError):
+            continue
+        rows[row.key] = row
+    return rows
+
+
+def append(folder: Path, row: Row) -> None:
+    """Add one answer; it is on the disk when this returns. Raises UsageError."""
+    path = folder / LEDGER
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            if file.tell() and not _ends_with_a_line(path):
+                file.write("\n")  # the last run was cut off within a line
+            file.write(json.dumps(row.to_dict(), ensure_ascii=False) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+
+
+def _ends_with_a_line(path: Path) -> bool:
+    with path.open("rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
+
+def write_table(folder: Path, rows: Iterable[Row]) -> Path:
+    """Write verdicts.csv, one line per log; returns its path. Raises UsageError."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    steps = ("as_given", "recalibrated", "extended", "noise_floor")
+    table.writerow(["log", "verdict", "causes", *(f"rms_{step}" for step in steps), "gain", "unexplained", "error"])
+    for row in sorted(rows, key=lambda row: row.log):
+        errors = [row.rms.get(step) for step in steps]
+        values = ["" if value is None else f"{value:.6g}" for value in errors]
+        table.writerow([row.log, row.verdict, row.told, *values, f"{row.gain:.4g}", row.unexplained, row.error])
+    settings.write_text(folder / TABLE, text.getvalue())
+    return folder / TABLE
+
+
+def counted(rows: Iterable[Row]) -> tuple[Counter[str], Counter[str]]:
+    """How many logs per verdict, and per cause named."""
+    rows = list(rows)
+    return Counter(row.verdict for row in rows), Counter(name for row in rows for name, _ in row.causes)

@@ -1,0 +1,109 @@
+"""Diagnoses all logs of a folder, goes on where an interruption stopped it, and writes one table of verdicts."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from pathlib import Path
+
+from tsa_ctrl import __version__
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.identify.fleet.executors import Workers
+from tsa_ctrl.identify.fleet.job import Done, Job, carry_out
+from tsa_ctrl.identify.fleet.ledger import Row, append, known_rows, write_table
+from tsa_ctrl.log.table import ENDINGS
+
+AHEAD = 2  # jobs per worker that are handed out: enough that none waits, few enough to be kept in memory
+
+Progress = Callable[[int, int, Row | None], None]
+
+
+def logs_in(folder: Path) -> list[Path]:
+    """The logs that lie in a folder itself, by name. Raises UsageError when there is none."""
+    try:
+        found = sorted(path for path in folder.iterdir() if path.is_file() and path.name.lower().endswith(ENDINGS))
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be read ({error.strerror}); give a folder of logs") from None
+    found = [path for path in found if not path.name.startswith(".")]
+    if not found:
+        raise UsageError(f"{folder}: holds no log ({', '.join(ENDINGS)}); give the folder in which the logs lie")
+    return found
+
+
+def sweep(
+    logs: Sequence[Path],
+    model: Path,
+    out: Path,
+    workers: Workers,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda done, total, row: None,
+) -> list[Row]:
+    """Diagnose each log by itself with `model`; returns the rows of the table by name.
+
+    Each report goes to out/NAME, each answer to out/fleet.jsonl at once, the table to out/verdicts.csv at the end or at
+    an interruption. What fleet.jsonl answers already for the same log, model, seed and version is not asked again.
+    progress(done, total, row) is called at the start (row None) and after each answer. Raises UsageError when a file
+    cannot be read or written, BusError when a worker dies.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        model_text = model.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{error.filename}: {error.strerror}; choose another") from None
+    known = known_rows(out)
+    waiting = {path: _key(path, model_text, seed) for path in logs}
+    rows = {path: known[key] for path, key in waiting.items() if key in known and _reported(out, known[key])}
+    queue = [path for path in logs if path not in rows]
+    progress(len(rows), len(logs), None)
+    running: dict[Future[Done], Path] = {}
+    try:
+        while queue or running:
+            while queue and len(running) < AHEAD * workers.count:
+                path = queue.pop(0)
+                job = Job(path.name, waiting[path], _contents(path), model.name, model_text, seed)
+                running[workers.executor.submit(carry_out, job)] = path
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                path, done = running.pop(future), future.result()
+                _file(out / path.name, done)
+                append(out, done.row)
+                rows[path] = done.row
+                progress(len(rows), len(logs), done.row)
+    except BrokenExecutor:
+        raise BusError(
+            f"a worker died while it diagnosed; {len(rows)} of {len(logs)} logs are done: try again with fewer --jobs"
+        ) from None
+    finally:
+        write_table(out, rows.values())
+    return [rows[path] for path in logs]
+
+
+def _key(path: Path, model: bytes, seed: int) -> str:
+    """The same for the same name and contents of the log, model, seed and version."""
+    digest = hashlib.sha256(f"{__version__} {seed} {path.name} ".encode())
+    digest.update(hashlib.sha256(model).digest())
+    digest.update(hashlib.sha256(_contents(path)).digest())
+    return digest.hexdigest()
+
+
+def _contents(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); allow reading it or take it away") from None
+
+
+def _reported(out: Path, row: Row) -> bool:
+    """Whether the report that belongs to an answer is still there."""
+    return row.verdict == "error" or (out / row.log / "diagnosis.json").is_file()
+
+
+def _file(folder: Path, done: Done) -> None:
+    """Write a report's files; diagnosis.json, which says that the others are there, last."""
+    try:
+        for name in sorted(done.files, key=lambda name: name == "diagnosis.json"):
+            folder.mkdir(exist_ok=True)
+            (folder / name).write_bytes(done.files[name])
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
