@@ -66,9 +66,9 @@ def sweep(
                 running[workers.executor.submit(carry_out, job)] = path
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 path, done = running.pop(future), future.result()
+                rows[path] = done.row
                 _file(out / path.name, done)
                 append(out, done.row)
-                rows[path] = done.row
                 progress(len(rows), len(logs), done.row)
     except BrokenExecutor:
         raise BusError(
