@@ -140,7 +140,7 @@ def _stages(configuration: Configuration, cycles: int) -> Table:
             inner = calls[ANSWERS]  # a stamp's second half lies outside of its span
             spans["decode, freshness"] = spans.pop("collect") - spans[ANSWERS] - inner * cost
             stamps = cost * (1 + sum(calls.values()))
-            spans["direction, set-point and the rest"] = middle - start - sum(spans.values()) - stamps
+            spans["the rest, and what the stamps cost"] = middle - start - sum(spans.values()) - stamps
             spans["after the RPDO: estimator, oscillation monitor"] = after - middle - cost
             spans["after the RPDO: record"] = end - after - cost
             for name, span in spans.items():
