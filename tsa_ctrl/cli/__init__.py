@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from tsa_ctrl import __version__
+from tsa_ctrl.cli import completion
 from tsa_ctrl.errors import TsaError
 
 VERBS: dict[str, str] = {
@@ -59,6 +60,14 @@ class LazyGroup(click.Group):
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="tsa")
+@click.option(
+    "--install-completion",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=completion.install,
+    help="Complete verbs and options in this shell.",
+)
 def cli() -> None:
     """Feedforward torque control through tendon-sheaths, and the diagnosis of its model."""
 

@@ -1,0 +1,88 @@
+"""What every verb shares: help with an example, one line for what is wrong, completion in the user's shell."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from tsa_ctrl.cli import VERBS, cli, main
+
+LISTED = cli.list_commands(click.Context(cli))
+
+
+def commands() -> list[str]:
+    """Every verb, and every verb below a verb."""
+    found: list[str] = []
+    for verb in LISTED:
+        command = cli.get_command(click.Context(cli), verb)
+        if isinstance(command, click.Group):
+            found += [f"{verb} {name}" for name in command.list_commands(click.Context(command))]
+        else:
+            found.append(verb)
+    return found
+
+
+def test_every_verb_of_the_table_is_there() -> None:
+    assert sorted(LISTED) == sorted(VERBS)
+
+
+@pytest.mark.parametrize("line", commands())
+def test_help_has_an_example_of_this_very_verb(line: str) -> None:
+    text = CliRunner().invoke(cli, [*line.split(), "--help"], catch_exceptions=False).output
+    assert f": tsa {line}" in text.partition("Example")[2]
+
+
+@pytest.mark.parametrize("line", [*commands(), ""])
+@pytest.mark.parametrize("wrong", ["--no-such-option", "--json=maybe"])
+def test_wrong_option_is_one_line_and_code_2(line: str, wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*line.split(), wrong])
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
+
+
+def test_unknown_verb_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["diagnoze"])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.startswith("tsa: No such command 'diagnoze'")
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_completion_is_installed_where_the_shell_looks(
+    shell: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", f"/usr/bin/{shell}")
+    with pytest.raises(SystemExit) as ended:
+        main(["--install-completion"])
+    assert ended.value.code == 0
+    path = Path(capsys.readouterr().out.split(":")[0])
+    assert path.is_relative_to(tmp_path)
+    assert "_TSA_COMPLETE" in path.read_text("utf-8")
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash here")
+def test_bash_completes_a_verb_by_the_installed_script(tmp_path: Path) -> None:
+    environment = {**os.environ, "HOME": str(tmp_path), "SHELL": "/bin/bash"}
+    environment["PATH"] = f"{Path(sys.executable).parent}:{environment['PATH']}"
+    subprocess.run(["tsa", "--install-completion"], env=environment, check=True, capture_output=True)
+    script = tmp_path / ".local/share/bash-completion/completions/tsa"
+    ask = f"source {script}; COMP_WORDS=(tsa diag); COMP_CWORD=1; _tsa_completion tsa; echo ${{COMPREPLY[@]}}"
+    found = subprocess.run(["bash", "-c", ask], env=environment, capture_output=True, text=True, check=False)
+    assert found.stdout.split() == ["diagnose"]
+
+
+def test_unknown_shell_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("SHELL", "/bin/tcsh")
+    with pytest.raises(SystemExit) as ended:
+        main(["--install-completion"])
+    assert ended.value.code == 2
+    assert "no completion for shell 'tcsh'" in capsys.readouterr().err
