@@ -336,6 +336,8 @@ class Campaign:
         rows = self.plant.record.between(injected - 0.1, ended)
         after = [row for row in rows if row.clock >= injected]
         before = [abs(row.torque) for row in rows if row.clock < injected]
+        if phase == "silent" and fault.unheard and min(abs(row.torque) for row in after) > ZERO:
+            phase = "running"
         return Trial(
             fault,
             injected,
@@ -418,6 +420,10 @@ class Campaign:
 
     def _kill_log(self, daemon: Daemon) -> None:
         for pid in daemon.children("log.writer"):
+            os.kill(pid, signal.SIGKILL)
+
+    def _kill_server(self, daemon: Daemon) -> None:
+        for pid in daemon.children("ipc.server"):
             os.kill(pid, signal.SIGKILL)
 
     def _fill_disk(self, daemon: Daemon) -> Callable[[], None]:

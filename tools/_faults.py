@@ -15,7 +15,7 @@ class Fault:
     """`plant`: line for the plant's control socket; `act`: a method of the campaign instead.
 
     `negative`: with a set-point of the other sign; `alone`: its daemon is not used again; `bare`: on a drive without
-    an RPDO event timer; `watch`: s to look on.
+    an RPDO event timer; `watch`: s to look on; `unheard`: nobody answers afterwards, the torque says that it runs.
     """
 
     name: str
@@ -26,6 +26,7 @@ class Fault:
     alone: bool = False
     bare: bool = False
     watch: float = 0.5
+    unheard: bool = False
 
 
 def _stops(cause: str, within: float | None = None, why: str = "") -> Expected:
@@ -96,7 +97,11 @@ FAULTS: tuple[Fault, ...] = (
         "rpdo_lost", bare=True, watch=LIE,
     ),
     Fault(
-        "log process killed", _goes_on("the loss is counted", "process is gone|records lost"),
+        "log process killed", _goes_on("the loss is counted", "log: its process is gone"),
         act="kill_log", bare=True, watch=1.5,
+    ),
+    Fault(
+        "socket process killed", _goes_on("a signal still ends it", "socket: its process is gone"),
+        act="kill_server", bare=True, watch=1.5, unheard=True,
     ),
 )  # fmt: skip

@@ -62,6 +62,10 @@ class Children:
         self.ring = RingWriter(len(configuration.file.axes))
         self.log = LogProcess(new_log_path(folder), self.ring, log_header(configuration))
 
+    @property
+    def server_alive(self) -> bool:
+        return self._server.poll() is None
+
     def end(self) -> None:
         """Complete the log and end all; may be called twice."""
         self.sensors.close()

@@ -144,6 +144,7 @@ class Loop:
             self._telemetry.check_log(self._t(planned), self.cycles * len(self._axes))
             self._telemetry.check_sensors(self._t(planned))
             self._telemetry.check_bus(self._t(planned))
+            self._telemetry.check_server(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
 

@@ -99,6 +99,7 @@ class Daemon:
                         children.sensors,
                         self._notifier,
                     )
+                    telemetry.watch_server(lambda: children.server_alive)
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )

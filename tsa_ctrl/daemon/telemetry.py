@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from tsa_ctrl.bus.cia402 import decode
 from tsa_ctrl.bus.rig import Rig
@@ -51,6 +51,7 @@ class Telemetry:
         self._note = None if ring is None else ring.note
         self._noted = 0
         self._error_frames = 0
+        self._server_alive: Callable[[], bool] | None = None
         self._log = log
         self._sensors = sensors
         self._notifier = notifier
@@ -159,7 +160,17 @@ class Telemetry:
         more = self._rig.error_frames - self._error_frames
         if more:
             self._error_frames += more
-            self._events.add(t, "", f"{more} error frames, the last one: {self._rig.last_error}")
+            self._events.add(t, "", f"error frames: {more}, the last one: {self._rig.last_error}")
+
+    def watch_server(self, alive: Callable[[], bool]) -> None:
+        """Look after the socket server, too."""
+        self._server_alive = alive
+
+    def check_server(self, t: float) -> None:
+        """About once a second: say it when nobody answers on the socket any longer."""
+        if self._server_alive is not None and not self._server_alive():
+            self._server_alive = None
+            self._events.add(t, "", "socket: its process is gone; the loop goes on, a signal (SIGTERM) ends it")
 
     def check_log(self, t: float, records: int) -> None:
         """About once a second: say it when the log writer is in trouble or gone; `records` is how many it was given."""
