@@ -106,6 +106,7 @@ class Trial:
     most: float
     came_back: bool
     torque_before: float
+    counted: tuple[str, ...]
     repeated: int = 0
 
     def seen(self, faults: tuple[str, ...], notes: tuple[str, ...]) -> Seen:
@@ -191,6 +192,12 @@ class Daemon:
             return "dead" if self.process.returncode < 0 else "ended"
         status = self.status()
         return "silent" if status is None else str(status["phase"])
+
+    def counts(self) -> dict[str, int]:
+        """What it counted of its PDOs since its start; nothing where nobody answers."""
+        status = self.status() if self.process.poll() is None else None
+        axis = status["axes"][0] if status else {}
+        return {name: axis.get(name, 0) for name in ("late", "repeated", "malformed")}
 
     def recover(self) -> None:
         with contextlib.suppress(TsaError), Client(self.socket) as client:
@@ -320,6 +327,7 @@ class Campaign:
     def _try(self, daemon: Daemon, fault: Fault) -> Trial:
         """Inject, watch, take the cause away, watch again."""
         undo: Callable[[], None] = lambda: None  # noqa: E731
+        counted = daemon.counts()
         if fault.plant:
             injected = self.plant.tell(fault.plant)
         else:
@@ -330,6 +338,7 @@ class Campaign:
         cleared = self.plant.tell("clear")
         time.sleep(LATCH_TIME)
         phase = daemon.phase
+        more = {name: number - counted[name] for name, number in daemon.counts().items()}
         ended = time.monotonic()
         time.sleep(FLUSHED)
         self.plant.record.read()
@@ -348,6 +357,7 @@ class Campaign:
             max((abs(row.torque) for row in after), default=0.0),
             any(abs(row.torque) > ZERO for row in after if row.clock > cleared),
             max(before, default=0.0),
+            tuple(f"{name} PDOs: {number}" for name, number in more.items() if number > 0),
         )
 
     def _end_life(self) -> None:
@@ -360,13 +370,6 @@ class Campaign:
         start = summary.get("start", daemon.start)
         notes = self._notes()
         told = [(event["t"], event["text"]) for event in summary.get("events", [])]
-        counts = [
-            f"{node['node']}: late {node['late']}, repeated {node['repeated']}"
-            for node in summary.get("nodes", [])
-            if node["late"] or node["repeated"]
-        ]
-        lost = summary.get("log_records", {}).get("lost", 0)
-        counts += [f"{lost} records lost"] if lost else []
         for place, trial in enumerate(trials):
             last = place + 1 == len(trials)
             begin = trial.injected - start - 0.02
@@ -374,9 +377,8 @@ class Campaign:
             mine = [note for note in notes if begin <= note.t < end]
             faults = tuple(n.text for n in mine if n.fault or (trial.phase == "ended" and n.text.startswith("ended")))
             said = [note.text for note in mine] + [text for t, text in told if begin <= t < end]
-            self.results.append(
-                Result(trial, judge(trial.fault.expected, trial.seen(faults, (*said, *counts)), BOUND, LIMIT))
-            )
+            seen = trial.seen(faults, (*said, *trial.counted))
+            self.results.append(Result(trial, judge(trial.fault.expected, seen, BOUND, LIMIT)))
 
     def _notes(self) -> list[Any]:
         """Of the newest log; a writer whose loop was killed completes it soon."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.daemon.machine import ENABLED, Machine
+from tests.daemon.machine import ENABLED, Drive, Machine
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command
@@ -280,3 +281,40 @@ def test_second_master_is_a_fault(build: Build) -> None:
     machine.run(seconds=1.0)
     assert "second master" in str(machine.events.first_fault)
     assert not any(machine.drive.torques[501:])
+
+
+class Disobedient(Drive):
+    """A drive that commands no longer reach, from SYNC 300 on."""
+
+    def _obey(self, controlword: int, target: int) -> None:
+        if self.beats < 300:
+            super()._obey(controlword, target)
+
+
+def test_a_drive_that_does_not_obey_is_stopped_by_nmt(tmp_path: Path) -> None:
+    """It stays enabled while told to leave: 50 ms later, and again, the NMT command that makes it react by itself."""
+    machine = Machine(tmp_path, CONSTANT, drive=Disobedient())
+    machine.drive.at_sync[310] = lambda: machine.axis.supervisor.trip("a limit", machine.bus.clock.now)
+    machine.drive.at_sync[500] = lambda: machine.loop.stop("test")
+    machine.run()
+    stops = [data for can_id, data in machine.bus.sent if can_id == 0x000]
+    machine.close()
+    assert len(stops) >= 3
+    assert set(stops) == {b"\x02\x01"}
+
+
+def test_a_drive_whose_feedback_freezes_is_disabled(tmp_path: Path) -> None:
+    """The law's command moves on, not a bit of the answer does: the cause is kept in words."""
+
+    class Frozen(Drive):
+        def frames(self) -> list[tuple[int, bytes]]:
+            if self.beats > 300:
+                self.torque = 400
+            return super().frames()
+
+    machine = Machine(tmp_path, drive=Frozen())
+    machine.drive.at_sync[2000] = lambda: machine.loop.stop("test")
+    machine.run()
+    machine.close()
+    assert machine.events.first_fault is not None
+    assert re.search("feedback is frozen|commanded are", machine.events.first_fault.text)

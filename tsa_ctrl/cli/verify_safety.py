@@ -63,7 +63,7 @@ def _show(found: Verification) -> None:
     from tsa_ctrl.safety.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
-    table = Table("trial", "axis", "torque before", "torque zero after", "allowed", "seen by", "")
+    table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "")
     for outcome in found.outcomes:
         timing = outcome.timing
         before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"

@@ -147,6 +147,9 @@ class Telemetry:
             terms.reason.value,
             image.missed,
             image.pdo_age,
+            sum(node.late for node in image.nodes),
+            sum(node.repeated for node in image.nodes),
+            sum(node.malformed for node in image.nodes),
             *(parameter.value for parameter in self._tuners[index].parameters),
         )
 

@@ -33,7 +33,11 @@ AXIS = (
     "limit_reason",
     "missed",
     "pdo_age",
+    "late",
+    "repeated",
+    "malformed",
 )
+COUNTS = ("missed", "late", "repeated", "malformed")  # of AXIS: whole numbers since the start
 
 _COMMAND = struct.Struct("<qqd")  # axis, parameter, value
 _WORD = struct.Struct("<Q")

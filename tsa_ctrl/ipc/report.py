@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.control.timing import coarse, distribution
-from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, Mailbox
+from tsa_ctrl.ipc.mailbox import AXIS, COUNTS, GENERAL, Mailbox
 from tsa_ctrl.ipc.protocol import Description
 
 SCHEMA = 1
@@ -45,7 +45,7 @@ def _axis(description: Description, index: int, row: tuple[float, ...]) -> dict[
     values["state"] = description.states[int(row[AXIS.index("state")])]
     values["estimate_state"] = description.estimate_states[int(row[AXIS.index("estimate_state")])]
     values["limit_reason"] = description.reasons[int(row[AXIS.index("limit_reason")])]
-    values["missed"] = int(row[AXIS.index("missed")])
+    values |= {name: int(row[AXIS.index(name)]) for name in COUNTS}
     live = zip(description.parameters[index], row[len(AXIS) :], strict=True)
     parameters = {
         known.name: {"value": _known(value), "low": known.low, "high": known.high, "unit": known.unit}

@@ -32,9 +32,9 @@ DELIVERED = 0.5  # share of the wanted torque that a drive must report
 class Trial(Enum):
     """What is done to the loop: its name, and in words."""
 
-    WITHHOLD = ("withheld", "the heartbeat is withheld, all else goes on")
-    HANG = ("hang", "the loop hangs (SIGSTOP)")
-    KILL = ("kill", "the loop is killed (SIGKILL)")
+    WITHHOLD = ("withheld", "heartbeat withheld")
+    HANG = ("hang", "loop hung: SIGSTOP")
+    KILL = ("kill", "loop killed: SIGKILL")
 
     @property
     def key(self) -> str:
