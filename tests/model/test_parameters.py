@@ -91,7 +91,7 @@ def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str
         ("[effects.viscous_friction]\ncoefficient = -0.1", "coefficient = -0.1; allowed is a number at least 0"),
         ("[effects.viscous_friction]\ncoeficient = 0.1", "unknown key 'coeficient'; did you mean 'coefficient'"),
         ("[effects.viscous_friction]\ncoefficient = true", "allowed is a number"),
-        ("[effects.viscous_friction]\ncoefficient = nan", "allowed is a number"),
+        ("[effects.viscous_friction]\ncoefficient = nan", "give a finite number"),
         ("[effects.load_dependent_friction]\ncoefficient = 1.0", "below 1"),
         ("[effects.torque_ripple]\namplitude = 0.1\ncycles_per_revolution = 2.5", "a whole number at least 1"),
         ('[effects.elongation_coupling]\ncurvature_profile = "flat"', 'allowed is "uniform" or "motor_end"'),
