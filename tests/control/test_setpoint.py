@@ -77,14 +77,14 @@ def test_file_ends_at_zero_or_starts_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no column 't'"),
-        ("t,tau\n0,1\n", "no column 'tau_j_des'"),
+        ("", "empty"),
+        ("t,tau\n0,1\n", "column 'tau_j_des' is missing"),
         ("t,tau_j_des\n0,1\n", "1 rows"),
-        ("t,tau_j_des\n0,1\n1,x\n", "row 3"),
-        ("t,tau_j_des\n0,1\n1\n", "row 3"),
-        ("t,tau_j_des\n0,1\n1,nan\n", "row 3.*finite"),
-        ("t,tau_j_des\n0,1\n0,2\n", "row 3.*does not come after"),
-        ("t,tau_j_des\n0,1\n1,5000\n", "row 3.*beyond 1000"),
+        ("t,tau_j_des\n0,1\n1,x\n", "line 3"),
+        ("t,tau_j_des\n0,1\n1\n", "line 3"),
+        ("t,tau_j_des\n0,1\n1,nan\n", "line 3.*finite"),
+        ("t,tau_j_des\n0,1\n0,2\n", "line 3.*does not rise"),
+        ("t,tau_j_des\n0,1\n1,5000\n", "line 3.*beyond 1000"),
     ],
 )
 def test_bad_file_is_one_line(tmp_path: Path, text: str, words: str) -> None:

@@ -18,7 +18,8 @@ from msgspec import Meta
 
 from tsa_ctrl.errors import UsageError
 
-Torque = Annotated[float, Meta(ge=-1000.0, le=1000.0)]  # N*m
+MOST_TORQUE = 1000.0  # N*m: more is another unit
+Torque = Annotated[float, Meta(ge=-MOST_TORQUE, le=MOST_TORQUE)]  # N*m
 Frequency = Annotated[float, Meta(gt=0.0, le=200.0)]  # Hz
 Seconds = Annotated[float, Meta(gt=0.0, le=86_400.0)]
 Source = Callable[[float], float]
@@ -39,7 +40,7 @@ class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
     duration: Seconds = 20.0  # s: of one chirp, then again
     at: Annotated[float, Meta(ge=0.0, le=86_400.0)] = 1.0  # s: when a step comes
     components: tuple[Component, ...] = ()  # of multi_sine
-    file: str = ""  # CSV with columns t (s) and tau_j_des (N*m), relative to the configuration file
+    file: str = ""  # CSV or Parquet with columns t (s) and tau_j_des (N*m), relative to the configuration file
     loop: bool = False  # start the file again at its end; else the set-point goes to 0
     timeout: Annotated[float, Meta(gt=0.0, le=60.0)] = 0.2  # s: a socket set-point older than this goes to 0
     rate: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 50.0  # N*m/s: fastest change of the set-point
@@ -145,34 +146,15 @@ def _played(times: Sequence[float], values: Sequence[float], offset: float, loop
 
 
 def read_file(path: Path) -> tuple[list[float], list[float]]:
-    """Times (s, from 0) and joint torques (N*m) of a CSV file; raises UsageError naming file, column and row."""
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
-        raise UsageError(f"{path}: set-point file cannot be read ({reason}); give a CSV file") from None
-    header = [name.strip() for name in lines[0].split(",")] if lines else []
-    for name in ("t", "tau_j_des"):
-        if name not in header:
-            raise UsageError(f"{path}: no column '{name}'; a set-point file has the columns t (s) and tau_j_des (N*m)")
-    columns = header.index("t"), header.index("tau_j_des")
-    rows: list[tuple[float, float]] = []
-    for number, line in enumerate(lines[1:], start=2):
-        cells = line.split(",")
-        try:
-            row = float(cells[columns[0]]), float(cells[columns[1]])
-        except (ValueError, IndexError):
-            raise UsageError(f"{path}: row {number}: '{line[:40]}' has no number for t and tau_j_des") from None
-        if not (math.isfinite(row[0]) and math.isfinite(row[1])):
-            raise UsageError(f"{path}: row {number}: t and tau_j_des must be finite, found {row[0]}, {row[1]}")
-        if abs(row[1]) > 1000.0:
-            raise UsageError(f"{path}: row {number}: tau_j_des {row[1]:g} N*m is beyond 1000; give N*m")
-        if rows and row[0] <= rows[-1][0]:
-            raise UsageError(
-                f"{path}: row {number}: t {row[0]:g} s does not come after {rows[-1][0]:g} s; sort the file"
-            )
-        rows.append(row)
-    if len(rows) < 2:
-        raise UsageError(f"{path}: {len(rows)} rows; a set-point file needs at least two")
-    table = np.asarray(rows)
-    return (table[:, 0] - table[0, 0]).tolist(), table[:, 1].tolist()
+    """Times (s, from 0) and joint torques (N*m) of a file; raises UsageError naming file, column and row."""
+    from tsa_ctrl.log.waypoints import from_zero, read_waypoints  # slow to import
+
+    table = read_waypoints(path, ("tau_j_des",))
+    values = table.columns["tau_j_des"]
+    beyond = np.flatnonzero(np.abs(values) > MOST_TORQUE)
+    if beyond.size:
+        row = int(beyond[0])
+        raise UsageError(
+            f"{path}: column 'tau_j_des', {table.place(row)}: {values[row]:g} N*m is beyond {MOST_TORQUE:g}; give N*m"
+        )
+    return from_zero(table.columns["t"]).tolist(), values.tolist()

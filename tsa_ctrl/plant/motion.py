@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.settings import MotionSettings
 
 _GRID = 1e-3  # s
+_FEWEST = 4  # rows, of a cubic spline
 _MAX_SAMPLES = 4_000_000  # of a motion file on the grid, over an hour
 
 # Knee flexion over one cycle of level walking: fraction of the cycle, degrees (typical values of the literature).
@@ -67,7 +67,12 @@ def _motion(angle: NDArray[np.float64], speed: NDArray[np.float64], grid: float,
 
 
 def _from_file(settings: MotionSettings) -> Motion:
-    t, columns = _read_csv(str(settings.file))
+    from tsa_ctrl.log.waypoints import read_waypoints  # slow to import
+
+    table = read_waypoints(str(settings.file), ("q_j",), ("omega_j",))
+    t, columns = table.columns["t"], table.columns
+    if t.size < _FEWEST:
+        raise UsageError(f"{settings.file}: {t.size} rows; a motion needs at least {_FEWEST}")
     duration = t[-1] - t[0]
     count = max(2, math.ceil(duration / _GRID))
     if count > _MAX_SAMPLES:
@@ -92,34 +97,3 @@ def _close(angle: NDArray[np.float64], speed: NDArray[np.float64], t: NDArray[np
     gap = angle[-1] - angle[0]
     angle -= gap * y * y * (3.0 - 2.0 * y)
     speed -= gap * 6.0 * y * (1.0 - y) / width
-
-
-def _read_csv(path: str) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    try:
-        data: NDArray[Any] = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be read ({error.strerror or error}); give a CSV with columns t, q_j"
-        ) from None
-    except ValueError as error:
-        raise UsageError(f"{path}: not a table of numbers ({' '.join(str(error).split())[:120]})") from None
-    names = data.dtype.names or ()
-    for needed in ("t", "q_j"):
-        if needed not in names:
-            raise UsageError(f"{path}: column '{needed}' is missing, found {', '.join(names) or 'none'}; add it")
-    columns: dict[str, NDArray[np.float64]] = {
-        name: np.atleast_1d(np.asarray(data[name], dtype=np.float64))
-        for name in ("t", "q_j", "omega_j")
-        if name in names
-    }
-    t = columns.pop("t")
-    if t.size < 4:
-        raise UsageError(f"{path}: {t.size} rows; a motion needs at least 4")
-    for name, values in (("t", t), *columns.items()):
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise UsageError(f"{path}: column {name}, row {bad[0] + 2}: not a number; correct it")
-    back = np.flatnonzero(np.diff(t) <= 0.0)
-    if back.size:
-        raise UsageError(f"{path}: column t, row {back[0] + 3}: time does not rise; sort or clean the file")
-    return t, columns

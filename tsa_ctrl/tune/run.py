@@ -105,9 +105,8 @@ class RigRunner:
 
     def _confine(self, axis: dict[str, Any]) -> None:
         folder, drive = self._configuration.folder, axis["drive"]
-        for key in ("eds", "profile"):
-            if str(drive.get(key, "")).endswith((".eds", ".toml")):
-                drive[key] = str((folder / drive[key]).resolve())
+        if str(drive.get("profile", "")).endswith(".toml"):
+            drive["profile"] = str((folder / drive["profile"]).resolve())
         if axis.get("estimator", {}).get("kind") in {"sensor", "motor"}:
             axis["estimator"]["use"] = False  # what the file says is what is verified
         if axis["name"] != self._axis.name:
