@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 
 import numpy as np
 import pytest
 
 from tests.identify import tendon_logs
+from tsa_ctrl.identify import diagnosis
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from
-from tsa_ctrl.tune.estimate import Form, estimate, sliding_error
+from tsa_ctrl.tune.estimate import Form, estimate, extended, sliding_error
 
 
 def rig_and_log(profile: str, seed: int = 3) -> tuple[tendon_logs.Rig, TendonSheath, Dataset]:
@@ -47,3 +49,49 @@ def test_the_new_model_predicts_sliding_better() -> None:
     _, model, log = rig_and_log("uniform")
     found = estimate([log], model, certified_gain=False, forms=True)
     assert sliding_error([log], found.model) < 0.7 * sliding_error([log], model)
+
+
+def viscous_log(coefficient: float, seed: int = 3) -> tuple[TendonSheath, Dataset]:
+    """A log of a rig whose joint has viscous friction besides."""
+    rng = np.random.default_rng(seed)
+    rig = tendon_logs.draw_rig(rng, "joint_end")
+    model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal.toml")
+    assert isinstance(model, TendonSheath)
+    columns = tendon_logs.record(rig, rng, seconds=20.0, rate=200.0)
+    columns["tau_j"] = columns["tau_j"] - coefficient * columns["omega_j"]
+    return model, Dataset.from_arrays(columns, "a.csv")
+
+
+def test_the_extension_brings_the_effect_with_its_interval_into_model_and_numbers() -> None:
+    coefficient = 0.1
+    model, log = viscous_log(coefficient)
+    found = extended([log], model, estimate([log], model, certified_gain=False, forms=False))
+    assert found.effects == ("viscous_friction",)
+    quantity = found.parameters["viscous_friction.coefficient"]
+    assert quantity.low < found.model.effects["viscous_friction"]["coefficient"] < quantity.high
+    assert quantity.value == pytest.approx(coefficient, rel=0.1)
+    result = found.calibration
+    loop = 2.0 * found.model.pretension * found.model.joint_pulley_radius * np.sinh(found.model.friction_angle)
+    assert result.half_loop_torque.value == pytest.approx(loop, rel=0.02)
+    for name, value in (("friction_angle", found.model.friction_angle), ("pretension", found.model.pretension)):
+        assert getattr(result, name).low <= value <= getattr(result, name).high
+
+
+def test_without_an_effect_nothing_is_added() -> None:
+    model, log = viscous_log(0.0)
+    without = estimate([log], model, certified_gain=False, forms=False)
+    found = extended([log], model, without)
+    assert found.model is without.model
+    assert found.parameters == {}
+    assert "diagnosis: " in found.notes[-1]
+
+
+def test_a_name_with_rivals_is_told_and_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, log = viscous_log(0.1)
+    without = estimate([log], model, certified_gain=False, forms=False)
+    real = diagnosis.diagnose([log], model)
+    doubtful = dataclasses.replace(real.causes[0], alternatives=("motor_side_friction",))
+    monkeypatch.setattr(diagnosis, "diagnose", lambda *_: dataclasses.replace(real, causes=(doubtful,)))
+    found = extended([log], model, without)
+    assert found.effects == ()
+    assert "Not used: rivals of viscous_friction are not excluded" in found.notes[-1]

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +14,17 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import prepare
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 
-CLEARLY_BETTER = 0.9  # of the error of what is there; another form, or an extension, must be below
+if TYPE_CHECKING:
+    from tsa_ctrl.identify.diagnosis import Diagnosis
+
+CLEARLY_BETTER = 0.9  # of the error of what is there; another form must be below
+LEAST_GAIN = 0.5  # 1, share of what can be gained on held-out data that an extension must gain
+PERIOD = 1e-3  # s, of the controller that must be able to use an extension; any will do
 EXCLUDES_COUPLING = frozenset({"tendon_slack", "sheath_asymmetry", "tension_dependent_friction", "elongation_coupling"})
 
 
@@ -33,7 +41,8 @@ class Estimate:
     """The new model and how it came about.
 
     `calibration` is that of the form that was kept, `errors` each form's RMS error while sliding (N*m; all have the
-    same two free parameters), `effects` what the diagnosis added with certainty.
+    same two free parameters), `effects` what the diagnosis added with certainty and `parameters` their
+    numbers, by "effect.parameter".
     """
 
     model: TendonSheath
@@ -42,6 +51,7 @@ class Estimate:
     errors: Mapping[Form, float]
     effects: tuple[str, ...]
     notes: tuple[str, ...]
+    parameters: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
 
 
 def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool, forms: bool) -> Estimate:
@@ -85,24 +95,55 @@ def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
 def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) -> Estimate:
     """`without`, or in its place the model that the diagnosis extends by effects of which it is certain.
 
-    Certain: each cause is named without alternatives, and the extension predicts held-out data better.
+    Certain: each cause is named without alternatives, most of what can be gained on held-out data is gained, and a
+    controller can use the model.
     """
     from tsa_ctrl.identify.diagnosis import diagnose
 
     found = diagnose(list(logs), model)
-    names = tuple(cause.effect for cause in found.causes)
-    open_names = [cause.effect for cause in found.causes if cause.alternatives]
-    before, after = found.rms.recalibrated, found.rms.extended
-    if not names or not isinstance(found.model, TendonSheath) or before is None or after is None:
+    open_names = ", ".join(cause.effect for cause in found.causes if cause.alternatives)
+    if not found.causes or not isinstance(found.model, TendonSheath):
         return dataclasses.replace(without, notes=(*without.notes, f"diagnosis: {found.sentence}"))
-    if open_names or after > CLEARLY_BETTER * before:
-        note = f"diagnosis: {found.sentence}; not certain enough to be used ({', '.join(open_names) or 'no gain'})"
+    reason = f"rivals of {open_names} are not excluded" if open_names else ""
+    if found.gain < LEAST_GAIN:
+        reason = f"its gain is {found.gain:.0%}"
+    try:
+        notes = Feedforward(found.model, PERIOD).notes
+    except UsageError as error:
+        reason = str(error)
+    if reason:
+        note = f"diagnosis: {found.sentence} Not used: {reason}"
         return dataclasses.replace(without, notes=(*without.notes, note))
     return Estimate(
-        found.model,
-        without.calibration,
-        Form.GIVEN,
-        without.errors,
-        names,
-        (f"diagnosis: {found.sentence}",),
+        model=found.model,
+        calibration=_as_extended(without.calibration, found, found.model),
+        form=Form.GIVEN,
+        errors=without.errors,
+        effects=tuple(cause.effect for cause in found.causes),
+        notes=(f"diagnosis: {found.sentence}", *notes),
+        parameters={
+            f"{cause.effect}.{name}": value
+            for cause in found.causes
+            for name, value in cause.parameters.items()
+            if isinstance(value, Quantity)
+        },
+    )
+
+
+def _as_extended(without: Calibration, found: Diagnosis, model: TendonSheath) -> Calibration:
+    """What the diagnosis found of the base model beside its effects; x and T_p stay as open as they were."""
+    errors = {name: error.found for name, error in found.parameter_errors.items()}
+
+    def still_open(before: Quantity, value: float) -> Quantity:
+        return Quantity(value, min(before.low, value), max(before.high, value), before.unit)
+
+    return dataclasses.replace(
+        without,
+        friction_angle=errors.get("friction_angle", still_open(without.friction_angle, model.friction_angle)),
+        pretension=errors.get("pretension", still_open(without.pretension, model.pretension)),
+        half_loop_torque=errors.get("half_loop_torque", without.half_loop_torque),
+        slope=errors.get("slope", without.slope),
+        rms_before=without.rms_before if found.rms.as_given is None else found.rms.as_given,
+        rms_after=without.rms_after if found.rms.extended is None else found.rms.extended,
+        model=model,
     )

@@ -62,6 +62,7 @@ def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
         ("pretension", nominal.pretension, result.pretension),
         ("half loop torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
+        *((name.replace("_", " "), None, found) for name, found in outcome.estimate.parameters.items()),
     ]
     return [
         (

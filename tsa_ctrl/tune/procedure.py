@@ -143,5 +143,5 @@ def new_file(path: Path, found: Estimate, logs: Sequence[Dataset], command: str)
     """Text of the new model file: the old one's comments and layout, the new numbers, and where they came from."""
     result = found.calibration
     how = {"split": result.split, "form": found.form.value, "effects": list(found.effects)}
-    source = provenance(command, logs, path, result.quantities, **how)
+    source = provenance(command, logs, path, {**result.quantities, **found.parameters}, **how)
     return dump_model(found.model, template=path, provenance=source)

@@ -52,6 +52,7 @@ def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None
         "axis": axis,
         "form": found.form.name.lower(),
         "effects": list(found.effects),
+        "parameters": {name: quantity.to_dict() for name, quantity in found.parameters.items()},
         "calibration": found.calibration.to_dict(),
         "verification": {"rms": rms, "reduction_percent": reduction} if verified is not None else None,
         "design": list(outcome.design.reasons) if outcome.design is not None else None,
