@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tsa_ctrl.bus.cia402 import WALK, Controlword, PowerState, decode, next_controlword
+from tsa_ctrl.bus.cia402 import CST_SUPPORTED, WALK, Controlword, Mode, PowerState, decode, next_controlword
 
 S = PowerState
 
@@ -90,3 +90,7 @@ def test_controlwords_are_those_of_the_standard() -> None:
         "ENABLE_OPERATION": 0x0F,
         "FAULT_RESET": 0x80,
     }
+
+
+def test_cyclic_torque_is_bit_9_of_the_supported_modes() -> None:
+    assert (int(Mode.CYCLIC_SYNC_TORQUE), CST_SUPPORTED) == (10, 0x200)

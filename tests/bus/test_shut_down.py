@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.bus.fake import FakeBus
 from tests.bus.nodes import Responder, one_axis_rig
 from tsa_ctrl.bus.rig import Rig
@@ -62,3 +64,23 @@ def test_failed_bus_ends_it_at_once_with_the_reason() -> None:
 def test_twice_is_as_good_as_once() -> None:
     rig, _, _ = one_axis_rig(ObedientDrive())
     assert shut_down(rig, 0.001) == shut_down(rig, 0.001) == []
+
+
+def test_exactly_three_commands_follow_the_confirmation() -> None:
+    _, _, bus = stop(ObedientDrive())
+    words = [data[0] for can_id, data in bus.sent if can_id == 0x201]
+    assert words == [0x06, 0x00, 0x00, 0x00, 0x00]
+
+
+@pytest.mark.parametrize("statusword", [0x0218, 0x0200, 0x0250])
+def test_fault_not_ready_and_disabled_are_off(statusword: int) -> None:
+    drive = ObedientDrive(stuck=True)
+    drive.statusword = statusword
+    assert stop(drive)[0] == []
+
+
+def test_drive_has_a_second_to_confirm() -> None:
+    rig, bus, _ = one_axis_rig(ObedientDrive(stuck=True))
+    begin = bus.clock.now
+    assert shut_down(rig, 0.01)
+    assert 1.0 <= bus.clock.now - begin < 1.0 + 6 * 0.01

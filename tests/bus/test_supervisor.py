@@ -404,6 +404,228 @@ def test_a_drive_that_stays_enabled_after_a_fault_is_stopped_by_nmt_again_and_ag
     assert not bench.supervisor.cut_off
 
 
+def test_bit_12_is_asked_for_unless_the_profile_says_otherwise() -> None:
+    supervisor, bench = Supervisor(SupervisionSettings()), Bench()
+    bench.supervisor = supervisor
+    bench.step(Request.DISABLE, 3)
+    WORDS[PowerState.OPERATION_ENABLED] = 0x0237
+    try:
+        bench.step(Request.ENABLE, 50)
+        assert not bench.permitted
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+
+
+def test_fault_reset_comes_20_ms_after_bit_7_was_low() -> None:
+    bench = enabled()
+    drive_fault(bench)
+    bench.step(Request.ENABLE, 5)
+    words = []
+    for _ in range(60):
+        bench.step(Request.RESET)
+        words.append(int(bench.controlword))
+    assert words.index(0x80) in (20, 21)  # 1 ms each
+
+
+def test_emergency_before_the_first_cycle_is_seen() -> None:
+    bench = Bench()
+    bench.emergency()
+    bench.step(Request.DISABLE)
+    assert bench.cause is Cause.EMERGENCY
+
+
+def test_enable_that_returns_while_disabling_gives_no_torque() -> None:
+    bench = enabled()
+    bench.obeys = False
+    bench.step(Request.DISABLE)
+    for _ in range(100):
+        bench.step(Request.ENABLE)
+        assert not bench.permitted
+    assert bench.supervisor.phase is Phase.DISABLING
+
+
+@pytest.mark.parametrize("request_", [Request.RESET, Request.DISABLE])
+def test_anything_but_enable_takes_the_torque_away(request_: Request) -> None:
+    bench = enabled()
+    bench.obeys = False
+    bench.step(request_)
+    assert (bench.permitted, bench.supervisor.phase) == (False, Phase.DISABLING)
+
+
+@pytest.mark.parametrize("drops", [1, 2])
+def test_tolerated_drops_do_not_stop(drops: int) -> None:
+    bench = enabled()
+    bench.image.drops = drops
+    bench.step(Request.ENABLE)
+    assert bench.permitted
+
+
+@pytest.mark.parametrize("limit", [0, 1, 5])
+def test_one_drop_or_miss_more_than_tolerated_stops(limit: int) -> None:
+    settings = SupervisionSettings(tolerated_misses=limit, tolerated_drops=limit)
+    for attribute, cause in (("misses", Cause.STALE_PDO), ("drops", Cause.COMMAND_DROPPED)):
+        bench = enabled(settings=settings)
+        setattr(bench.image, attribute, limit)
+        bench.step(Request.ENABLE)
+        assert bench.permitted
+        setattr(bench.image, attribute, limit + 1)
+        bench.step(Request.ENABLE)
+        assert (bench.permitted, bench.cause) == (False, cause)
+
+
+def test_fault_reaction_is_a_drive_fault_already() -> None:
+    bench = enabled()
+    WORDS[PowerState.OPERATION_ENABLED] = 0x021F
+    try:
+        bench.step(Request.ENABLE)
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = 0x1237
+    assert (bench.permitted, bench.cause) == (False, Cause.DRIVE_FAULT)
+
+
+def rearmed(bench: Bench) -> None:
+    """What the rig does to the image after a bring-up."""
+    for health in bench.image.nodes:
+        health.boot_ups, health.emcys, health.nmt_state = 0, 0, NmtState.OPERATIONAL
+        health.emcy = None
+    bench.image.events = 0
+    bench.supervisor.configured(bench.image)
+
+
+def test_after_a_bring_up_old_emergencies_are_forgotten() -> None:
+    bench = enabled()
+    bench.emergency()
+    boot_up(bench)
+    bench.step(Request.ENABLE, 3)
+    rearmed(bench)
+    bench.step(Request.DISABLE)
+    bench.step(Request.RESET, 5)
+    assert bench.supervisor.phase is Phase.STANDBY
+
+
+def test_emergency_right_after_a_bring_up_is_seen() -> None:
+    bench = enabled()
+    boot_up(bench)
+    bench.step(Request.ENABLE, 3)
+    rearmed(bench)
+    bench.emergency()
+    bench.step(Request.DISABLE)
+    assert [fault.cause for fault in bench.supervisor.faults] == [Cause.BOOT_UP, Cause.EMERGENCY]
+
+
+@pytest.mark.parametrize("wrong", ["mode", "fresh"])
+def test_enabled_needs_mode_and_fresh_answers_in_the_same_cycle(wrong: str) -> None:
+    bench = Bench()
+    bench.step(Request.DISABLE, 3)
+    bench.step(Request.ENABLE, 3)
+    assert bench.state is PowerState.OPERATION_ENABLED
+    setattr(bench.image, wrong, {"mode": 8, "fresh": False}[wrong])
+    bench.step(Request.ENABLE, 5)
+    assert (bench.permitted, bench.supervisor.phase) == (False, Phase.ENABLING)
+
+
+def test_drive_in_another_mode_is_never_told_to_enable() -> None:
+    bench = Bench()
+    bench.image.mode = 1
+    bench.step(Request.DISABLE, 3)
+    words = set()
+    for _ in range(100):
+        bench.step(Request.ENABLE)
+        words.add(bench.controlword)
+    assert words == {Controlword.SHUTDOWN}
+
+
+def test_disabling_has_its_own_time() -> None:
+    bench = enabled()
+    bench.step(Request.ENABLE, 3000)
+    bench.obeys = False
+    bench.step(Request.DISABLE, 950)
+    assert (bench.supervisor.phase, bench.cause) == (Phase.DISABLING, None)
+    bench.step(Request.DISABLE, 100)
+    assert bench.cause is Cause.DISABLE_TIMEOUT
+
+
+@pytest.mark.parametrize("state", [PowerState.READY_TO_SWITCH_ON, PowerState.SWITCH_ON_DISABLED])
+def test_either_state_without_power_confirms_the_disable(state: PowerState) -> None:
+    bench = enabled()
+    bench.obeys = False
+    bench.step(Request.DISABLE)
+    bench.state = state
+    bench.step(Request.DISABLE)
+    assert bench.supervisor.phase is Phase.STANDBY
+
+
+def test_reset_waits_for_the_end_of_the_fault_reaction() -> None:
+    bench = enabled()
+    drive_fault(bench)
+    bench.step(Request.ENABLE, 5)
+    bench.obeys = False
+    WORDS[PowerState.FAULT] = 0x021F
+    try:
+        for _ in range(1900):
+            bench.step(Request.RESET)
+            assert (bench.supervisor.phase, bench.controlword) == (Phase.RESETTING, Controlword.DISABLE_VOLTAGE)
+        bench.step(Request.RESET, 200)
+    finally:
+        WORDS[PowerState.FAULT] = 0x0218
+    assert [fault.cause for fault in bench.supervisor.faults] == [Cause.DRIVE_FAULT, Cause.RESET_TIMEOUT]
+
+
+def test_stale_answers_while_resetting_are_judged_by_its_time_out() -> None:
+    bench = enabled()
+    bench.emergency()
+    bench.step(Request.ENABLE, 5)
+    bench.step(Request.DISABLE)
+    bench.image.misses, bench.image.fresh = 10, False
+    bench.supervisor._enter(Phase.RESETTING, bench.now)
+    bench.step(Request.RESET, 1900)
+    assert bench.supervisor.phase is Phase.RESETTING
+    bench.step(Request.RESET, 200)
+    assert str(bench.supervisor.faults[1]) == "drive does not leave its fault: no fresh PDO"
+
+
+def test_dropped_commands_while_resetting_are_not_excused() -> None:
+    bench = enabled()
+    bench.emergency()
+    bench.step(Request.ENABLE, 5)
+    bench.image.fresh = False
+    bench.step(Request.RESET, 3)
+    bench.image.drops = 9
+    bench.step(Request.RESET)
+    assert bench.supervisor.phase is Phase.FAULT
+
+
+def test_stale_answers_in_standby_are_a_fault() -> None:
+    bench = Bench()
+    bench.step(Request.DISABLE, 3)
+    bench.image.misses, bench.image.fresh = 3, False
+    bench.step(Request.DISABLE)
+    assert bench.cause is Cause.STALE_PDO
+
+
+@pytest.mark.parametrize(
+    ("counts", "words"),
+    [
+        ({}, "joint encoder node 32: 3 cycles in a row"),
+        ({"late": 2}, "joint encoder node 32: 3 cycles in a row (since the start late 2)"),
+        (
+            {"late": 2, "repeated": 1, "malformed": 4},
+            "joint encoder node 32: 3 cycles in a row (since the start late 2, repeated 1, wrong length 4)",
+        ),
+    ],
+)
+def test_stale_answers_name_the_node_and_what_came_instead(counts: dict[str, int], words: str) -> None:
+    bench = enabled()
+    health = bench.image.nodes[1]
+    health.misses = bench.image.misses = 3
+    bench.image.fresh = False
+    for name, count in counts.items():
+        setattr(health, name, count)
+    bench.step(Request.ENABLE)
+    assert bench.supervisor.fault is not None
+    assert bench.supervisor.fault.detail == words
+
+
 class AnyOrder(RuleBasedStateMachine):
     """Random statuswords, events, requests and resets: torque only ever when everything is good and was asked for."""
 

@@ -64,3 +64,22 @@ def test_stays_at_zero_in_a_fault(machine: Machine) -> None:
     machine.drive.fail()
     descend(machine.rig, machine.axes, 1e-3, 0.1)
     assert not any(machine.drive.torques[before:])
+
+
+def test_a_stop_time_below_one_period_is_one_command_of_zero(machine: Machine) -> None:
+    """Nothing but the end of the ramp."""
+    machine.drive.at_sync[800] = fail
+    with pytest.raises(BrokenError):
+        machine.run()
+    before = len(machine.drive.commands)
+    descend(machine.rig, machine.axes, 1e-3, 1e-4)
+    assert machine.drive.torques[before:] == [0]
+
+
+def test_an_axis_without_torque_is_not_enabled_on_the_way_down(machine: Machine) -> None:
+    """Also one whose supervisor would take an enable now."""
+    machine.drive.at_sync[3] = fail
+    with pytest.raises(BrokenError):
+        machine.run()
+    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    assert all(word not in (0x07, 0x0F) for word, _ in machine.drive.commands)
