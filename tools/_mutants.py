@@ -286,6 +286,8 @@ def _context(chain: list[ast.AST]) -> int:
         node = chain[index]
         if isinstance(node, (ast.ClassDef, ast.FunctionDef)) or len(_text(node)) > _WIDEST:
             break
+        if isinstance(chain[best], ast.stmt):
+            break
         if isinstance(node, (ast.expr, ast.stmt, ast.keyword)):
             best = index
     return best

@@ -141,12 +141,12 @@ def rich_signal(seed: int, seconds: float, period: float) -> tuple[np.ndarray, n
     return omega, tau
 
 
-@pytest.mark.parametrize("period", [1e-3, 4e-3, 5e-3, 1e-2, 5e-2])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("period", [1e-3, 5e-3, 5e-2])
+@pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_the_rule_written_in_another_way(seed: int, period: float) -> None:
     """Block for block, over signals that cross every threshold many times."""
     settings = OscillationSettings(speed=(0.2, 0.5, 0.9)[seed % 3], duration=(0.1, 0.3)[seed % 2], share=0.9)
-    omega, tau = rich_signal(seed, 30.0, period)
+    omega, tau = rich_signal(seed, 15.0, period)
     monitor = OscillationMonitor(settings, period)
     reference = Reference(settings, period)
     found = [monitor.update(*pair) for pair in zip(omega.tolist(), tau.tolist(), strict=True)]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import grp
 import json
+import os
 import socket
 import stat
 import threading
@@ -18,7 +20,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, SLOTS, Command
 from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop
-from tsa_ctrl.ipc.server import CLIENTS
+from tsa_ctrl.ipc.server import CLIENTS, listen
 
 
 @pytest.fixture
@@ -229,3 +231,20 @@ def test_no_daemon_is_one_line(tmp_path: Path) -> None:
     """Without a daemon the client says so and what to do."""
     with pytest.raises(BusError, match="no daemon answers there"):
         Client(str(tmp_path / "none.sock"))
+
+
+def test_socket_may_belong_to_a_group(tmp_path: Path) -> None:
+    """0660 and that group, by configuration only."""
+    path = tmp_path / "tsa.sock"
+    group = grp.getgrgid(os.getgid())
+    with listen(str(path), group.gr_name):
+        found = path.stat()
+    assert (stat.S_IMODE(found.st_mode), found.st_gid) == (0o660, group.gr_gid)
+
+
+def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
+    """A typing mistake must not open the socket to anybody."""
+    path = tmp_path / "tsa.sock"
+    with pytest.raises(UsageError, match="no such group"):
+        listen(str(path), "no-such-group-here")
+    assert not path.exists()
