@@ -1,4 +1,4 @@
-"""Stand-in nodes for a bus without any: each SYNC is answered with constant TPDOs, the statusword follows the commands.
+"""Stand-in nodes for a bus without any: each SYNC is answered, statusword and torque follow the commands.
 
 `python -m tsa_ctrl.bench.responder`: settings of the bus and the axes' node ids as JSON on stdin; says `ready`, ends
 when its stdin closes.
@@ -26,11 +26,14 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.errors import BusError
 
 PRIORITY = 70  # below the loop, above everything else
-BEATS = 20  # SYNCs between heartbeats
+BEAT = 0.02  # s between heartbeats, at the next SYNC
 LOOK = 0.2  # s between looks at whether to end
 START = 20.0  # s
 DISABLED = 0x1250  # statusword: switch on disabled
 STATUSWORDS = {Controlword.SHUTDOWN: 0x1231, Controlword.SWITCH_ON: 0x1233, Controlword.ENABLE_OPERATION: 0x1237}
+
+
+_POSITIONS = tuple(pdo.POSITION.struct.pack(count, Mode.CYCLIC_SYNC_TORQUE, 0) for count in (0, 1))
 
 
 class Ids(msgspec.Struct, frozen=True):
@@ -60,17 +63,19 @@ def ids_of(axes: Sequence[AxisNodes]) -> tuple[Ids, ...]:
 
 
 class Responder:
-    """The nodes of some axes, all at rest."""
+    """The nodes of some axes at rest, whose positions tremble by a count: what does not move at all is frozen."""
 
     def __init__(self, bus: Bus, axes: Sequence[Ids]) -> None:
         self._bus = bus
         self._syncs = 0
+        self._beat = 0.0
         self._status = {0x200 + axis.drive: 0x180 + axis.drive for axis in axes}
         self._answers: dict[int, bytes] = {}
+        self._positions = [0x280 + axis.drive for axis in axes]
         self._beats: list[Frame] = []
         for axis in axes:
             self._answers[0x180 + axis.drive] = pdo.MOTION.struct.pack(DISABLED, 0, 0)
-            self._answers[0x280 + axis.drive] = pdo.POSITION.struct.pack(0, Mode.CYCLIC_SYNC_TORQUE, 0)
+            self._answers[0x280 + axis.drive] = _POSITIONS[0]
             if axis.encoder is not None:
                 self._answers[0x180 + axis.encoder] = struct.pack("<I", 0)
             if axis.torque_sensor is not None:
@@ -94,15 +99,19 @@ class Responder:
     def _take(self, can_id: int, data: bytes) -> None:
         answer = self._status.get(can_id)
         if answer is not None and len(data) == pdo.COMMAND.length:
-            controlword, _ = pdo.COMMAND.struct.unpack(data)
-            self._answers[answer] = pdo.MOTION.struct.pack(STATUSWORDS.get(controlword, DISABLED), 0, 0)
+            controlword, torque = pdo.COMMAND.struct.unpack(data)
+            self._answers[answer] = pdo.MOTION.struct.pack(STATUSWORDS.get(controlword, DISABLED), torque, 0)
         elif can_id == cia301.SYNC:
             for identifier, content in self._answers.items():
                 self._bus.send(identifier, content)
-            if self._syncs % BEATS == 0:
+            now = time.monotonic()
+            if now >= self._beat:
+                self._beat = now + BEAT
                 for identifier, content in self._beats:
                     self._bus.send(identifier, content)
             self._syncs += 1
+            for identifier in self._positions:
+                self._answers[identifier] = _POSITIONS[self._syncs % 2]
 
 
 @contextlib.contextmanager
