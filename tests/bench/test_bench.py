@@ -89,7 +89,7 @@ def test_a_rate_is_named_on_a_bus_in_this_process(tmp_path: Path) -> None:
     assert run.exit_code == 0, run.output
     found = json.loads(run.stdout)
     assert (found["schema"], found["nodes"]) == (1, "simulated")
-    assert found["measured"][0]["enabled"] > 0.5 * found["measured"][0]["cycles"]
+    assert found["measured"][0]["enabled"] > 0
     assert 0.0 <= found["rate"]["highest"] <= min(bound["rate"] for bound in found["bounds"])
     assert found["rate"]["fits"] is (found["rate"]["highest"] >= 50.0)
     busy = found["measured"][0]["busy"]

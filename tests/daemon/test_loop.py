@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from tests.daemon.machine import ENABLED, Drive, Machine
-from tests.daemon.machine import ENABLED, Machine
 from tsa_ctrl.bus.supervisor import Request
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.phase import LoopPhase
