@@ -294,6 +294,8 @@ def test_at_the_onset_of_the_speed_limit_nothing_is_limited(omega: float) -> Non
 def test_no_torque_is_no_limit() -> None:
     """Nothing wanted at full speed and beyond the travel is not a limit that acted."""
     assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "omega_j": 15.0, "q_j": 3.0}) == (0.0, Reason.NONE)
+    for measured in (500.0, -500.0):
+        assert Limiter(LOOSE, PERIOD).update(0.0, **{**CALM, "tau_m": measured}) == (0.0, Reason.NONE)
 
 
 def test_a_margin_away_from_the_end_of_travel_nothing_is_limited() -> None:

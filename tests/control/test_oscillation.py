@@ -109,6 +109,7 @@ class Reference:
         slope = np.diff(tau[self.blocks - 1 :: self.blocks][:count], prepend=0.0) / self.step
         inside, share = self._powers(velocity)
         _, wanted = self._powers(slope)
+        self.inside, self.wanted = inside.tolist(), wanted.tolist()
         back_off, since, found = 1.0, 0.0, []
         for n in range(count):
             oscillating = inside[n] > self.settings.speed**2 and share[n] > 0.5 and share[n] - wanted[n] > 0.3
@@ -141,17 +142,24 @@ def rich_signal(seed: int, seconds: float, period: float) -> tuple[np.ndarray, n
     return omega, tau
 
 
-@pytest.mark.parametrize("period", [1e-3, 5e-3, 5e-2])
+@pytest.mark.parametrize("period", [1e-3, 2.0**-8, 5e-2])
 @pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_the_rule_written_in_another_way(seed: int, period: float) -> None:
     """Block for block, over signals that cross every threshold many times."""
-    settings = OscillationSettings(speed=(0.2, 0.5, 0.9)[seed % 3], duration=(0.1, 0.3)[seed % 2], share=0.9)
+    settings = OscillationSettings(speed=(0.2, 0.5, 0.9)[seed % 3], duration=(0.125, 0.25)[seed % 2], share=0.9)
     omega, tau = rich_signal(seed, 15.0, period)
     monitor = OscillationMonitor(settings, period)
     reference = Reference(settings, period)
-    found = [monitor.update(*pair) for pair in zip(omega.tolist(), tau.tolist(), strict=True)]
+    found, inside, share = [], [], []
+    for pair in zip(omega.tolist(), tau.tolist(), strict=True):
+        found.append(monitor.update(*pair))
+        inside.append(monitor._velocity.inside)
+        share.append(monitor._slope.share)
+    blocks = slice(reference.blocks - 1, None, reference.blocks)
     expected = reference.back_offs(omega, tau)
-    assert found[reference.blocks - 1 :: reference.blocks][: len(expected)] == pytest.approx(expected, rel=1e-9)
+    assert inside[blocks] == pytest.approx(reference.inside, rel=1e-6, abs=1e-12)
+    assert share[blocks] == pytest.approx(reference.wanted, rel=1e-6, abs=1e-12)
+    assert found[blocks] == pytest.approx(expected, rel=1e-9)
     assert expected[-1] < 1.0
 
 

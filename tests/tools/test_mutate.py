@@ -16,7 +16,7 @@ from tests.conftest import ROOT
 sys.path.insert(0, str(ROOT / "tools"))
 from _mutants import enums_of, mutants
 
-SAMPLE = 16
+SAMPLE = 12
 SOURCE = '''
 class Limit:
     high: float = 2.0
