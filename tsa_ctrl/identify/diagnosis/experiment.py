@@ -30,29 +30,32 @@ _RANGE = "move over the whole range of the joint"
 _WARM = "heat and cool the drive while it moves, and log its temperature"
 
 # What parts two effects; the pairs are those of the catalogue's table of twins.
-_PARTS: Sequence[tuple[frozenset[str], str]] = (
-    (frozenset({"transport_delay", "presliding_hysteresis", "velocity_lag", "backlash", "stribeck_friction"}), _SPEEDS),
+_PARTS: Sequence[tuple[frozenset[str], tuple[str, ...]]] = (
+    (
+        frozenset({"transport_delay", "presliding_hysteresis", "velocity_lag", "backlash", "stribeck_friction"}),
+        (_SPEEDS,),
+    ),
     (
         frozenset({"viscous_friction", "direction_asymmetric_friction", "sheath_asymmetry"}),
-        f"{_SPEEDS}, in both directions",
+        (f"{_SPEEDS}, in both directions",),
     ),
-    (frozenset({"direction_asymmetric_friction", "torque_offset"}), f"{_SPEEDS}, in both directions"),
-    (frozenset({"viscous_friction", "motor_side_friction", "parameter_error", "stribeck_friction"}), _SPEEDS),
+    (frozenset({"direction_asymmetric_friction", "torque_offset"}), (f"{_SPEEDS}, in both directions",)),
+    (frozenset({"viscous_friction", "motor_side_friction", "parameter_error", "stribeck_friction"}), (_SPEEDS,)),
     (
         frozenset({"load_dependent_friction", "sheath_asymmetry", "tendon_slack", "tension_dependent_friction"}),
-        _SIGNS,
+        (_SIGNS,),
     ),
-    (frozenset({"thermal_friction_drift", "pretension_relaxation"}), _WARM),
-    (frozenset({"gravity_load", "joint_stiffness", "torque_offset", "configuration_dependent_bending"}), _RANGE),
-    (frozenset({"inertia", "joint_stiffness", "gravity_load"}), f"{_RANGE}, at two frequencies of motion at least"),
+    (frozenset({"thermal_friction_drift", "pretension_relaxation"}), (_WARM,)),
+    (frozenset({"gravity_load", "joint_stiffness", "torque_offset", "configuration_dependent_bending"}), (_RANGE,)),
+    (frozenset({"inertia", "joint_stiffness", "gravity_load"}), (f"{_RANGE}, at two frequencies of motion at least",)),
     (
         frozenset({"elongation_coupling", "torque_constant_error", "tension_dependent_friction"}),
-        f"{_BENDING}; and {_GAIN}",
+        (_BENDING, _GAIN),
     ),
-    (frozenset({"torque_constant_error", "parameter_error"}), _GAIN),
+    (frozenset({"torque_constant_error", "parameter_error"}), (_GAIN,)),
     (
         frozenset({"motor_side_friction", "stiffness_nonlinearity", "parameter_error", "pretension_relaxation"}),
-        _BENDING,
+        (_BENDING,),
     ),
 )
 
@@ -74,7 +77,9 @@ def advice(
     if not wanted:
         wanted = _gaps(found, not_testable, rigid=isinstance(model, RigidDrive))
     torque = _setpoint(scales.torque)
-    what = "; ".join(dict.fromkeys(wanted))
+    what = "; ".join(
+        text for text in dict.fromkeys(wanted) if not any(text in other for other in wanted if other != text)
+    )
     told = " or ".join(dict.fromkeys(name.replace("_", " ") for group in groups for name in group))
     text = f"{what}: this would tell {told}" if groups else what
     t = np.arange(len(torque)) * PERIOD
@@ -83,11 +88,11 @@ def advice(
 
 def parted_by(names: Sequence[str]) -> list[str]:
     """What parts each pair of a group."""
-    out = []
+    out: list[str] = []
     for i, first in enumerate(names):
         for second in names[i + 1 :]:
             texts = [text for members, text in _PARTS if {first, second} <= members]
-            out += texts[:1] or [f"{_SPEEDS}; {_SIGNS}"]
+            out += texts[0] if texts else (_SPEEDS, _SIGNS)
     return list(dict.fromkeys(out))
 
 
