@@ -120,9 +120,12 @@ class Plausibility:
         )
 
     def _joint(self, now: float, tau_m: float, sigma: float, tau_j: float, model: tuple[float, float]) -> str | None:
+        if tau_j != tau_j:  # no sensor, or no value of it that is fresh
+            self._joint_since = math.inf
+            return None
         x = sigma * model[0]
         predicted = tau_m * self._geared * math.cosh(x) - 2.0 * model[1] * self._r_j * math.sinh(x)
-        if not abs(tau_j - predicted) > self._joint_torque:  # nan: no sensor, or none that is fresh
+        if abs(tau_j - predicted) <= self._joint_torque:
             self._joint_since = math.inf
             return None
         self._joint_since = min(self._joint_since, now)
