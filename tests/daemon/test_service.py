@@ -102,10 +102,10 @@ def test_disk_that_stays_full_costs_records_and_counts_them(rig: Rig) -> None:
     """To the end no room: the run ends in order, the loss is in the summary, and the log up to then can be read."""
     disk = rig.folder / "logs"
     disk.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(disk)], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=96k", "tmpfs", str(disk)], check=True)
     try:
         rig.plant()
-        summary, err, code = ended(rig.run("--seconds", "12"))
+        summary, err, code = ended(rig.run("--seconds", "5"))
         assert code == 0, err
         records, sent = summary["log_records"], summary["cycles"]["sent"]
         assert records["written"] + records["lost"] == sent
