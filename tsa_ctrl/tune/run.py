@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import tomllib
 from collections.abc import Callable, Sequence
@@ -147,7 +148,8 @@ def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dat
     for first, end in stretches(t):
         if t[end - 1] - t[first] >= SHORTEST_PIECE:
             arrays = {key: value[first:end] for key, value in present.items()}
-            pieces.append(Dataset.from_arrays(arrays, name, recorded=True))
+            with contextlib.suppress(UsageError):  # so many cycles are missing that it is on no grid
+                pieces.append(Dataset.from_arrays(arrays, name, recorded=True))
     if len(pieces) == 1:
         return (dataclasses.replace(pieces[0], sha256=sha256),)
     return tuple(
