@@ -4,8 +4,7 @@ A rival takes the place of the cause and everything is fitted anew; it stays an 
 than noise explains, that of the blocks included. `parameter_error` is the rival that needs no effect: recalibration
 without regard to [uncertainty].
 
-Where most of what is left is structure, the model is off by more than noise, and a difference smaller than what is left
-excludes nothing.
+Where most of what is left is structure, the simulation error decides (`misfit`).
 """
 
 from __future__ import annotations
@@ -18,8 +17,8 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.candidates import Variant
 from tsa_ctrl.identify.diagnosis.fit import Fit, safely
+from tsa_ctrl.identify.diagnosis.misfit import Misfit, plain_error
 from tsa_ctrl.identify.diagnosis.problem import Problem
-from tsa_ctrl.identify.diagnosis.refit import refit
 from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, rivals, without
 from tsa_ctrl.identify.diagnosis.warmth import warmth
 
@@ -30,8 +29,6 @@ INEXACT = 0.01  # of what the cause explains: inputs and filters are no better k
 MOST_INEXACT = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 FITTED = 6  # rivals that are fitted in full
-MISFIT = 0.5  # share of what is left that is structure, from which on differences are judged by it
-OF_MISFIT = 0.5  # of the structure's mean square: a rival that fits worse by less is not excluded
 
 
 @dataclass(frozen=True)
@@ -39,7 +36,7 @@ class Rival:
     """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
 
     `limit`: the named cause is a limit of this one, which needs further parameters for nothing. `within_misfit`: the
-    increase of the simulation error is small beside the structure that nothing explains.
+    simulation error does not tell them apart, where most of what is left is structure.
     """
 
     name: str
@@ -72,25 +69,14 @@ class Group:
 
 
 def groups(
-    problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]], misfit: float = 0.0
+    problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]], structure: Misfit | None = None
 ) -> list[Group]:
-    """One group for each cause of `fitted`. `misfit`: share of what is left that is structure, not noise."""
-    room = _room(problem, fitted, misfit)
-    return [_group(problem, fitted, index, catalogue, room) for index in range(len(fitted.names))]
-
-
-def _room(problem: Problem, fitted: Fit, misfit: float) -> float:
-    """Sum of squares of the plain error, (N*m)^2, up to which a rival does as well; 0 where noise decides."""
-    return (1.0 + OF_MISFIT * misfit) * plain_error(problem, fitted) if misfit > MISFIT else 0.0
-
-
-def plain_error(problem: Problem, fitted: Fit) -> float:
-    """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate."""
-    return refit(problem, fitted).fitted.rss
+    """One group for each cause of `fitted`. `structure`: what is left of it, where that is more than noise."""
+    return [_group(problem, fitted, index, catalogue, structure) for index in range(len(fitted.names))]
 
 
 def _group(
-    problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]], room: float
+    problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]], structure: Misfit | None
 ) -> Group:
     smaller = without(problem, fitted, index)
     name = fitted.names[index]
@@ -101,7 +87,7 @@ def _group(
         fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
     if name == "pretension_relaxation" and "thermal_friction_drift" not in catalogue:
         fits.append(("thermal_friction_drift", warmth(problem, fitted, smaller, index)))
-    if room > 0.0:
+    if structure is not None:
         fits += [(rival.names[-1], rival) for rival in _from_the_file(problem, smaller, catalogue, fitted.names)]
     tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
@@ -109,17 +95,17 @@ def _group(
     found = [
         dataclasses.replace(rival, limit=rival.name in limits and rival.worse > -PER_COORDINATE) for rival in found
     ]
-    if room > 0.0:
-        found = _by_misfit(problem, found, room)
+    if structure is not None:
+        found = _by_misfit(problem, found, structure, plain_error(problem, smaller))
     return Group(name, tuple(sorted(found, key=lambda rival: rival.worse)))
 
 
-def _by_misfit(problem: Problem, found: Sequence[Rival], room: float) -> list[Rival]:
+def _by_misfit(problem: Problem, found: Sequence[Rival], structure: Misfit, without: float) -> list[Rival]:
     """The same, with what the simulation error says of those that noise would exclude; one of each name."""
-    judged = [
-        dataclasses.replace(rival, within_misfit=plain_error(problem, rival.fitted) < room) if rival.excluded else rival
-        for rival in found
-    ]
+    judged = []
+    for rival in found:
+        covers = rival.excluded and structure.covers(plain_error(problem, rival.fitted), without)
+        judged.append(dataclasses.replace(rival, within_misfit=covers))
     best: dict[str, Rival] = {}
     for rival in sorted(judged, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)

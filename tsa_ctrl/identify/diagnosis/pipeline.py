@@ -24,6 +24,7 @@ from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.grouping import Group, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
 from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
+from tsa_ctrl.identify.diagnosis.misfit import by_simulation_error, misfit
 from tsa_ctrl.identify.diagnosis.noise import white_noise
 from tsa_ctrl.identify.diagnosis.nuisance import FASTEST, Nuisance, fast, nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
@@ -91,7 +92,12 @@ def diagnose(
     findings = _left(chosen, parts.frame, rng)
     share = max((finding.share for finding in findings if finding.found), default=0.0)
     say("what cannot be told apart")
-    grouped = groups(chosen.problem, chosen.fitted, catalogue, share)
+    structure = misfit(chosen.problem, chosen.fitted, share)
+    if structure is not None:
+        best = by_simulation_error(chosen.problem, chosen.fitted, catalogue)
+        chosen = dataclasses.replace(chosen, fitted=best)
+        structure = misfit(chosen.problem, best, share)
+    grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
     say("parameters and gain")
     shipped = refit(chosen.problem, chosen.fitted)
     errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
