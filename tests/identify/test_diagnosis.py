@@ -185,6 +185,19 @@ def test_the_extended_model_loads_and_carries_the_causes(written: Path) -> None:
     assert set(extended.effects) == {cause["effect"] for cause in data["causes"]}
 
 
+def test_the_extended_model_says_where_its_numbers_came_from(written: Path) -> None:
+    data = json.loads((written / "diagnosis.json").read_text())
+    source = tomllib.loads((written / "extended.toml").read_text())["provenance"]
+    assert (source["command"], source["nominal"], source["verdict"]) == ("diagnose", "nominal.toml", data["verdict"])
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in source["logs"].values())
+    assert len(source["logs"]) >= 1
+    named = data["causes"][0]
+    for name, value in named["parameters"].items():
+        assert source["intervals"][f"{named['effect']}.{name}"] == pytest.approx(
+            [value["low"], value["high"]], rel=1e-4
+        )
+
+
 def test_the_experiment_is_a_set_point_file(written: Path) -> None:
     rows = np.loadtxt(written / "experiment.csv", delimiter=",", skiprows=1)
     assert (written / "experiment.csv").read_text().startswith("t,tau_j_des\n")

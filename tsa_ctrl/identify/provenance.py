@@ -12,19 +12,28 @@ from tsa_ctrl.identify.quantity import Quantity
 
 
 def provenance(
-    command: str, logs: Sequence[Dataset], nominal: str | Path, found: Mapping[str, Quantity], **more: object
+    command: str,
+    logs: Sequence[Dataset] | Mapping[str, str],
+    nominal: str | Path,
+    found: Mapping[str, Quantity],
+    **more: object,
 ) -> dict[str, object]:
     """Plain values for `save_model`: command, date, version, nominal file, logs with their hashes, intervals.
 
-    `found` are the quantities whose 95 % intervals are kept as [low, high] in their SI units; `more` is added as it is.
+    `logs`: datasets, or hash by name. `found` are the quantities whose 95 % intervals are kept as [low, high] in their
+    SI units; `more` is added as it is.
     """
-    names = [log.name for log in logs]
     return {
         "command": command,
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "version": __version__,
         "nominal": Path(nominal).name,
-        "logs": {log.name if names.count(log.name) == 1 else log.label: log.sha256 for log in logs},
+        "logs": dict(logs) if isinstance(logs, Mapping) else _hashes(logs),
         **more,
         "intervals": {name: [quantity.low, quantity.high] for name, quantity in found.items()},
     }
+
+
+def _hashes(logs: Sequence[Dataset]) -> dict[str, str]:
+    names = [log.name for log in logs]
+    return {log.name if names.count(log.name) == 1 else log.label: log.sha256 for log in logs}

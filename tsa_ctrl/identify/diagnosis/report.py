@@ -15,9 +15,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from tsa_ctrl import __version__, settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.diagnosis.details import Details
 from tsa_ctrl.identify.diagnosis.result import Diagnosis, Verdict
 from tsa_ctrl.identify.diagnosis.words import listed, spoken, summary_of
+from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import save_model
 
@@ -42,7 +42,7 @@ def write(result: Diagnosis, folder: Path, template: Path | None) -> None:
                 pictures[caption] = folder / path.name
     except OSError as error:
         raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
-    save_model(result.model, folder / MODEL, template, _provenance(result))
+    save_model(result.model, folder / MODEL, template, _provenance(result, template))
     if result.experiment.t:
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
     settings.write_text(folder / PAGE, page(result, pictures))
@@ -83,21 +83,16 @@ def _cause(effect: str, parameters: Any) -> dict[str, Any]:
     return {"summary": summary_of(effect), "rows": rows}
 
 
-def _provenance(result: Diagnosis) -> dict[str, Any]:
-    details: Details | None = result.details
-    intervals = {
-        f"{cause.effect}.{name}": [value.low, value.high]
+def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
+    found = {
+        f"{cause.effect}.{name}": value
         for cause in result.causes
         for name, value in cause.parameters.items()
         if isinstance(value, Quantity)
     }
-    return {
-        "command": "diagnose",
-        "version": __version__,
-        "verdict": result.verdict.value,
-        "logs": {} if details is None else dict(details.logs),
-        "intervals": intervals,
-    }
+    found |= {name: error.found for name, error in result.parameter_errors.items()}
+    logs = {} if result.details is None else dict(result.details.logs)
+    return provenance("diagnose", logs, template or result.model.source, found, verdict=result.verdict.value)
 
 
 def _torque(value: float | None) -> str:
