@@ -72,7 +72,7 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
         each.set_ylabel(f"{details.target} (N·m)")
         each.set_title(curves.name, loc="left", fontsize=9)
     axes[-1].set_xlabel("t (s)")
-    axes[0].legend(fontsize=8, ncols=5, loc="upper right")
+    axes[0].legend(fontsize=8, ncols=5, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
     return figure
 
 
@@ -112,10 +112,12 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
     figure, (axes,) = _figure(1, 1, 0.32 * max(3, len(ranked)) + 1.0)
     for place, entry in enumerate(ranked):
         colour = "lightgrey" if entry.group < 0 else f"C{entry.group}"
-        label = spoken(entry.effect) + ("" if entry.group < 0 else f"   (cause {entry.group + 1} or a rival of it)")
-        axes.barh(place, entry.gain, color=colour)
-        axes.text(0.0, place, f"  {label}", va="center", fontsize=9)
-    axes.set_yticks([])
+        axes.barh(place, entry.gain, color=colour, height=0.7)
+        if entry.group >= 0:
+            axes.text(entry.gain, place, f" cause {entry.group + 1} or a rival of it", va="center", fontsize=8)
+    axes.set_yticks(range(len(ranked)), [spoken(entry.effect) for entry in ranked], fontsize=9)
+    axes.margins(x=0.22)
+    axes.grid(visible=False, axis="y")
     axes.invert_yaxis()
     axes.set_xlabel("decrease of the mean square of the whitened error by this effect alone")
     return figure
