@@ -176,6 +176,44 @@ def test_drive_without_any_watchdog_is_refused_unless_accepted() -> None:
         assert "has no watchdog: it would go on when this computer dies" in report.nodes[0].notes
 
 
+def test_watchdog_without_a_known_reaction_is_refused_unless_accepted() -> None:
+    """0x1016 is there, 0x6007 is not: nobody knows what the drive does."""
+    with bench() as nodes:
+        del nodes.nodes[1].object_dictionary[0x6007]
+        with pytest.raises(BusError, match=r"no reaction to a lost connection \(0x6007\)"):
+            start(nodes)
+        report = start(nodes, axis_nodes(require_watchdog=False))
+        assert any("try tsa verify-safety" in note for note in report.nodes[0].notes)
+
+
+def test_drive_whose_velocity_unit_cannot_be_known_is_refused() -> None:
+    """No 0x60A9, and a profile that does not say so: 0x606C could be anything."""
+    with bench() as nodes:
+        del nodes.nodes[1].object_dictionary[0x60A9]
+        with pytest.raises(BusError, match="profile does not fit"):
+            start(nodes)
+        start(nodes, profile=DriveProfile(absent=["SI unit velocity"]))
+        start(nodes, axis_nodes(velocity_source="position"))
+
+
+def test_fault_found_at_the_start_is_reset_only_on_request() -> None:
+    """The rising edge of bit 7 by SDO; without the request nothing is written to the controlword."""
+    with bench(drive={(0x6041, 0): (6, 0x0218), (0x603F, 0): (6, 0x2310)}) as nodes:
+        node = nodes.nodes[1]
+
+        def leave(index: int, subindex: int, od: object, data: bytes) -> None:
+            if index == 0x6040 and data[0] & 0x80:
+                node.data_store.setdefault(0x6041, {})[0] = b"\x40\x02"
+
+        node.add_write_callback(leave)
+        assert any("--reset-faults" in note for note in start(nodes).nodes[0].notes)
+        assert not [entry for entry in nodes.written if entry[1] == 0x6040]
+        settings = BusSettings(interface="virtual")
+        report = bring_up(nodes.bus, settings, [axis_nodes()], [DriveProfile()], 0.001, reset_faults=True)
+        assert [entry[3][0] for entry in nodes.written if entry[1] == 0x6040] == [0x00, 0x80, 0x00]
+        assert any("was in fault: error 0x2310" in note for note in report.nodes[0].notes)
+
+
 def test_remembered_errors_are_shown() -> None:
     with bench(drive={(0x1003, 0): (5, 1), (0x1003, 1): (U32, 0x00003210)}) as nodes:
         assert "newest remembered error 0x3210 (DC link over-voltage)" in start(nodes).nodes[0].notes

@@ -59,6 +59,10 @@ def test_truncated_answer_does_no_harm(length: int) -> None:
             r"state error_passive, error counters 136 \(tx\) and 0 \(rx\)",
         ),
         (Interface(True, "can", 128, 1_000_000, CanState.BUS_OFF), "state bus_off"),
+        (
+            Interface(True, "can", 128, 1_000_000, CanState.ERROR_ACTIVE, (0, 8)),
+            r"error counters are 0 \(tx\) and 8 \(rx\), wanted are 0",
+        ),
     ],
 )
 def test_interface_that_is_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch, found: Interface, message: str) -> None:
