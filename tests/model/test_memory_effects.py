@@ -57,6 +57,14 @@ class TestDahl:
         )
         np.testing.assert_allclose(z, -np.expm1(-q / 0.1), atol=1e-12)
 
+    def test_starts_at_zero_when_what_it_follows_rests_while_the_joint_is_loaded(self) -> None:
+        """The joint gives way at once, the motor stands for a second: z is 0 until the motor moves."""
+        model = with_effect("presliding_hysteresis", presliding_distance=0.1, displacement="motor")
+        omega = np.where(T < 1.0, -2.0, 0.5)
+        q_m = np.where(T < 1.0, 0.0, 0.5 * (T - 1.0))
+        z = friction_state(predict(model, signals(T, omega, q_m=q_m)))
+        np.testing.assert_allclose(z, -np.expm1(-q_m / 0.1), atol=1e-12)
+
     def test_does_not_depend_on_speed(self) -> None:
         """The same path at a quarter of the speed gives the same states at the same places."""
         effect = PreslidingHysteresis(0.07)
