@@ -60,9 +60,9 @@ def direction_and_load(frame: Frame, predicted: Array) -> tuple[Array, Array]:
 def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
     """Signals at the score rate, centred and scaled to about +-1."""
     sigma = frame.stack([hold_direction(run.signals.omega_j) for run in frame.runs])
-    angle = frame.stack([_angle(run) for run in frame.runs])
+    turned = frame.stack([angle(run) for run in frame.runs])
     out = {
-        "angle": _scaled(angle),
+        "angle": _scaled(turned),
         "speed": _scaled(frame.column("omega_j"), centre=False),
         "load": _scaled(_slow(frame, predicted), centre=False),
         "acceleration": _scaled(frame.stack([run.signals.acceleration for run in frame.runs]), centre=False),
@@ -81,7 +81,8 @@ def _slow(frame: Frame, y: Array) -> Array:
     return np.concatenate([low_pass(y[part], frame.period, DRIVER_CUTOFF) for part in frame.slices])
 
 
-def _angle(run: Run) -> Array:
+def angle(run: Run) -> Array:
+    """Joint angle at the compute rate, rad; the integral of the velocity where the log has none."""
     s = run.signals
     if s.q_j is not None:
         return s.q_j
@@ -115,9 +116,9 @@ def _after(frame: Frame, sigma: Array, load: Array) -> Array:
         flips = np.concatenate([[True], np.diff(hold_direction(s.omega_j)) != 0.0])
         last = np.maximum.accumulate(np.where(flips, np.arange(len(s)), 0))
         elapsed = (np.arange(len(s)) - last) * s.period
-        angle = _angle(run)
-        distance = np.abs(angle - angle[last])
-        reach = max(0.5 * float(np.ptp(angle)), 1e-9)
+        turned = angle(run)
+        distance = np.abs(turned - turned[last])
+        reach = max(0.5 * float(np.ptp(turned)), 1e-9)
         decays = [np.exp(-elapsed / time) for time in AFTER] + [np.exp(-distance / (share * reach)) for share in AFTER]
         parts.append(run.average(np.column_stack(decays)))
     columns = np.concatenate(parts)

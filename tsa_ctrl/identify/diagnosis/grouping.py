@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.candidates import Variant
+from tsa_ctrl.identify.diagnosis.features import angle
 from tsa_ctrl.identify.diagnosis.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.misfit import Misfit, plain_error
 from tsa_ctrl.identify.diagnosis.problem import Problem
@@ -134,8 +135,7 @@ def _limits(problem: Problem, name: str) -> set[str]:
     """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
     if name != "torque_offset":
         return set()
-    angle = next((name for name in ("q_j", "q_m") if problem.frame.has(name)), "")
-    moved = bool(angle) and float(np.ptp(problem.frame.column(angle))) > STILL
+    moved = max(float(np.ptp(angle(run))) for run in problem.frame.runs) > STILL
     return {"joint_stiffness", "gravity_load"} if moved else {"joint_stiffness"}
 
 

@@ -110,7 +110,7 @@ def _gradients(
     result: Refit, parameters: Callable[[Array], dict[str, Value]], point: Array, index: NDArray[np.int64]
 ) -> dict[str, Array]:
     """d parameter / d coordinate by central differences of a fraction of a standard deviation."""
-    deviations = np.sqrt(np.diag(result.covariance)[index])
+    deviations = np.sqrt(np.maximum(np.diag(result.covariance)[index], 0.0))
     out: dict[str, Array] = {}
     for i, deviation in enumerate(deviations):
         step = max(STEP * float(deviation), 1e-9)
@@ -137,7 +137,7 @@ def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
     central = base.quantities(point)
     gradients = {name: np.zeros(count) for name in central}
     for i in range(count):
-        step = max(STEP * math.sqrt(spread[i, i]), 1e-7)
+        step = max(STEP * math.sqrt(max(spread[i, i], 0.0)), 1e-7)
         up, down = point.copy(), point.copy()
         up[i] += step
         down[i] -= step

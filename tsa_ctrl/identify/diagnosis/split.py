@@ -19,6 +19,7 @@ from tsa_ctrl.identify.diagnosis.prepare import Frame, Run, block_numbers
 
 STRETCHES = 12  # of one log; every third is held out
 GAP = 0.3  # s between what is learned from and what is held out
+ENDS = 0.15  # s at either end of a log whose motion was derived
 FEWEST_LOGS = 3  # from which on whole logs are held out
 
 
@@ -37,12 +38,12 @@ def split(runs: Sequence[Run], hold_out: str | None) -> Split:
     names = [run.name for run in runs]
     chosen = _chosen(names, hold_out)
     counts = [run.count for run in runs]
+    inner = np.concatenate([_inner(run) for run in runs])
     if chosen:
         held = np.repeat([name in chosen for name in names], counts)
-        return Split(_frame(runs, ~held), ~held, held, tuple(sorted(chosen)))
-    everything = np.ones(sum(counts), dtype=np.bool_)
+        return Split(_frame(runs, ~held & inner), ~held & inner, held, tuple(sorted(chosen)))
     fit, held = _stretches(counts, runs[0].period)
-    return Split(_frame(runs, everything), fit, held, ())
+    return Split(_frame(runs, inner), fit & inner, held, ())
 
 
 def _chosen(names: Sequence[str], hold_out: str | None) -> set[str]:
@@ -58,6 +59,15 @@ def _chosen(names: Sequence[str], hold_out: str | None) -> set[str]:
 
 def _frame(runs: Sequence[Run], train: NDArray[np.bool_]) -> Frame:
     return Frame(tuple(runs), train, block_numbers([run.count for run in runs], train))
+
+
+def _inner(run: Run) -> NDArray[np.bool_]:
+    """Score samples that no derivative's filter reached beyond the log for."""
+    out = np.ones(run.count, dtype=np.bool_)
+    if {"omega_j", "omega_m"} & run.raw.derived or "tau_j" not in run.raw:
+        ends = min(round(ENDS / run.period), run.count // 20)
+        out[:ends] = out[run.count - ends :] = False
+    return out
 
 
 def _stretches(counts: Sequence[int], period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
