@@ -42,6 +42,7 @@ class Variant:
     amplitude: tuple[int, ...]
     parameters: Parameters
     label: str = ""
+    untold: tuple[str, ...] = ()  # parameters that no log of this base model tells
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class Scales:
     period: float  # compute period, s
     heating: float  # range of the temperature, K
     plain: bool = False  # a drive without tendons: joint and motor are one
+    offset: bool = False  # the base model has a constant torque, which is fitted
 
 
 def scales_of(frame: Frame) -> Scales:
@@ -305,6 +307,13 @@ def _spring(s: Scales, frame: Frame) -> list[Variant]:
         rest = middle - float(u[1]) * s.torque / stiffness if stiffness > 1e-12 * unit else middle
         return {"stiffness": stiffness, "rest_angle": rest}
 
+    if s.offset:  # where the spring rests is the same as a constant torque
+        only = Coordinate("stiffness", 0.0, INF, 1e-3)
+
+        def centred(u: Array) -> dict[str, Value]:
+            return {"stiffness": float(u[0]) * unit, "rest_angle": middle}
+
+        return [Variant("joint_stiffness", (only,), ((0.0,),), (0,), centred, untold=("rest_angle",))]
     coordinates = (Coordinate("stiffness", 1e-6, INF, 1e-3), Coordinate("torque_at_middle", -INF, INF, 1e-3))
     return [Variant("joint_stiffness", coordinates, ((1e-6, 0.0),), (0, 1), parameters)]
 

@@ -78,7 +78,9 @@ def diagnose(
     if found.insufficient:
         return _insufficient(model, found, found.insufficient)
     rng = np.random.default_rng(seed)
-    scales = dataclasses.replace(scales_of(parts.frame), plain=isinstance(model, RigidDrive))
+    plain = isinstance(model, RigidDrive)
+    offset = isinstance(model, RigidDrive) and model.torque_offset is not None
+    scales = dataclasses.replace(scales_of(parts.frame), plain=plain, offset=offset)
     catalogue, not_testable = candidates(parts.frame, model, scales)
     say("noise and recalibration")
     problem, base = _begun(parts.frame, _base(model, parts.frame, scales), scales, catalogue)

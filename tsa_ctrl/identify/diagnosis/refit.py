@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from tsa_ctrl.identify.diagnosis.fit import Fit, fit
+from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.noise import white_noise
 from tsa_ctrl.identify.diagnosis.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.problem import Problem
@@ -31,7 +31,7 @@ STEP = 0.05  # of a standard deviation, for derivatives of parameters
 
 @dataclass(frozen=True)
 class Refit:
-    """`covariance` (p, p) of the coordinates, 0 for those that a bound holds; `factor`: of t for LEVEL."""
+    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for LEVEL."""
 
     fitted: Fit
     covariance: Array
@@ -55,24 +55,25 @@ def refit(problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None) -
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))
-    if best.free.any():
-        index = np.flatnonzero(best.free)
-        covariance[np.ix_(index, index)] = _covariance(problem, plain, best)
+    base = len(best.hypothesis.base.coordinates())
+    index = np.flatnonzero(best.free | (np.arange(count) < base))  # a bound says nothing of how sure x and T_p are
+    if index.size and plain.count:
+        covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
     return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM)))
 
 
-def _covariance(problem: Problem, plain: Problem, best: Fit) -> Array:
-    """Of the free coordinates: what noise of the estimated colour spreads, or the blocks if they differ by more.
+def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:
+    """Of the coordinates of `jacobian` (m, k): what noise of that colour spreads, or blocks if they differ by more.
 
     A log has few blocks that are longer than its slow noise, so blocks alone come out too sure.
     """
-    bread = np.linalg.pinv(best.jacobian.T @ best.jacobian, rcond=1e-10)
-    columns = np.zeros((len(plain.frame), best.jacobian.shape[1]))
-    columns[plain.mask] = best.jacobian
+    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10)
+    columns = np.zeros((len(plain.frame), jacobian.shape[1]))
+    columns[plain.mask] = jacobian
     coloured = bread @ problem.noise.spread(columns, plain.frame.slices) @ bread / plain.noise.rms**2
     number = int(plain.blocks[-1]) + 1
-    scores = np.zeros((number, best.jacobian.shape[1]))
-    np.add.at(scores, plain.blocks, best.jacobian * best.residual[:, None])
+    scores = np.zeros((number, jacobian.shape[1]))
+    np.add.at(scores, plain.blocks, jacobian * best.residual[:, None])
     blocked = bread @ (scores.T @ scores * number / max(number - 1, 1)) @ bread
     ratio = np.diag(blocked) / np.maximum(np.diag(coloured), 1e-300)
     widened = np.sqrt(np.clip(ratio, 1.0, WIDEST**2))
@@ -88,7 +89,7 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
         index = np.arange(at, at + len(variant.coordinates))
         at += len(variant.coordinates)
         values = variant.parameters(point[index])
-        gradients = _gradients(result, variant.parameters, point[index], index)
+        slopes = _gradients(result, variant.parameters, point[index], index)
         spread = result.covariance[np.ix_(index, index)]
         entry: dict[str, Quantity | str] = {}
         for parameter in CATALOGUE[variant.effect].parameters:
@@ -98,7 +99,10 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
             if isinstance(value, str):
                 entry[parameter.name] = value
                 continue
-            gradient = gradients.get(parameter.name, np.zeros(len(index)))
+            if parameter.name in variant.untold:
+                entry[parameter.name] = Quantity(float(value), -math.inf, math.inf, parameter.unit)
+                continue
+            gradient = slopes.get(parameter.name, np.zeros(len(index)))
             variance = float(gradient @ spread @ gradient)
             low, high = (-math.inf, math.inf) if parameter.name == "phase" else (parameter.low, parameter.high)
             entry[parameter.name] = result.quantity(float(value), variance, parameter.unit, low, high)

@@ -6,6 +6,7 @@ The page is one file that opens without a network; all that it says in numbers s
 from __future__ import annotations
 
 import base64
+import math
 import shutil
 import tempfile
 from pathlib import Path
@@ -75,8 +76,11 @@ def _cause(effect: str, parameters: Any) -> dict[str, Any]:
     rows = []
     for name, value in parameters.items():
         if isinstance(value, Quantity):
-            known = value.high > value.low
-            interval = f"{_number(value.low)} to {_number(value.high)}" if known else "given"
+            if not math.isfinite(value.high - value.low):
+                interval = "not told by these logs"
+            else:
+                known = value.high > value.low
+                interval = f"{_number(value.low)} to {_number(value.high)}" if known else "given"
             rows.append((name, _number(value.value), interval, "" if value.unit == "1" else value.unit))
         else:
             rows.append((name, value, "chosen", ""))
@@ -88,7 +92,7 @@ def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
         f"{cause.effect}.{name}": value
         for cause in result.causes
         for name, value in cause.parameters.items()
-        if isinstance(value, Quantity)
+        if isinstance(value, Quantity) and math.isfinite(value.high - value.low)
     }
     found |= {name: error.found for name, error in result.parameter_errors.items()}
     logs = {} if result.details is None else dict(result.details.logs)

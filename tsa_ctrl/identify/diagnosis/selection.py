@@ -73,6 +73,7 @@ def select(
         if entry is None:
             break
         problem, fitted = _renoised(problem, entry, catalogue)
+        fitted = _rechosen(problem, fitted, catalogue)
         problem, fitted = _settled(problem, fitted, catalogue)
     return Selection(problem, fitted, _evidence(problem, fitted), tuple(stages))
 
@@ -92,8 +93,15 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     return Stage(fitted, tuple(ranked), tuple(best), tuple(found), family_threshold(rng, screened))
 
 
-def _refined(problem: Problem, fitted: Fit, screened: list[Score], found: list[Response]) -> list[Score]:
-    """The best score of each effect, best first, each variant of the leading ones refined on its own."""
+def _refined(
+    problem: Problem, fitted: Fit, screened: list[Score], found: list[Response], each: bool = False
+) -> list[Score]:
+    """The best score of each effect, best first, each variant of the leading ones refined on its own.
+
+    `each`: of each variant.
+    """
+    if not screened:
+        return []
     leading = best_by_effect(screened)[:FITTED]
     names = {score.variant.effect for score in leading if score.gain > WITHIN * leading[0].gain}
     by_variant: dict[int, Score] = {}
@@ -101,8 +109,9 @@ def _refined(problem: Problem, fitted: Fit, screened: list[Score], found: list[R
         number = id(score.variant)
         if score.variant.effect in names and (number not in by_variant or score.gain > by_variant[number].gain):
             by_variant[number] = score
+    finer = [refined(problem, fitted, score, found) for score in by_variant.values()]
     others = [score for score in best_by_effect(screened) if score.variant.effect not in names]
-    return best_by_effect([*(refined(problem, fitted, score, found) for score in by_variant.values()), *others])
+    return finer if each else best_by_effect([*finer, *others])
 
 
 def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
@@ -148,6 +157,23 @@ def _renoised(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Prob
         fitted = fit(problem, fitted.hypothesis, fitted.point)
     variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
     return pilot_noise(problem, fitted, responses(problem, fitted, variants))
+
+
+def _rechosen(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:
+    """The same causes, each in the variant that fits best now; a screening on the first noise model may mistake it."""
+    for effect in fitted.names:
+        index = fitted.names.index(effect)
+        own = fitted.hypothesis.variants[index]
+        others = [v for v in catalogue.get(effect, ()) if v is not own and v.coordinates and not v.amplitude]
+        if not others:
+            continue
+        smaller = without(problem, fitted, index)
+        found = responses(problem, smaller, others)
+        for score in _refined(problem, smaller, scores(problem, smaller, found), found, each=True):
+            rival = extended(problem, smaller, score)
+            if rival is not None and rival.rss < fitted.rss:
+                fitted = rival
+    return fitted
 
 
 def _settled(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:

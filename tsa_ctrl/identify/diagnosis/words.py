@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, Verdict
@@ -51,7 +52,7 @@ def cause_phrase(cause: Cause) -> str:
     numbers = [
         f"{spoken(key)} {quantity}"
         for key, quantity in cause.parameters.items()
-        if isinstance(quantity, Quantity) and quantity.high > quantity.low
+        if isinstance(quantity, Quantity) and 0.0 < quantity.high - quantity.low < math.inf
     ]
     return f"{name}, {numbers[0]}" if numbers else name
 
