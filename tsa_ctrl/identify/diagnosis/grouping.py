@@ -26,7 +26,7 @@ from tsa_ctrl.identify.diagnosis.warmth import warmth
 PARAMETER_ERROR = "parameter_error"
 SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
 MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
-INEXACT = 0.01  # of what the cause explains: inputs and filters are no better known than that
+INEXACT = 0.02  # of what the cause explains: inputs and filters are no better known than that
 MOST_INEXACT = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 FITTED = 6  # rivals that are fitted in full

@@ -40,7 +40,6 @@ STEP_CUTOFF = 8.0  # Hz, to tell steps from noise
 STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
 STEP_MARGIN = 0.04  # s
 MOST_COLUMNS = 800
-BENT = 0.04  # of the speed: where a filter has bent the velocity by more, no torque can be told
 RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
 RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
 
@@ -184,16 +183,14 @@ def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
 
 
 def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
-    """Where direction or velocity is not known, (n) at the compute rate: slow, beside reversals, at sharp corners."""
-    error = run.velocity_error
-    out = np.abs(omega) < UNKNOWN * error
+    """Where the direction is not known, (n) at the compute rate: slower than the noise, and beside each reversal."""
+    out = np.abs(omega) < UNKNOWN * run.velocity_error
     still = np.append(omega == 0.0, False)
     late = np.zeros(len(omega), dtype=np.bool_)
     margin = max(1, round(RESTART / run.signals.period))
     for stop in np.flatnonzero(still[:-1] & ~still[1:]):
         late[max(0, stop - margin) : stop + 1] = True
     out &= ~still[:-1] | late  # a standstill is known to be one, but for its end
-    out |= error > max(BENT * float(np.quantile(np.abs(omega), 0.95)), 3.0 * run.velocity_noise)
     flips = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
     out[flips] = True
     out[np.minimum(flips + 1, len(omega) - 1)] = True
