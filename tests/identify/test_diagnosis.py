@@ -113,6 +113,8 @@ def test_every_effect_is_a_candidate_or_not_testable_with_the_reason() -> None:
     [
         simple_log(omega_j=np.zeros_like(T)),
         simple_log(tau_j=np.full_like(T, 0.1)),
+        simple_log(tau_m=np.full_like(T, 0.1)),
+        simple_log(omega_j=np.full_like(T, 0.5)),
         {name: values[:200] for name, values in simple_log().items()},
     ],
 )
@@ -127,6 +129,36 @@ def test_a_log_without_joint_torque_is_an_error_that_says_so() -> None:
     columns = simple_log()
     del columns["tau_j"]
     with pytest.raises(UsageError, match="tau_j is missing"):
+        diagnose([columns], model())
+
+
+def test_swapped_velocity_and_torque_are_suspected() -> None:
+    columns = simple_log()
+    columns["tau_m"], columns["omega_j"] = columns["omega_j"] * 40.0, columns["tau_m"]
+    try:
+        result = diagnose([columns], model())
+    except UsageError as problem:
+        said = str(problem)
+    else:
+        assert result.verdict is Verdict.INSUFFICIENT
+        said = result.sentence
+    assert re.search("swapped|reversed|unit|unsound", said), said
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"tau_j": -1.0}, "reversed"),
+        ({"tau_m": -1.0}, "reversed"),
+        ({"tau_j": 1e3}, "tau_j"),
+        ({"t": 1e3}, "column t"),
+    ],
+)
+def test_a_wrong_sign_or_unit_is_an_error_that_names_it(changed: dict[str, float], named: str) -> None:
+    columns = simple_log()
+    for name, factor in changed.items():
+        columns[name] = factor * columns[name]
+    with pytest.raises(UsageError, match=named):
         diagnose([columns], model())
 
 

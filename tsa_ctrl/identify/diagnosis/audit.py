@@ -61,7 +61,7 @@ def audit(frame: Frame) -> Audit:
         load_edges=load_edges,
         notes=tuple(dict.fromkeys(note for run in frame.runs for note in run.raw.notes)),
         suspicions=_suspicions(frame),
-        insufficient=_insufficient(seconds, len(frame), fast, noise, float(np.mean(moving)), tau_m, target),
+        insufficient=_insufficient(omega, seconds, len(frame), fast, noise, float(np.mean(moving)), tau_m, target),
     )
 
 
@@ -71,7 +71,7 @@ def _steady(omega: Array, noise: float) -> Array:
 
 
 def _insufficient(
-    seconds: float, samples: int, fast: float, noise: float, moving: float, tau_m: Array, target: Array
+    omega: Array, seconds: float, samples: int, fast: float, noise: float, moving: float, tau_m: Array, target: Array
 ) -> str:
     if seconds < SHORTEST or samples < FEWEST:
         return f"the logs hold {seconds:.2g} s; at least {SHORTEST:g} s are needed"
@@ -79,6 +79,8 @@ def _insufficient(
         return "the measured torque does not change at all: is the sensor connected?"
     if float(np.ptp(tau_m)) == 0.0:
         return "tau_m does not change at all: is the drive's torque recorded?"
+    if float(np.ptp(omega)) == 0.0 and fast > 0.0:
+        return "the velocity does not change at all: is it recorded?"
     if fast <= 0.0:
         return "the joint does not move: friction shows only in motion"
     if fast < 6.0 * noise or moving < 0.02:

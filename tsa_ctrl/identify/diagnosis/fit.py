@@ -57,8 +57,12 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
                 small = True
                 damping = max(damping * 30.0, 1e-3)
                 continue
-            found = problem.measured - problem.whiten(problem.predicted(hypothesis.model(trial)))
-            reached = float(found @ found)
+            predicted = problem.predicted(hypothesis.model(trial))
+            found = residual
+            reached = np.inf
+            if np.all(np.isfinite(predicted)):
+                found = problem.measured - problem.whiten(predicted)
+                reached = float(found @ found)
             if reached < rss:
                 small = rss - reached < ENOUGH
                 moved = True

@@ -45,6 +45,11 @@ Progress = Callable[[str], None]
 
 PILOT_NOISE = 0.02  # of the torque, before anything is known of the noise
 BLIND = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
+ABSURD = 3.0  # times the torque's own variation: a simulation so far off is of another log
+UNSUITED = (
+    "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
+    "or is the model another drive's?"
+)
 BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
 PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
 
@@ -83,8 +88,11 @@ def diagnose(
     scales = dataclasses.replace(scales_of(parts.frame), plain=plain, offset=offset)
     catalogue, not_testable = candidates(parts.frame, model, scales)
     say("noise and recalibration")
-    problem, base = _begun(parts.frame, _base(model, parts.frame, scales), scales, catalogue)
-    blind = _blind(problem, base)
+    try:
+        problem, base = _begun(parts.frame, _base(model, parts.frame, scales), scales, catalogue)
+        blind = _absurd(problem, base) or _blind(problem, base)
+    except OverflowError:  # a friction angle beyond anything
+        return _insufficient(model, found, UNSUITED, not_testable)
     if blind:
         return _insufficient(model, found, blind, not_testable)
     say("causes")
@@ -159,6 +167,15 @@ def _begun(frame: Frame, base: Base, scales: Scales, catalogue: Catalogue) -> tu
     fitted = fit(problem, start, fitted.point)
     variants = [variant for options in catalogue.values() for variant in options]
     return pilot_noise(problem, fitted, responses(problem, fitted, variants))
+
+
+def _absurd(problem: Problem, base: Fit) -> str:
+    """Why the logs and the model cannot belong together; empty when they can."""
+    mask = problem.mask
+    error = (problem.frame.target - problem.predicted(base.hypothesis.model(base.point)))[mask]
+    if not float(np.std(error)) <= ABSURD * float(np.std(problem.frame.target[mask])):
+        return UNSUITED
+    return ""
 
 
 def _blind(problem: Problem, base: Fit) -> str:

@@ -1,0 +1,139 @@
+"""The small blind benchmark: what the diagnosis must hold on every change; `tools/bench_diagnose` is the large one.
+
+Draws are fixed, so a count can only change with the code. The limits are those of the targets for so few cases.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.model.parameters import model_from
+
+from . import FAMILIES, case
+from .cases import Case
+from .naive import name_effects
+from .score import Mark, mark
+
+SEED = 5000  # first of the draws; nothing was tuned on them
+NONE, SINGLE, OUTSIDE, PAIRS = 40, 2, 1, 8  # of none and pairs in all, else per name
+UNLIKELY = 0.02  # a count that the target share explains with less than this chance is a failure
+none = pytest.mark.xdist_group("gate none")
+single = pytest.mark.xdist_group("gate single")
+others = pytest.mark.xdist_group("gate none")
+
+
+def ask(hidden: Case) -> dict[str, Any]:
+    """The contents of diagnosis.json."""
+    logs = {log.name: log.columns for log in hidden.logs}
+    report: dict[str, Any] = json.loads(diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal")).to_json())
+    return report
+
+
+@cache
+def answers(family: str, count: int) -> list[tuple[str, Mark, str]]:
+    """Case, mark and verdict of `count` cases of a family, its names in turn."""
+    names = FAMILIES[family]
+    out = []
+    for i in range(count):
+        hidden = case(family, names[i % len(names)], SEED + i // len(names), short=True)
+        report = ask(hidden)
+        experiment = None if hidden.experiment is None else ask(hidden.experiment)
+        out.append((hidden.key, mark(hidden, report, experiment), report["verdict"]))
+    return out
+
+
+def likely(count: int, total: int, share: float) -> bool:
+    """May `count` of `total` come from a share of at least `share`?"""
+    return bool(binom.cdf(count, total, share) > UNLIKELY)
+
+
+@none
+def test_nothing_is_named_where_nothing_is_hidden() -> None:
+    assert [key for key, marks, _ in answers("none", NONE) if marks.named] == []
+
+
+@none
+def test_no_structure_is_claimed_where_nothing_is_hidden() -> None:
+    claimed = [key for key, _, verdict in answers("none", NONE) if verdict not in ("consistent", "insufficient")]
+    assert likely(NONE - len(claimed), NONE, 0.95), claimed
+
+
+@single
+def test_one_effect_is_named_alone() -> None:
+    found = answers("single", SINGLE * len(FAMILIES["single"]))
+    missed = [key for key, marks, _ in found if not marks.unique]
+    assert likely(len(found) - len(missed), len(found), 0.95), missed
+
+
+@single
+def test_one_effect_is_within_the_name_and_two_alternatives() -> None:
+    found = answers("single", SINGLE * len(FAMILIES["single"]))
+    missed = [key for key, marks, _ in found if not marks.within]
+    assert likely(len(found) - len(missed), len(found), 0.99), missed
+
+
+@single
+def test_no_wrong_name_is_sure() -> None:
+    assert [key for key, marks, _ in answers("single", SINGLE * len(FAMILIES["single"])) if marks.wrong] == []
+
+
+@single
+def test_intervals_cover() -> None:
+    found = [
+        inside
+        for _, marks, _ in answers("single", SINGLE * len(FAMILIES["single"]))
+        for inside in marks.covered.values()
+    ]
+    assert likely(sum(found), len(found), 0.93), f"{sum(found)} of {len(found)}"
+
+
+@others
+def test_a_cause_outside_the_catalogue_is_noticed() -> None:
+    found = answers("outside", OUTSIDE * len(FAMILIES["outside"]))
+    missed = [key for key, marks, _ in found if not marks.flagged]
+    assert likely(len(found) - len(missed), len(found), 0.80), missed
+
+
+@others
+def test_a_cause_outside_the_catalogue_is_not_explained_away() -> None:
+    found = answers("outside", OUTSIDE * len(FAMILIES["outside"]))
+    explained = [key for key, marks, _ in found if marks.falsely_explained]
+    assert likely(len(found) - len(explained), len(found), 0.95), explained
+
+
+@others
+def test_two_effects_are_both_named() -> None:
+    found = answers("pair", PAIRS)
+    missed = [key for key, marks, _ in found if not marks.both]
+    assert likely(len(found) - len(missed), len(found), 0.90), missed
+
+
+@others
+@pytest.mark.parametrize(
+    "row", ["elongation_or_gain", "weight_or_spring", "relaxation_or_warmth", "load_or_asymmetry", "gain_or_parameters"]
+)
+def test_twins_are_a_group_and_an_experiment_is_named(row: str) -> None:
+    hidden = case("confounded", row, SEED, short=True)
+    marks = mark(hidden, ask(hidden))
+    assert (marks.grouped, marks.advised) == (True, True)
+
+
+def test_a_strategy_that_always_names_something_does_not_pass() -> None:
+    """The gate's first demand, put to a naive strategy on the same logs."""
+    drawn = [case("none", name, SEED, short=True) for name in FAMILIES["none"][:4]]
+    assert any(name_effects(hidden.logs, hidden.model)["bic"] for hidden in drawn)
+
+
+@pytest.mark.parametrize(("count", "share"), [(40, 0.95), (3, 0.80)])
+def test_too_few_right_answers_are_a_failure(count: int, share: float) -> None:
+    total = {0.95: 46, 0.80: 14}[share]
+    assert not likely(count, total, share)
+    assert likely(int(np.ceil(share * total)), total, share)
