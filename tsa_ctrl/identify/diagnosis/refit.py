@@ -26,6 +26,7 @@ from tsa_ctrl.model.functions import Array
 LEVEL = 0.95
 FREEDOM = 12.0  # degrees of freedom of the noise's density where it matters
 WIDEST = 3.0  # how much the blocks may widen an interval
+WIDEST_STEP = 0.1  # of a coordinate of the base, where nothing is known of it
 STEP = 0.05  # of a standard deviation, for derivatives of parameters
 
 
@@ -141,7 +142,7 @@ def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
     central = base.quantities(point)
     gradients = {name: np.zeros(count) for name in central}
     for i in range(count):
-        step = max(STEP * math.sqrt(max(spread[i, i], 0.0)), 1e-7)
+        step = min(max(STEP * math.sqrt(max(spread[i, i], 0.0)), 1e-7), WIDEST_STEP)
         up, down = point.copy(), point.copy()
         up[i] += step
         down[i] -= step
