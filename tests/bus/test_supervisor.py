@@ -376,6 +376,7 @@ def test_torque_with_none_of_the_65536_statuswords_but_those_that_say_enabled_an
 
 
 def test_a_drive_that_obeys_is_not_cut_off() -> None:
+    assert Supervisor(SupervisionSettings()).cut_off is False
     bench = enabled()
     bench.supervisor.trip("a limit", bench.now)
     cut = []
