@@ -627,6 +627,13 @@ def test_stale_answers_name_the_node_and_what_came_instead(counts: dict[str, int
     assert bench.supervisor.fault.detail == words
 
 
+def test_news_that_are_no_bad_news_do_not_stop() -> None:
+    bench = enabled()
+    bench.image.events += 1
+    bench.step(Request.ENABLE)
+    assert (bench.permitted, bench.controlword, bench.cause) == (True, Controlword.ENABLE_OPERATION, None)
+
+
 class AnyOrder(RuleBasedStateMachine):
     """Random statuswords, events, requests and resets: torque only ever when everything is good and was asked for."""
 
