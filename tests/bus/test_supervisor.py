@@ -441,8 +441,21 @@ def test_enable_that_returns_while_disabling_gives_no_torque() -> None:
     bench.step(Request.DISABLE)
     for _ in range(100):
         bench.step(Request.ENABLE)
-        assert not bench.permitted
+        assert (bench.permitted, bench.controlword) == (False, Controlword.SHUTDOWN)
     assert bench.supervisor.phase is Phase.DISABLING
+    bench.state = PowerState.READY_TO_SWITCH_ON
+    bench.step(Request.ENABLE)
+    assert bench.supervisor.phase is Phase.STANDBY
+
+
+def test_enable_that_takes_too_long_is_off_in_the_same_cycle() -> None:
+    bench = Bench()
+    bench.obeys = False
+    bench.step(Request.DISABLE, 3)
+    while bench.cause is None:
+        bench.step(Request.ENABLE)
+        assert bench.now < 3.0
+    assert (bench.cause, bench.controlword) == (Cause.ENABLE_TIMEOUT, Controlword.DISABLE_VOLTAGE)
 
 
 @pytest.mark.parametrize("request_", [Request.RESET, Request.DISABLE])
