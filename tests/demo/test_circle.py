@@ -66,7 +66,7 @@ def test_options_that_do_not_go_together_are_refused(
 @pytest.mark.slow
 def test_a_hidden_effect_is_named_and_compensated(tmp_path: Path, vcan: str) -> None:
     """Nothing of the plant's truth is told: the log of the nominal run names it, and the next run is better for it."""
-    options = ("--full", "--hidden", "gravity_load", "--seed", "8", "--seconds", "7", "--rate", "500")
+    options = ("--full", "--hidden", "gravity_load", "--seed", "8", "--seconds", "10", "--rate", "500")
     command = tsa("demo", *options, "--bus", vcan, "--out", str(tmp_path), "--json")
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stderr

@@ -33,6 +33,7 @@ Split = Literal["keep", "fit"]
 HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
 EFFECT_ITERATIONS = 3  # of what the model's own effects add; each leaves a tenth of the error
 GAP = 1.0  # s left out between a held-out block and the rest
+GAP_SHARE = 0.25  # of a block: a gap in a short log is no longer, lest it leave too little
 
 
 def calibrate(
@@ -156,7 +157,8 @@ def _blocks(logs: list[PreparedLog]) -> tuple[list[PreparedLog], list[PreparedLo
         n = log.tau_j.size
         period = float(log.signals.t[1] - log.signals.t[0])
         held = (np.arange(n) * HELD_OUT_BLOCKS // n) % 3 == 2
-        near = maximum_filter1d(held.astype(np.int8), 2 * round(GAP / period) + 1) > 0
+        gap = min(GAP / period, GAP_SHARE * n / HELD_OUT_BLOCKS)
+        near = maximum_filter1d(held.astype(np.int8), 2 * round(gap) + 1) > 0
         train.append(log.restricted(~near))
         test.append(log.restricted(held))
     return train, test
