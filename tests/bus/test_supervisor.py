@@ -375,6 +375,15 @@ def test_torque_with_none_of_the_65536_statuswords_but_those_that_say_enabled_an
     assert wrong == []
 
 
+def test_an_event_that_is_no_fault_leaves_the_torque() -> None:
+    """A node that came back to operational, looked at in a cycle that is not the usual one."""
+    bench = enabled()
+    bench.image.events += 1
+    bench.step(Request.ENABLE)
+    assert bench.permitted
+    assert bench.controlword == Controlword.ENABLE_OPERATION
+
+
 def test_a_drive_that_obeys_is_not_cut_off() -> None:
     assert Supervisor(SupervisionSettings()).cut_off is False
     bench = enabled()
