@@ -36,7 +36,7 @@ def test_every_verb_of_the_table_is_there() -> None:
 @pytest.mark.parametrize("line", commands())
 def test_help_has_an_example_of_this_very_verb(line: str) -> None:
     text = CliRunner().invoke(cli, [*line.split(), "--help"], catch_exceptions=False).output
-    assert f": tsa {line}" in text.partition("Example")[2]
+    assert f" tsa {line}" in text.partition("Example")[2]
 
 
 @pytest.mark.parametrize("line", [*commands(), ""])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import errno
 import os
 import signal
@@ -17,10 +18,11 @@ import pytest
 from tests.log.logs import HEADER, records, wait_for
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
-from tsa_ctrl.log.process import LogProcess, new_log_path
+from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.record import LogHealth, RingReader, RingWriter, WriterState
 from tsa_ctrl.log.writer import LogWriter
+from tsa_ctrl.untaken import untaken
 
 
 @pytest.fixture
@@ -218,7 +220,9 @@ def test_a_place_where_no_log_can_be_created_is_one_line(ring: RingWriter, tmp_p
         LogProcess(tmp_path / place, ring, HEADER)
 
 
-def test_names_of_new_logs_are_not_taken(tmp_path: Path) -> None:
-    first = new_log_path(tmp_path)
-    first.touch()
-    assert not new_log_path(tmp_path).exists()
+def test_dated_names_are_not_taken(tmp_path: Path) -> None:
+    now = datetime.datetime(2025, 1, 31, 14, 25, 1)
+    for name in ("tsa-20250131-142501.mcap", "tsa-20250131-142501-2.mcap", "tsa-20250131-142501-3.mcap"):
+        path = untaken(tmp_path, "tsa", ".mcap", now)
+        assert path.name == name
+        path.touch()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import datetime as dt
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from tsa_ctrl.demo.motion import from_file, gait
 from tsa_ctrl.demo.outcome import Outcome
 from tsa_ctrl.demo.run import demo
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.untaken import untaken
 
 SECONDS = 11.0
 FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
@@ -107,7 +107,7 @@ def _full_circle(
 
 def _folder(out: Path | None) -> Path:
     if out is None:
-        out = Path("out") / f"demo-{dt.datetime.now():%Y%m%d-%H%M%S}"
+        out = untaken(Path("out"), "demo")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

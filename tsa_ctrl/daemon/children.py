@@ -16,8 +16,9 @@ from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.server import READY
-from tsa_ctrl.log.process import LogProcess, new_log_path
+from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.untaken import untaken
 
 PATIENCE = 2.0  # s for the socket server to end
 
@@ -60,7 +61,7 @@ class Children:
         except OSError as error:
             raise UsageError(f"{folder}: the log folder cannot be made ({error.strerror}); choose another") from None
         self.ring = RingWriter(len(configuration.file.axes))
-        self.log = LogProcess(new_log_path(folder), self.ring, log_header(configuration))
+        self.log = LogProcess(untaken(folder, "tsa", ".mcap"), self.ring, log_header(configuration))
 
     @property
     def server_alive(self) -> bool:

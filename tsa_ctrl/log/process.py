@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import subprocess
 import sys
 from pathlib import Path
@@ -12,17 +11,6 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.record import LogHealth, RingWriter, WriterState
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
-
-
-def new_log_path(folder: Path, now: datetime.datetime | None = None) -> Path:
-    """A name that is not taken: FOLDER/tsa-20250131-142501.mcap, with a number behind it if need be."""
-    stamp = (now or datetime.datetime.now()).strftime("%Y%m%d-%H%M%S")
-    path = folder / f"tsa-{stamp}.mcap"
-    number = 1
-    while path.exists():
-        number += 1
-        path = folder / f"tsa-{stamp}-{number}.mcap"
-    return path
 
 
 class LogProcess:

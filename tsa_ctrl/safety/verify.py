@@ -17,6 +17,7 @@ from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.safety.listener import ZERO_SHARE
 from tsa_ctrl.safety.trials import Outcome, Trial, leave_in_order, listening, run_trial
 from tsa_ctrl.settings import write_text
+from tsa_ctrl.untaken import untaken
 
 SCHEMA = 1
 DEFAULT_SHARE = 0.1  # of the smallest rated torque
@@ -106,7 +107,6 @@ def save(verification: Verification, folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --record") from None
-    stamp = datetime.datetime.fromisoformat(verification.date).strftime("%Y%m%d-%H%M%S")
-    path = folder / f"safety-{stamp}.json"
+    path = untaken(folder, "safety", ".json", datetime.datetime.fromisoformat(verification.date))
     write_text(path, json.dumps(verification.as_dict(samples=True), allow_nan=False) + "\n")
     return path

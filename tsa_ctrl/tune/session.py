@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import datetime
 import shutil
 import signal
 import tempfile
@@ -24,6 +23,7 @@ from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
 from tsa_ctrl.tune.run import RigRunner
+from tsa_ctrl.untaken import untaken
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,7 @@ class Session:
     @contextlib.contextmanager
     def workspace(self, out: Path | None, keep: bool) -> Iterator[None]:
         """A folder for everything that is written on the way; it is gone again unless `finish` was reached."""
-        name = f"tune-{datetime.datetime.now():%Y%m%d-%H%M%S}"
-        final = out if out is not None else self._configuration.log_folder / name
+        final = out if out is not None else untaken(self._configuration.log_folder, "tune")
         if final.exists() and (not final.is_dir() or any(final.iterdir())):
             raise UsageError(f"{final}: exists already and is not empty; choose another --out")
         parent = next(folder for folder in final.resolve().parents if folder.is_dir())
