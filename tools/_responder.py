@@ -1,7 +1,7 @@
 """A process that answers each SYNC with the TPDOs of some axes, from constant bytes: the fastest nodes there can be.
 
 Usage: python tools/_responder.py INTERFACE AXES [walk]; says `ready` on stdout, ends when its stdin closes. With `walk`
-it takes the commands, too, and the statusword follows the controlword.
+it takes the commands, too: the statusword follows the controlword, the torque the command.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ def frame(can_id: int, data: bytes) -> bytes:
     return FRAME.pack(can_id, len(data), data)
 
 
-def answers(axis: int, statusword: int = ENABLED) -> list[bytes]:
-    """TPDO1 and TPDO2 of the drive, TPDO1 of encoder and torque sensor: all at rest."""
+def answers(axis: int, statusword: int = ENABLED, count: int = 0) -> list[bytes]:
+    """TPDO1 and TPDO2 of the drive, TPDO1 of encoder and torque sensor: all at rest, the motor at `count`."""
     return [
         frame(0x181 + axis, struct.pack("<Hhi", statusword, 0, 0)),
-        frame(0x281 + axis, struct.pack("<ibH", 0, 10, 0)),
+        frame(0x281 + axis, struct.pack("<ibH", count, 10, 0)),
         frame(0x1A0 + axis, struct.pack("<I", 0)),
         frame(0x1C0 + axis, struct.pack("<i", 0)),
     ]
@@ -47,7 +47,8 @@ def main(interface: str, axes: int, walk: bool) -> None:
     except OSError:
         print("no real-time scheduling", file=sys.stderr)
     send, recv = bus.send, bus.recv
-    cyclic = [answer for axis in range(axes) for answer in answers(axis, DISABLED if walk else ENABLED)]
+    state = DISABLED if walk else ENABLED
+    pair = [[answer for axis in range(axes) for answer in answers(axis, state, count)] for count in (0, 1)]
     beats = [frame(0x700 + node + axis, b"\x05") for axis in range(axes) for node in (1, 32, 64)]
     os.write(1, b"ready\n")
     syncs = 0
@@ -59,10 +60,12 @@ def main(interface: str, axes: int, walk: bool) -> None:
         can_id, _, data = FRAME.unpack(recv(16))
         if can_id != SYNC:
             axis = can_id - 0x201
-            statusword = STATUSWORDS.get(data[0], DISABLED)
-            cyclic[4 * axis] = frame(0x181 + axis, struct.pack("<Hhi", statusword, 0, 0))
+            controlword, torque = struct.unpack_from("<Hh", data)
+            statusword = STATUSWORDS.get(controlword, DISABLED)
+            for cyclic in pair:
+                cyclic[4 * axis] = frame(0x181 + axis, struct.pack("<Hhi", statusword, torque, 0))
             continue
-        for answer in cyclic:
+        for answer in pair[syncs % 2]:  # the motor trembles by a count: what does not move at all is frozen
             send(answer)
         syncs += 1
         if syncs % BEATS == 1:

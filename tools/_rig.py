@@ -26,7 +26,7 @@ node_id = {sensor}
 {more}
 [axis.setpoint]
 kind = "sine"
-amplitude = 0.5
+amplitude = 0.3
 frequency = 0.5
 [axis.limits]
 torque = 2.0
