@@ -1,4 +1,6 @@
 from tsa_ctrl.cli import main
+from tsa_ctrl.parent import follow
 
 if __name__ == "__main__":
+    follow()
     main()

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.parent import environment
 
 READY_TIME = 120.0  # s: the plant compiles its physics on the first start of a machine
 END_TIME = 15.0  # s
@@ -48,7 +49,12 @@ def plant(folder: Path, record: str | None = None) -> Iterator[subprocess.Popen[
     """`tsa plant plant.toml` in `folder`, ready; ended when the block is left."""
     more = [] if record is None else ["--record", record]
     process = subprocess.Popen(
-        tsa("plant", "plant.toml", *more), cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        tsa("plant", "plant.toml", *more),
+        cwd=folder,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     try:
         _wait_ready(process)
@@ -97,7 +103,9 @@ def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None
     begin = time.monotonic()
     try:
         with _signals_wait():
-            process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            process = subprocess.Popen(
+                command, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            )
         while True:
             try:
                 out, errors = process.communicate(timeout=0.2)

@@ -48,6 +48,17 @@ def test_own_frames_of_a_multicast_bus_are_left_out_and_those_of_others_are_not(
         second.close()
 
 
+def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
+    first, second, third = (PythonCan("udp_multicast", f"239.74.163.{n}", 1_000_000) for n in (78, 79, 79))
+    try:
+        second.send(0x201, b"\x01")
+        assert third.recv(1.0) == (0x201, b"\x01")
+        assert first.recv(0.1) is None
+    finally:
+        for bus in (first, second, third):
+            bus.close()
+
+
 def test_sync_has_no_data(pair: tuple[PythonCan, PythonCan]) -> None:
     pair[0].send(0x080, b"")
     assert pair[1].recv(1.0) == (0x080, b"")

@@ -6,6 +6,8 @@ configure the drives over the very bus that the loop uses afterwards.
 
 from __future__ import annotations
 
+import os
+import socket
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -17,6 +19,7 @@ from tsa_ctrl.errors import BusError
 
 Option = str | int | float | bool
 
+_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
 _FLUSH_LIMIT = 100_000  # frames
 _ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
 _FAILED_PAUSE = 0.01  # s, as nothing is waited for on a bus that has failed
@@ -43,6 +46,8 @@ class PythonCan:
                 f"[bus] interface '{interface}' channel '{channel}': cannot be opened ({reason}); "
                 "check interface, channel and options against python-can's documentation of this interface"
             ) from None
+        if interface == "udp_multicast":
+            _hear_own_group_only(self._bus.fileno())
 
     def send(self, can_id: int, data: bytes) -> bool:
         message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, check=False)
@@ -126,6 +131,15 @@ class PythonCan:
 
     def close(self) -> None:
         self._bus.shutdown()
+
+
+def _hear_own_group_only(descriptor: int) -> None:
+    """Linux gives a socket the groups that anybody on the machine has joined, unless told not to."""
+    with socket.socket(fileno=os.dup(descriptor)) as same:
+        if same.family == socket.AF_INET6:
+            same.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
+        else:
+            same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
 
 
 class SeamBus(can.BusABC):  # type: ignore[misc]  # python-can is not followed by mypy
