@@ -134,6 +134,26 @@ def test_rate_limit() -> None:
     assert torques[10] == (1.0, Reason.NONE)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rate_limit_holds_in_either_direction(sign: float) -> None:
+    """From a torque that was reached, the opposite one is reached by the same ramp, and each step names the rate."""
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
+    for _ in range(10):
+        limiter.update(sign, **CALM)
+    ramp = [limiter.update(-sign, **CALM) for _ in range(21)]
+    assert [torque for torque, _ in ramp] == pytest.approx([sign * (0.9 - 0.1 * n) for n in range(20)] + [-sign])
+    assert {reason for _, reason in ramp[:19]} == {Reason.RATE}
+    assert ramp[20][1] is Reason.NONE
+
+
+@pytest.mark.parametrize(("q_j", "wanted", "torque"), [(1.45, 1.0, 0.5), (-0.95, -1.0, -0.5)])
+def test_outward_torque_fades_before_the_end_of_travel(q_j: float, wanted: float, torque: float) -> None:
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=100.0, travel=(-1.0, 1.5)), PERIOD)
+    assert limiter.update(wanted, **{**CALM, "q_j": q_j}) == (pytest.approx(torque), Reason.TRAVEL)
+    assert limiter.update(-wanted, **{**CALM, "q_j": q_j}) == (-wanted, Reason.NONE)
+    assert limiter.update(0.0, **{**CALM, "q_j": q_j}) == (0.0, Reason.NONE)
+
+
 def test_ramps_from_zero_after_a_fault() -> None:
     """The torque after a fault starts from 0, not from what it was before."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
