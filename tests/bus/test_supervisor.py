@@ -752,3 +752,86 @@ class AnyOrder(RuleBasedStateMachine):
 
 TestAnyOrder = AnyOrder.TestCase
 TestAnyOrder.settings = hypothesis_settings(max_examples=60, stateful_step_count=40, deadline=None)
+
+
+def test_an_hour_of_standby_is_no_time_that_enabling_took() -> None:
+    bench = Bench()
+    bench.now = 3600.0
+    bench.step(Request.DISABLE, 3)
+    bench.step(Request.ENABLE, 10)
+    assert (bench.permitted, bench.supervisor.fault) == (True, None)
+
+
+def test_enable_in_the_cycle_after_a_reset_needs_a_disable_before_it() -> None:
+    bench = enabled()
+    bench.state = PowerState.FAULT
+    bench.step(Request.DISABLE, 5)
+    for _ in range(200):
+        bench.step(Request.RESET)
+        if bench.supervisor.phase is Phase.STANDBY:
+            break
+    assert bench.supervisor.phase is Phase.STANDBY
+    for _ in range(100):
+        bench.step(Request.ENABLE)
+        assert (bench.permitted, bench.supervisor.phase) == (False, Phase.STANDBY)
+    bench.step(Request.DISABLE)
+    bench.step(Request.ENABLE, 10)
+    assert bench.permitted
+
+
+def test_enable_that_returned_while_disabling_needs_a_disable_before_it() -> None:
+    bench = enabled()
+    bench.step(Request.DISABLE)
+    assert bench.supervisor.phase is Phase.DISABLING
+    for _ in range(100):
+        bench.step(Request.ENABLE)
+        assert not bench.permitted
+    assert bench.supervisor.phase is Phase.STANDBY
+
+
+def test_emergency_that_was_reset_does_not_come_back_with_other_news() -> None:
+    bench = enabled()
+    bench.emergency()
+    bench.step(Request.DISABLE, 5)
+    bench.step(Request.RESET, 100)
+    assert bench.supervisor.fault is None
+    bench.step(Request.DISABLE)
+    bench.image.events += 1  # of whatever else
+    bench.step(Request.ENABLE, 10)
+    assert (bench.supervisor.fault, bench.permitted) == (None, True)
+
+
+def test_time_out_of_an_enabled_drive_says_what_is_missing() -> None:
+    bench = Bench()
+    bench.step(Request.DISABLE, 3)
+    bench.obeys = False
+    bench.state, bench.image.fresh = PowerState.OPERATION_ENABLED, False
+    bench.step(Request.ENABLE, 5000)
+    fault = bench.supervisor.faults[0]
+    assert fault.cause is Cause.ENABLE_TIMEOUT
+    assert "operation_enabled, mode 10, statusword 0x1237" in fault.detail
+
+
+def test_drive_that_comes_back_enabled_in_a_fault_has_its_time_to_obey() -> None:
+    bench = enabled()
+    bench.supervisor.trip("over-speed", bench.now)
+    bench.obeys = False
+    bench.state = PowerState.SWITCH_ON_DISABLED
+    bench.step(Request.DISABLE, 300)
+    bench.state = PowerState.OPERATION_ENABLED
+    cut = []
+    for _ in range(60):
+        bench.step(Request.DISABLE)
+        cut.append(bench.supervisor.cut_off)
+    assert (any(cut[:40]), sum(cut)) == (False, 1)
+
+
+def test_further_faults_do_not_put_off_the_cut_off() -> None:
+    bench = enabled()
+    bench.obeys = False
+    cut = []
+    for _ in range(60):
+        bench.supervisor.trip("over-speed", bench.now)
+        bench.step(Request.DISABLE)
+        cut.append(bench.supervisor.cut_off)
+    assert any(cut)
