@@ -286,7 +286,8 @@ def test_reset_request_that_stands_resets_only_what_was_there_before() -> None:
     assert bench.supervisor.phase is Phase.FAULT
 
 
-def test_reset_gives_the_drive_a_rising_edge() -> None:
+def reset_after_a_drive_fault() -> tuple[Bench, list[int]]:
+    """The bench, and the 60 controlwords since the reset was asked for."""
     bench = enabled()
     drive_fault(bench)
     bench.step(Request.ENABLE, 5)
@@ -294,6 +295,11 @@ def test_reset_gives_the_drive_a_rising_edge() -> None:
     for _ in range(60):
         bench.step(Request.RESET)
         words.append(int(bench.controlword))
+    return bench, words
+
+
+def test_reset_gives_the_drive_a_rising_edge() -> None:
+    bench, words = reset_after_a_drive_fault()
     assert words[:20] == [0x00] * 20
     assert words.count(0x80) == 1
     assert (bench.state, bench.supervisor.fault) == (PowerState.READY_TO_SWITCH_ON, None)  # where standby keeps it
@@ -427,13 +433,7 @@ def test_bit_12_is_asked_for_unless_the_profile_says_otherwise() -> None:
 
 
 def test_fault_reset_comes_20_ms_after_bit_7_was_low() -> None:
-    bench = enabled()
-    drive_fault(bench)
-    bench.step(Request.ENABLE, 5)
-    words = []
-    for _ in range(60):
-        bench.step(Request.RESET)
-        words.append(int(bench.controlword))
+    _, words = reset_after_a_drive_fault()
     assert words.index(0x80) in (20, 21)  # 1 ms each
 
 
