@@ -106,7 +106,7 @@ def ours(configuration: Configuration, bus: Bus | None = None) -> Iterator[Way]:
     """The control cycle of `tsa run`, torque permitted."""
     file = configuration.file
     bus = bus or SocketCan(file.bus.channel, file.bus.send_queue)
-    rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+    rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
     axes = control_axes(configuration, rig)
     rig.start()
     collect = file.controller.collect * configuration.period
@@ -166,7 +166,7 @@ def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Wa
 def _with_children(configuration: Configuration, flooded: bool) -> Iterator[tuple[Any, ...]]:
     file = configuration.file
     bus = SocketCan(file.bus.channel, file.bus.send_queue)
-    rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+    rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
     axes = control_axes(configuration, rig)
     tuners = tuners_of(axes, configuration.period)
     with contextlib.ExitStack() as stack:

@@ -197,6 +197,31 @@ def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
     assert bus.bell == last[0]
 
 
+def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() -> None:
+    """An answer that comes after it woke, but before its time, is late like one that waited."""
+    bus = FakeBus(FakeClock(), Responder())
+    rig = Rig(bus, BusSettings(), [axis_nodes()], [DriveProfile()], bus.clock, wake_early=2e-4)
+    rig.start()
+    start = bus.clock.now
+    asked: list[float] = []
+
+    def late_by_50_us(until: float, most: int) -> list[tuple[int, bytes]]:
+        bus.clock.now = max(bus.clock.now + 10e-6, until + 50e-6)
+        asked.append(until)
+        return [(0x181, bytes(8))] if len(asked) == 2 else []
+
+    bus.gather = late_by_50_us  # type: ignore[method-assign]
+    begun = [rig.wait(start + 0.001 * n) - start - 0.001 * n for n in range(1, 200)]
+    assert begun[0] == pytest.approx(50e-6)
+    assert all(0.0 <= late < 12e-6 for late in begun[100:])
+    assert max(asked) == pytest.approx(start + 0.199 - 50e-6, abs=2e-6)
+    late = rig.axes[0].image.nodes[0].late
+    del asked[:]
+    rig.wait(start + 0.2)
+    assert len(asked) > 1
+    assert rig.axes[0].image.nodes[0].late == late + 1
+
+
 def test_silent_node_is_not_listened_for() -> None:
     rig, bus, nodes = one_axis_rig()
     nodes.silent = {0x281}

@@ -76,7 +76,7 @@ def measure(
     `progress` is called now and then with the share that is done. The bus stays open.
     """
     file = configuration.file
-    rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+    rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
     axes = control_axes(configuration, rig)
     tuners = tuners_of(axes, configuration.period)
     mailbox = Mailbox.create(len(axes), len(tuners[0].parameters))

@@ -19,6 +19,7 @@ from tsa_ctrl.bus.error_frames import ErrorClass, describe
 from tsa_ctrl.bus.profile import DriveProfile
 from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.sleep import Lead
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
 _OTHERS = 16  # emergencies and heartbeats that may stand between answers that came in time
@@ -31,8 +32,9 @@ _NO_DATA = b""
 class Rig:
     """All axes of one bus.
 
-    `axes` and `profiles` belong together one by one; `clock` is monotonic, in s. Attributes: `axes`, `error_frames`
-    (counted), `last_error` (what the last one said), `flooded` (cycles whose answers could not be told from old ones).
+    `axes` and `profiles` belong together one by one; `clock` is monotonic, in s; `wake_early` is the most (s) that
+    `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what the last one
+    said), `flooded` (cycles whose answers could not be told from old ones).
     """
 
     def __init__(
@@ -42,6 +44,7 @@ class Rig:
         axes: Sequence[AxisNodes],
         profiles: Sequence[DriveProfile],
         clock: Callable[[], float] = time.monotonic,
+        wake_early: float = 0.0,
     ) -> None:
         self.bus = bus
         self.axes = tuple(Axis(nodes, profile, bus, clock) for nodes, profile in zip(axes, profiles, strict=True))
@@ -72,6 +75,7 @@ class Rig:
         self._synced = -math.inf
         self._flooded_now = False
         self._emptied = False
+        self._lead = Lead(wake_early)
         self._last = 0  # identifier of the answer that comes last
         self._later = 0  # ... and how often in a row another came after it
 
@@ -90,12 +94,22 @@ class Rig:
         """Sleep until `until` (monotonic s), then take what arrived meanwhile: emergencies, heartbeats, late answers.
 
         In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC: an
-        old answer would have to arrive within the microseconds between the two to be believed, once. Returns the time.
+        old answer would have to arrive within the microseconds between the two to be believed, once. It is up before
+        the time by what waking has cost lately, and keeps taking what comes until then. Returns the time.
         """
+        lead = self._lead.value
+        now = self._empty(until - lead)
+        self._lead.learn(now - until + lead)
+        while now < until:
+            now = self._empty(0.0)
+        return now
+
+    def _empty(self, until: float) -> float:
+        """Take what has come by `until`, as no answer; returns the time."""
         frames = self.bus.gather(until, _MAX_WAITING)
         for frame in frames:
             self._take_stale(frame)
-        self._flooded_now = len(frames) >= _MAX_WAITING
+        self._flooded_now |= len(frames) >= _MAX_WAITING
         self._emptied = True
         return self._clock()
 
@@ -105,7 +119,7 @@ class Rig:
         False when the SYNC was dropped.
         """
         if not self._emptied:
-            self.wait(0.0)
+            self._empty(0.0)
         self._emptied = False
         for inbox in self._inboxes:
             inbox.armed = True

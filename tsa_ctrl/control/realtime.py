@@ -26,6 +26,7 @@ class RealtimeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
     priority: Annotated[int, Meta(ge=1, le=99)] = 80  # SCHED_FIFO
     lock_memory: bool = True
     cpu: Annotated[int, Meta(ge=0, le=1023)] | None = None  # run on this processor only; default: any
+    wake_early: Annotated[float, Meta(ge=0.0, le=1e-3)] = 2e-4  # s at most before a deadline; how much is learned
     allow_without: bool = False  # run even if the scheduler or the memory lock is refused
 
 

@@ -75,7 +75,7 @@ class Daemon:
         file = configuration.file
         bus = open_bus(file.bus)
         try:
-            rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+            rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
             self._watch(rig)
             axes = control_axes(configuration, rig)
             tuners = tuners_of(axes, configuration.period)
