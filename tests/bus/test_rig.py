@@ -217,12 +217,12 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
     assert begun[0] == pytest.approx(50e-6)
     assert all(0.0 <= late < 12e-6 for late in begun[100:])
     assert max(asked) == pytest.approx(start + 0.199 - 50e-6, abs=2e-6)
-    before = rig.axes[0].image.nodes[0].late
+    rig.sync()  # nobody answers it in time
     del asked[:]
     waking = 20e-6
     assert rig.wait(start + 0.2) - start - 0.2 < 12e-6
     assert len(asked) > 1
-    assert rig.axes[0].image.nodes[0].late == before + 1
+    assert rig.axes[0].image.nodes[0].late == 1
 
 
 def test_silent_node_is_not_listened_for() -> None:
