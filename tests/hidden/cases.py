@@ -102,8 +102,8 @@ TWIN_ROWS = (
 POOR = ("slow_sine", "one_way", "constant_speed", "free", "small", "one_load")
 
 
-def none_case(name: str, seed: int, short: bool = False) -> Case:
-    """No effect: wrong nominal numbers and noise. `name`: "rich...", "plain" or a poor excitation."""
+def none_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:
+    """No effect: wrong nominal numbers and noise. `name`: "rich...", "plain" or a poor excitation. `like`: its rig."""
     rng = generator("none", name, seed)
     if name.startswith("rich"):
         recipe = Recipe(bending=str(rng.choice(["fixed", "fixed", "varied"])), sign_noise=8.0)
@@ -120,16 +120,19 @@ def none_case(name: str, seed: int, short: bool = False) -> Case:
             "small": Recipe(motion="multisine", amplitude=0.03, speed=0.15, sign_noise=8.0),
             "one_load": Recipe(motion="sine", torque="weight", sign_noise=8.0),
         }[name]
-    bench = draw_bench(rng, replace(recipe, short=short))
+    bench = draw_bench(rng, replace(recipe, short=short), like)
     noise = bench.reading * log_uniform(rng, 0.004, 0.04)
     return finish(rng, "none", name, seed, bench, {}, noise, name)
 
 
-def single_case(name: str, seed: int, short: bool = False) -> Case:
-    """One effect, well excited, one to six times the noise, that no other effect imitates within the noise."""
+def single_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:
+    """One effect, well excited, one to six times the noise, that no other effect imitates within the noise.
+
+    `like`: on the rig of that bench.
+    """
     for attempt in range(200):
         rng = generator("single", name, seed, attempt)
-        bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), short=short))
+        bench = draw_bench(rng, Recipe(**NEEDS.get(name, {}), short=short), like)
         ratio = log_uniform(rng, 1.12, 6.0)
         wanted = bench.reading * log_uniform(rng, 0.004, 0.03) * ratio
         parameters, reached = _strong(rng, name, bench, wanted)

@@ -20,10 +20,11 @@ CONNECT = 10.0  # s to reach a scheduler
 
 @dataclass(frozen=True)
 class Workers:
-    """An executor (`submit` as in concurrent.futures), and how many jobs it works on at a time."""
+    """An executor (`submit` as in concurrent.futures), how many jobs it works on at a time, if it sees our files."""
 
     executor: Executor
     count: int
+    same_disk: bool = False
 
 
 @contextlib.contextmanager
@@ -36,7 +37,7 @@ def local(jobs: int | None = None) -> Iterator[Workers]:
     context.set_forkserver_preload(["tsa_ctrl.identify.fleet.job"])
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
     try:
-        yield Workers(pool, count)
+        yield Workers(pool, count, same_disk=True)
     except BaseException:
         processes = list((pool._processes or {}).values())  # its public end waits for what is being worked on
         pool.shutdown(wait=False, cancel_futures=True)

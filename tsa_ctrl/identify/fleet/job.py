@@ -15,11 +15,14 @@ from tsa_ctrl.model.parameters import load_model
 
 @dataclass(frozen=True)
 class Job:
-    """A log and the model to diagnose it with: names, and contents of the files. `key` stands for all of it."""
+    """A log and the model to diagnose it with. `key` stands for all of it.
+
+    `log`: where it lies, for a worker that sees the same disk; for any other its contents.
+    """
 
     name: str
     key: str
-    log: bytes
+    log: Path | bytes
     model_name: str
     model: bytes
     seed: int
@@ -37,22 +40,30 @@ def carry_out(job: Job) -> Done:
     """Diagnose one log. Never raises: a fleet goes on, and what was wrong with this log stands in its row."""
     with tempfile.TemporaryDirectory(prefix="tsa-fleet-") as name:
         folder = Path(name)
-        log, model = folder / "log" / job.name, folder / "model" / job.model_name
-        for path, content in ((log, job.log), (model, job.model)):
-            path.parent.mkdir()
-            path.write_bytes(content)
+        model = _laid(folder / "model" / job.model_name, job.model)
+        log = job.log if isinstance(job.log, Path) else _laid(folder / "log" / job.name, job.log)
         try:
             result = diagnose([load_log(log)], load_model(model), seed=job.seed)
             result.write(folder / "report", model)
         except TsaError as error:
-            return Done(Row(job.name, job.key, "error", error=_plain(error, folder)), {})
+            return Done(Row(job.name, job.key, "error", error=_plain(error, log, model)), {})
         except Exception as error:  # one log that no one thought of must not cost the other hundreds their answer
-            return Done(Row(job.name, job.key, "error", error=f"{type(error).__name__}: {_plain(error, folder)}"), {})
+            return Done(
+                Row(job.name, job.key, "error", error=f"{type(error).__name__}: {_plain(error, log, model)}"), {}
+            )
         files = {path.name: path.read_bytes() for path in sorted((folder / "report").iterdir()) if path.is_file()}
         return Done(row_of(job.name, job.key, result), files)
 
 
-def _plain(error: Exception, folder: Path) -> str:
-    """The message in one line, without the folder that nobody knows."""
+def _laid(path: Path, content: bytes) -> Path:
+    path.parent.mkdir()
+    path.write_bytes(content)
+    return path
+
+
+def _plain(error: Exception, *files: Path) -> str:
+    """The message in one line, without folders: they may be ones that nobody knows."""
     text = " ".join(str(error).split())
-    return text.replace(f"{folder / 'log'}/", "").replace(f"{folder / 'model'}/", "")
+    for path in files:
+        text = text.replace(str(path), path.name)
+    return text

@@ -62,7 +62,8 @@ def sweep(
         while queue or running:
             while queue and len(running) < AHEAD * workers.count:
                 path = queue.pop(0)
-                job = Job(path.name, waiting[path], _contents(path), model.name, model_text, seed)
+                log = path.absolute() if workers.same_disk else _contents(path)
+                job = Job(path.name, waiting[path], log, model.name, model_text, seed)
                 running[workers.executor.submit(carry_out, job)] = path
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 path, done = running.pop(future), future.result()
@@ -83,7 +84,11 @@ def _key(path: Path, model: bytes, seed: int) -> str:
     """The same for the same name and contents of the log, model, seed and version."""
     digest = hashlib.sha256(f"{__version__} {seed} {path.name} ".encode())
     digest.update(hashlib.sha256(model).digest())
-    digest.update(hashlib.sha256(_contents(path)).digest())
+    try:
+        with path.open("rb") as file:
+            digest.update(hashlib.file_digest(file, "sha256").digest())
+    except OSError as error:
+        raise _unreadable(path, error) from None
     return digest.hexdigest()
 
 
@@ -91,7 +96,11 @@ def _contents(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); allow reading it or take it away") from None
+        raise _unreadable(path, error) from None
+
+
+def _unreadable(path: Path, error: OSError) -> UsageError:
+    return UsageError(f"{path}: cannot be read ({error.strerror}); allow reading it or take it away")
 
 
 def _reported(out: Path, row: Row) -> bool:

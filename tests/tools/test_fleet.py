@@ -1,0 +1,18 @@
+"""The command that takes a folder of logs through an interruption, on a small folder."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_every_log_is_answered_once_though_it_was_interrupted() -> None:
+    told = subprocess.run(
+        [ROOT / "tools" / "fleet", "--logs", "3", "--jobs", "1"], capture_output=True, text=True, check=False
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "3 questions for 3 logs" in told.stdout
+    assert "then Ctrl-C: exit code 1" in told.stdout
+    assert told.stdout.splitlines()[-1].split() == ["all", "3", "3", "3", "0", "0"]
