@@ -56,9 +56,11 @@ def test_failed_bus_ends_it_at_once_with_the_reason() -> None:
     rig, bus, _ = one_axis_rig()
     bus.fault = BusFault.INTERFACE_DOWN
     bus.full = True
+    begin = bus.clock.now
     assert shut_down(rig, 0.001, 10.0) == [
         "axis 'knee': the drive did not confirm that it is off (the interface is down); cut its power"
     ]
+    assert bus.clock.now - begin < 4 * 0.001
 
 
 def test_twice_is_as_good_as_once() -> None:
@@ -84,3 +86,34 @@ def test_drive_has_a_second_to_confirm() -> None:
     begin = bus.clock.now
     assert shut_down(rig, 0.01)
     assert 1.0 <= bus.clock.now - begin < 1.0 + 6 * 0.01
+
+
+class Silent(Responder):
+    """Answers nothing; keeps when each frame came."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bus: FakeBus | None = None
+        self.times: dict[int, list[float]] = {}
+
+    def __call__(self, frame: Frame) -> list[Frame]:
+        if self.bus is not None:
+            self.times.setdefault(frame[0], []).append(self.bus.clock.now)
+        return []
+
+
+def test_answers_are_waited_for_until_four_fifths_of_the_period() -> None:
+    """Then the commands go out all the same, and SYNC keeps its period."""
+    nodes = Silent()
+    rig, nodes.bus, _ = one_axis_rig(nodes)
+    begin = nodes.bus.clock.now
+    shut_down(rig, 0.01, 0.05)
+    syncs, commands = nodes.times[0x080], nodes.times[0x201]
+    assert syncs == pytest.approx([begin + 0.01 * n for n in range(1, len(syncs) + 1)], abs=1e-9)
+    assert [b - a for a, b in zip(syncs, commands, strict=True)] == pytest.approx([0.008] * len(syncs), abs=1e-9)
+
+
+def test_heartbeat_goes_on_until_the_end() -> None:
+    """Nodes that guard us see no loss while they are being disabled: one every 20 ms."""
+    _, _, bus = stop(ObedientDrive(stuck=True), timeout=0.1)
+    assert sum(can_id == 0x77F for can_id, _ in bus.sent) in (5, 6)

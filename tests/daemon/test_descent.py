@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.daemon.machine import ENABLED, Machine
+from tests.bus.fake import FakeClock
+from tests.daemon.machine import ENABLED, Drive, Machine
+from tsa_ctrl.bus.seam import Frame
 from tsa_ctrl.daemon.descent import descend
 
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
@@ -18,13 +20,46 @@ class BrokenError(RuntimeError):
     """What a mistake in the loop raises."""
 
 
+class TimedDrive(Drive):
+    """Keeps when each frame came, by identifier."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.clock = FakeClock()
+        self.times: dict[int, list[float]] = {}
+
+    def __call__(self, frame: Frame) -> Iterable[Frame]:
+        self.times.setdefault(frame[0], []).append(self.clock.now)
+        return super().__call__(frame)
+
+
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Machine]:
-    made = Machine(tmp_path, CONSTANT)
-    monkeypatch.setattr(time, "sleep", lambda seconds: None)
-    monkeypatch.setattr(time, "monotonic", made.bus.clock)
+def drive() -> TimedDrive:
+    return TimedDrive()
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drive: TimedDrive) -> Iterator[Machine]:
+    made = Machine(tmp_path, CONSTANT, drive=drive)
+    drive.clock = clock = made.bus.clock
+
+    def sleep(seconds: float) -> None:
+        assert seconds >= 0.0, "sleep length must be non-negative"
+        clock.now += seconds
+
+    monkeypatch.setattr(time, "sleep", sleep)
+    monkeypatch.setattr(time, "monotonic", clock)
     yield made
     made.close()
+
+
+def broken(machine: Machine, drive: TimedDrive) -> float:
+    """Let the loop fail while there is torque; returns when the way down begins, s."""
+    machine.drive.at_sync[800] = fail
+    with pytest.raises(BrokenError):
+        machine.run()
+    drive.times.clear()
+    return machine.bus.clock.now
 
 
 def fail() -> None:
@@ -83,3 +118,61 @@ def test_an_axis_without_torque_is_not_enabled_on_the_way_down(machine: Machine)
         machine.run()
     descend(machine.rig, machine.axes, 1e-3, 0.05)
     assert all(word not in (0x07, 0x0F) for word, _ in machine.drive.commands)
+
+
+def test_falls_in_a_line_and_keeps_it_for_the_log(machine: Machine, drive: TimedDrive) -> None:
+    """Each step by the same amount, and the terms say what was sent."""
+    broken(machine, drive)
+    before = len(drive.commands)
+    full = machine.axis.terms.tau_m_cmd
+    kept: list[float] = []
+    first = drive.beats + 1
+    drive.at_sync.update({first + n: lambda: kept.append(machine.axis.terms.tau_m_cmd) for n in range(50)})
+    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    expected = [full * (1.0 - n / 50) for n in range(51)]
+    assert drive.torques[before:] == pytest.approx([1e3 * torque for torque in expected[1:]], abs=0.51)
+    assert [*kept, machine.axis.terms.tau_m_cmd] == pytest.approx(expected)
+
+
+def test_cycles_keep_their_period_and_the_whole_its_time(machine: Machine, drive: TimedDrive) -> None:
+    """SYNC on a grid; an answer that is missing is waited for until six tenths of the period, and one is tolerated."""
+    begin = broken(machine, drive)
+    drive.at_sync[drive.beats + 20] = lambda: drive.silent.add(0x181)
+    drive.at_sync[drive.beats + 21] = drive.silent.clear
+    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    syncs, commands = drive.times[0x080], drive.times[0x201]
+    assert syncs == pytest.approx([begin + 1e-3 * n for n in range(1, 51)], abs=1e-9)
+    assert [round(1e6 * (b - a)) for a, b in zip(syncs, commands, strict=True)] == [0] * 19 + [600] + [0] * 30
+    assert all(drive.torques[-50:-1])
+
+
+def test_a_stall_is_not_slept_off(machine: Machine, drive: TimedDrive) -> None:
+    """Cycles that are late follow at once; the end stays where it was."""
+    begin = broken(machine, drive)
+
+    def stall() -> None:
+        machine.bus.clock.now += 5.5e-3
+
+    drive.at_sync[drive.beats + 20] = stall
+    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    assert drive.times[0x201][-1] == pytest.approx(begin + 0.05, abs=1e-9)
+
+
+def test_heartbeat_goes_on(machine: Machine, drive: TimedDrive) -> None:
+    """Every 20 ms, so that no node's watchdog ends the ramp."""
+    broken(machine, drive)
+    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    assert len(drive.times[0x77F]) in (5, 6)
+
+
+def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> None:
+    """What is not permitted is not said to have been sent."""
+    broken(machine, drive)
+    drive.fail()
+    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    assert machine.axis.terms.tau_m_cmd == 0.0
+    kept: list[float] = []
+    drive.at_sync[drive.beats + 2] = lambda: kept.append(machine.axis.terms.tau_m_cmd)
+    machine.axis.terms.tau_m_cmd = 0.4
+    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    assert kept == [0.0]

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from tests.daemon.machine import ENABLED, Drive, Machine
-from tsa_ctrl.bus.supervisor import Request
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command
@@ -336,73 +335,6 @@ def test_stop_after_a_fault_ends_at_once(build: Build) -> None:
     machine.drive.at_sync[600] = lambda: machine.loop.stop("SIGTERM")
     machine.run()
     assert machine.drive.beats < 610
-
-
-def test_a_stop_turns_any_request_into_a_disable(build: Build) -> None:
-    """A reset that stands ends with it; a ramp that is running is left to end by itself."""
-    axis = build(CONSTANT).axis
-    axis.request = Request.RESET
-    axis.stop()
-    assert axis.request is Request.DISABLE
-    axis.enable()
-    axis.stop()
-    assert axis.request is Request.ENABLE
-    axis.release()  # torque is not permitted any more
-    assert axis.request is Request.DISABLE
-
-
-def test_a_release_keeps_a_reset(build: Build) -> None:
-    """Only an enable that is being stopped is taken back."""
-    axis = build(CONSTANT).axis
-    axis.enable()
-    axis.stop()
-    axis.request = Request.RESET
-    axis.release()
-    assert axis.request is Request.RESET
-
-
-def test_every_enable_begins_without_the_ramp_of_the_last_stop(build: Build) -> None:
-    """Full share, from the time of the first permitted cycle on."""
-    axis = build(CONSTANT).axis
-    axis.enable()
-    assert axis.since_enable(10.0) == 0.0
-    assert axis.since_enable(10.5) == 0.5
-    axis.stop()
-    for cycle in range(100):
-        axis.since_enable(11.0 + 1e-3 * cycle)
-    assert 0.0 < axis.ramp < 0.8
-    axis.release()
-    axis.enable()
-    assert axis.ramp == 1.0
-    assert axis.since_enable(20.0) == 0.0
-    assert axis.ramp == 1.0
-
-
-def test_without_an_encoder_the_joint_is_where_the_motor_says(build: Build) -> None:
-    """Angle and velocity of the motor, geared by the pulleys."""
-    axis = build(CONSTANT).axis
-    axis.image.q_j, axis.image.omega_j, axis.image.q_m, axis.image.omega_m = 0.1, 0.2, 2.0, 3.0
-    assert axis.joint() == (0.1, 0.2)
-    axis._has_encoder = False
-    assert axis.joint() == pytest.approx((1.6, 2.4))
-
-
-def test_release_forgets_everything(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Back-off, set-point, estimate, and parameters that the law took over: disabled means reset."""
-    axis = build(CONSTANT).axis
-    reset: list[str] = []
-    for part in ("set_point", "estimator", "law"):
-        monkeypatch.setattr(getattr(axis, part), "reset", lambda part=part: reset.append(part))
-    axis.since_enable(1.0)
-    axis.monitor.back_off, axis.terms.tau_j_des = 0.25, 0.7
-    axis._take_over((0.1, 20.0))
-    axis.release()
-    assert sorted(reset) == ["estimator", "law", "set_point"]
-    assert (axis.monitor.back_off, axis.terms.tau_j_des) == (1.0, 0.0)
-    assert axis._used == axis._nominal == (axis.model.friction_angle, axis.model.pretension)
-    reset.clear()
-    axis.release()  # once is enough
-    assert reset == []
 
 
 def test_what_is_not_finite_trips(build: Build) -> None:

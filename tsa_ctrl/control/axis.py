@@ -119,7 +119,7 @@ class ControlAxis:
         """Seconds since torque was permitted; the first call after a release starts the clock."""
         if self._enabled_at is None:
             self._enabled_at = now
-        if self._stopping and self.request is Request.ENABLE:
+        if self._stopping:
             if self._ramp_from is None:
                 self._ramp_from = now - self._period
             self.ramp = 1.0 - (now - self._ramp_from) / self._stop_time  # by time: lost cycles do not lengthen it

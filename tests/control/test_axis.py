@@ -1,0 +1,255 @@
+"""One axis: how its parts start, stop and reset together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import astuple
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.daemon.machine import Machine
+from tsa_ctrl.bus.supervisor import Phase, Request
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.limiter import Reason
+
+PARTS = ("set_point", "estimator", "law", "monitor", "plausibility")
+
+
+@pytest.fixture
+def axis(tmp_path: Path) -> Iterator[ControlAxis]:
+    machine = Machine(tmp_path)
+    yield machine.axis
+    machine.close()
+
+
+def wanted(axis: ControlAxis) -> Request:
+    return axis.request
+
+
+def test_a_new_axis_wants_nothing_and_did_nothing(axis: ControlAxis) -> None:
+    """Its terms are what a descent or a record before the first cycle reads."""
+    assert (wanted(axis), axis.ramp) == (Request.DISABLE, 1.0)
+    assert astuple(axis.terms) == (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Reason.DISABLED, False)
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_at_rest_is_disabled_or_in_fault(axis: ControlAxis, phase: Phase) -> None:
+    axis.supervisor.phase = phase
+    assert axis.at_rest is (phase in (Phase.STANDBY, Phase.FAULT))
+
+
+def test_a_stop_turns_any_request_into_a_disable(axis: ControlAxis) -> None:
+    """A reset that stands ends with it; a ramp that is running is left to end by itself."""
+    axis.request = Request.RESET
+    axis.stop()
+    assert wanted(axis) is Request.DISABLE
+    axis.enable()
+    axis.stop()
+    assert wanted(axis) is Request.ENABLE
+    axis.release()  # torque is not permitted any more
+    assert wanted(axis) is Request.DISABLE
+
+
+def test_a_release_keeps_what_is_not_being_stopped(axis: ControlAxis) -> None:
+    """An enable that waits for the drive, and a reset that was asked for after the stop."""
+    axis.enable()
+    axis.release()
+    assert wanted(axis) is Request.ENABLE
+    axis.stop()
+    axis.request = Request.RESET
+    axis.release()
+    assert wanted(axis) is Request.RESET
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, again: bool) -> None:
+    """Every one of them: from one period below full to exactly 0, and only there the drive is disabled."""
+    axis._period, axis._stop_time = 2.0**-10, 2.0**-6
+    if again:
+        axis.enable()
+        axis.stop()
+        axis.since_enable(1.0)
+        axis.release()
+    axis.enable()
+    assert axis.since_enable(16.0) == 0.0
+    axis.stop()
+    seen = []
+    for cycle in range(1, 17):
+        assert axis.since_enable(16.0 + cycle * 2.0**-10) == cycle * 2.0**-10
+        seen.append((axis.ramp, wanted(axis)))
+    assert seen == [(1.0 - n / 16, Request.ENABLE) for n in range(1, 16)] + [(0.0, Request.DISABLE)]
+
+
+def test_lost_cycles_do_not_lengthen_the_ramp(axis: ControlAxis) -> None:
+    """One that comes after its end finds 0, never a negative share."""
+    axis._period, axis._stop_time = 2.0**-10, 2.0**-6
+    axis.enable()
+    axis.stop()
+    axis.since_enable(16.0)
+    axis.since_enable(16.5)
+    assert (axis.ramp, wanted(axis)) == (0.0, Request.DISABLE)
+
+
+def test_every_enable_begins_without_the_ramp_of_the_last_stop(axis: ControlAxis) -> None:
+    """Full share, from the time of the first permitted cycle on."""
+    axis.enable()
+    assert axis.since_enable(10.0) == 0.0
+    assert axis.since_enable(10.5) == 0.5
+    axis.stop()
+    for cycle in range(100):
+        axis.since_enable(11.0 + 1e-3 * cycle)
+    assert 0.0 < axis.ramp < 0.8
+    axis.release()
+    axis.enable()
+    assert axis.ramp == 1.0
+    assert axis.since_enable(20.0) == 0.0
+    assert axis.ramp == 1.0
+
+
+def test_without_an_encoder_the_joint_is_where_the_motor_says(axis: ControlAxis) -> None:
+    """Angle and velocity of the motor, geared by the pulleys."""
+    axis.image.q_j, axis.image.omega_j, axis.image.q_m, axis.image.omega_m = 0.1, 0.2, 2.0, 3.0
+    assert axis.joint() == (0.1, 0.2)
+    axis._has_encoder = False
+    assert axis.joint() == pytest.approx((1.6, 2.4))
+
+
+def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Back-off, set-point, estimate, and parameters that the law took over: disabled means reset."""
+    reset: list[str] = []
+    for part in PARTS:
+        monkeypatch.setattr(getattr(axis, part), "reset", lambda part=part: reset.append(part))
+    axis.since_enable(1.0)
+    axis.terms.tau_j_des = 0.7
+    axis._take_over((0.1, 20.0))
+    axis.release()
+    assert sorted(reset) == sorted(PARTS)
+    assert axis.terms.tau_j_des == 0.0
+    assert axis._used == axis._nominal == (axis.model.friction_angle, axis.model.pretension)
+    reset.clear()
+    axis.release()  # once is enough
+    assert reset == []
+
+
+def test_a_set_point_counts_from_the_enable(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without torque it is forgotten."""
+    received: list[tuple[float, float]] = []
+    monkeypatch.setattr(axis.set_point, "receive", lambda value, t: received.append((value, t)))
+    axis.receive(0.1, 9.0)
+    axis.since_enable(10.0)
+    axis.receive(0.2, 10.5)
+    axis.release()
+    axis.receive(0.3, 11.0)
+    assert received == [(0.2, 0.5)]
+
+
+class Calls(list[tuple[Any, ...]]):
+    """What an axis asked of its parts after a command, in order."""
+
+    def __init__(self, axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, wrong: str | None = None) -> None:
+        super().__init__()
+        asked = {"law": "applied", "plausibility": "update", "estimator": "update", "monitor": "update"}
+        for part, method in asked.items():
+            finding = wrong if part == "plausibility" else None
+            monkeypatch.setattr(getattr(axis, part), method, partial(self._note, finding, part))
+        image, terms = axis.image, axis.terms
+        image.tau_m, image.q_m, image.omega_m, image.tau_j, image.fresh = 0.31, 0.32, 0.33, 0.34, True
+        terms.q_j, terms.omega_j, terms.tau_j_des, terms.tau_m_cmd, terms.sigma = 0.41, 0.42, 0.43, 0.44, 1.0
+        terms.reason, terms.permitted = Reason.NONE, True
+        axis.bending.fixed, axis.bending.commanded = False, 1.5
+        axis.since_enable(1.0)
+
+    def _note(self, finding: str | None, *call: Any) -> str | None:
+        self.append(call)
+        return finding
+
+
+def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was sent, and what was measured."""
+    calls = Calls(axis, monkeypatch)
+    axis.follow(2.0)
+    model = (axis.model.friction_angle, axis.model.pretension)
+    assert calls == [
+        ("law", 0.44),
+        ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 1.0, 0.34, model),
+        ("estimator", 1.0, 0.42, 1.5, 0.31, 0.34, True),
+        ("monitor", 0.42, 0.43),
+    ]
+    assert axis.terms.theta == 1.5
+    assert axis.supervisor.fault is None
+
+
+def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are not compared, and the estimator is told that it may not admit them."""
+    calls = Calls(axis, monkeypatch, wrong="nonsense")
+    axis.image.fresh = False
+    axis.follow(2.0)
+    assert [call[0] for call in calls] == ["law", "estimator", "monitor"]
+    assert calls[1][-1] is False
+    assert axis.supervisor.fault is None
+
+
+def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Theta and the instruments are read all the same, for the log; the rest is reset."""
+    calls = Calls(axis, monkeypatch, wrong="nonsense")
+    axis.terms.permitted, axis.terms.reason = False, Reason.OVER_SPEED
+    axis.follow(2.0)
+    assert calls == []
+    assert (axis.terms.theta, axis.instruments.tau_j) == (1.5, 0.34)
+    assert axis.terms.tau_j_des == 0.0  # released
+    assert axis.supervisor.fault is None
+
+
+def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the time is that of the cycle."""
+    Calls(axis, monkeypatch, wrong="a tendon is torn")
+    axis.follow(2.0)
+    assert axis.supervisor.fault is not None
+    assert (axis.supervisor.fault.detail, axis.supervisor.fault.time) == ("a tendon is torn", 2.0)
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_over_speed_and_what_is_not_finite_trip(
+    axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, reason: Reason
+) -> None:
+    """The other reasons bend the torque, and that is all."""
+    Calls(axis, monkeypatch)
+    axis.terms.reason = reason
+    axis.follow(2.0)
+    words = {Reason.OVER_SPEED: "over-speed at the limiter", Reason.NOT_FINITE: "not-finite at the limiter"}
+    assert (axis.supervisor.fault.detail if axis.supervisor.fault else None) == words.get(reason)
+
+
+@pytest.mark.parametrize("part", [0, 1])
+@pytest.mark.parametrize(("change", "noticed"), [(9e-4, False), (-9e-4, False), (1.1e-3, True), (-1.1e-3, True)])
+def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
+    axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, part: int, change: float, noticed: bool
+) -> None:
+    """Of what it uses, either parameter, either way; and each value is handed over once."""
+    told: list[tuple[float, float]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    axis._take_over((0.2, 40.0))
+    estimate = [0.2, 40.0]
+    estimate[part] *= 1.0 + change
+    axis.estimator.use = True
+    axis.estimator.friction_angle, axis.estimator.pretension = estimate
+    axis.adapt()
+    axis.adapt()
+    assert told == [(0.2, 40.0), tuple(estimate)][: 1 + noticed]
+
+
+def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The model file's values are; and once in force they are not told again."""
+    told: list[tuple[float, float]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    nominal = (axis.model.friction_angle, axis.model.pretension)
+    axis.estimator.friction_angle, axis.estimator.pretension, axis.estimator.use = 0.1, 20.0, False
+    axis.adapt()
+    axis._take_over(nominal)
+    assert told == []
+    axis._take_over((0.2, 40.0))
+    axis.adapt()
+    assert told == [(0.2, 40.0), nominal]

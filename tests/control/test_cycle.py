@@ -1,0 +1,38 @@
+"""One cycle of all axes, on hand-made nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.daemon.machine import Machine
+from tsa_ctrl.control.cycle import follow_up, run_cycle
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[Machine]:
+    made = Machine(tmp_path)
+    yield made
+    made.close()
+
+
+def test_nothing_of_the_law_is_asked_without_permission(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A law that fails cannot disturb an axis that has no torque."""
+
+    def asked(*arguments: float) -> float:
+        raise AssertionError("asked")
+
+    monkeypatch.setattr(machine.axis.law, "update", asked)
+    for _ in range(20):
+        run_cycle(machine.rig, machine.axes, machine.bus.clock.now, machine.bus.clock.now + 6e-4)
+        follow_up(machine.rig, machine.axes, machine.bus.clock.now)
+    assert len(machine.drive.commands) == 20
+
+
+def test_a_drive_that_obeys_hears_no_nmt(machine: Machine) -> None:
+    """From the first cycle to the last."""
+    machine.run(seconds=0.5)
+    assert any(machine.drive.torques)
+    assert all(can_id != 0x000 for can_id, _ in machine.bus.sent)
