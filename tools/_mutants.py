@@ -172,7 +172,7 @@ def _holds_names(node: ast.Set | ast.List | ast.Tuple) -> bool:
     )
 
 
-def _other_constants(value: object) -> list[object]:
+def _other_constants(value: object) -> list[float]:
     if isinstance(value, bool):
         return [not value]
     if isinstance(value, int):
@@ -254,7 +254,7 @@ def _with_attribute(name: str) -> Edit:
     return edit
 
 
-def _constant(value: object) -> Edit:
+def _constant(value: float) -> Edit:
     return lambda node: ast.Constant(value)
 
 
