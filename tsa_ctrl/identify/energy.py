@@ -13,6 +13,9 @@ block, and by more than the residual explains.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +31,19 @@ CLEAR = 0.5  # of the residual's RMS: a smaller term may be the work of what the
 CARRIES = (
     0.2  # of the motor torque's standard deviation: what the joint's torque must explain for its sign to be judged
 )
+APART = 0.2  # of ln(ratio^2): pulleys so different tell swapped torques from a reversed velocity
+MOVES = 0.01  # rad, standard deviation of an angle beyond what noise of a velocity integrates to
+RELATED = 0.5  # correlation of an angle with the integral of its own velocity, at least
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
+
+
+@dataclass(frozen=True)
+class _Signs:
+    """Of a and F, 0 where they are not certain; `carried` is a where its sign is certain."""
+
+    gain: int
+    friction: int
+    carried: float
 
 
 def check_energy(dataset: Dataset, model: Model) -> None:
@@ -54,16 +69,30 @@ def _check_kinematics(dataset: Dataset) -> None:
                     f"{dataset.label}: column {velocity} runs against d{angle}/dt: one of the two is reversed; turn "
                     "its sign"
                 )
+            if _unrelated(dataset[angle], dataset[velocity], dataset.period):
+                raise UsageError(
+                    f"{dataset.label}: column {velocity} is not the velocity of {angle} (its integral does not follow "
+                    f"{angle}): are two columns swapped? Rename them, or leave {velocity} out"
+                )
+
+
+def _unrelated(angle: Array, velocity: Array, period: float) -> bool:
+    """Whether an angle that moves and the integral of a velocity that moves it are clearly not one motion."""
+    line = np.linspace(-1.0, 1.0, len(angle))
+    turned, integral = (y - np.mean(y) for y in (angle, np.cumsum(velocity) * period))
+    turned, integral = (y - line * float(line @ y) / float(line @ line) for y in (turned, integral))
+    sizes = float(np.std(turned)), float(np.std(integral))
+    return min(sizes) > MOVES and float(np.mean(turned * integral)) < RELATED * sizes[0] * sizes[1]
 
 
 def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
     omega = dataset["omega_j"]
     sliding = _sliding(omega)
     tau_m = dataset["tau_m"] * (model.joint_pulley_radius / model.motor_pulley_radius)
-    signs = _signs(dataset, tau_m, omega, sliding, dataset["tau_j"])
-    if signs is None:
+    found = _signs(dataset, tau_m, omega, sliding, dataset["tau_j"])
+    if found is None:
         return
-    gain, friction = signs
+    gain, friction = found.gain, found.friction
     velocity = "omega_j" if "omega_j" not in dataset.derived else "q_j"
     against = "omega_m" in dataset and _opposed(omega[sliding], dataset["omega_m"][sliding])
     motor_velocity = "omega_m" if "omega_m" not in dataset.derived else "q_m"
@@ -72,6 +101,10 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
             return
         channel = "tau_j" if friction > 0 else "tau_m"
     elif friction < 0:
+        if gain > 0:
+            _refuse_swapped(
+                dataset.label, found.carried, model.joint_pulley_radius / model.motor_pulley_radius, velocity
+            )
         channel = velocity if gain > 0 or against else f"tau_m or {velocity}"
     elif against:
         channel = motor_velocity if friction > 0 else f"{motor_velocity} or {velocity}"
@@ -83,13 +116,29 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
     )
 
 
+def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> None:
+    """Raise UsageError when tau_m and tau_j may have changed places, which turns the sign of friction alone.
+
+    carried: ratio tau_m / tau_j, about 1 / cosh x; with the columns swapped it is about ratio^2 cosh x.
+    """
+    swapped = math.log(ratio**2)
+    surely = abs(swapped) > APART and abs(math.log(carried) - swapped) < 0.5 * abs(swapped)
+    options = ("columns tau_m and tau_j are swapped", f"column {velocity} is reversed")
+    first, second = options if surely else options[::-1]
+    raise UsageError(
+        f"{label}: {first}, or {second}: as recorded the transmission creates energy (allowed: tau_m omega_m > 0 is "
+        f"work put in, tau_j omega_j > 0 work given out; tau_j about {ratio:.3g} times tau_m by the pulleys, found "
+        f"{ratio / carried:.3g}); rename the two columns, or turn the velocity's sign"
+    )
+
+
 def _check_drive(dataset: Dataset) -> None:
     _check_kinematics(dataset)
     if "omega_m" not in dataset:
         return
     omega = dataset["omega_m"]
-    signs = _signs(dataset, dataset["tau_m"], omega, _sliding(omega), None)
-    if signs is not None and signs[1] < 0:
+    found = _signs(dataset, dataset["tau_m"], omega, _sliding(omega), None)
+    if found is not None and found.friction < 0:
         velocity = "omega_m" if "omega_m" not in dataset.derived else "q_m"
         raise UsageError(
             f"{dataset.label}: column tau_m or {velocity} is reversed: as recorded the drive's friction creates energy "
@@ -109,8 +158,8 @@ def _opposed(x: Array, y: Array) -> bool:
 
 def _signs(
     dataset: Dataset, tau_m: Array, omega: Array, sliding: NDArray[np.bool_], tau_j: Array | None
-) -> tuple[int, int] | None:
-    """Signs of a and F, 0 where they are not certain; None where the log cannot tell anything."""
+) -> _Signs | None:
+    """Of a and F; None where the log cannot tell anything."""
     sigma = np.sign(omega)
     if sliding.sum() < 100 or abs(float(np.mean(sigma[sliding]))) > 0.9:
         return None
@@ -136,7 +185,8 @@ def _signs(
     gain = 0
     if tau_j is not None and useful[1] and abs(coefficients[1]) > CARRIES * float(np.std(y)):
         gain = int(sign[1])
-    return gain, int(sign[0])
+    carried = float(coefficients[1] / scale[1]) if gain else 0.0
+    return _Signs(gain, int(sign[0]), carried)
 
 
 def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:

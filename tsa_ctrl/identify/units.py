@@ -30,6 +30,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
 }
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi
+INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have changed places
 MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
 
 
@@ -118,6 +119,11 @@ def check_ratios(
                         f"{label}: column {motor} is {slope:.3g} times {joint} where the pulleys give {ratio:.3g}, "
                         f"which cannot be right; {name} seems to be in degrees: use rad"
                     )
+            if slope is not None and not _near(ratio, 1.0 / ratio) and abs(slope * ratio - 1.0) < INVERSE:
+                raise UsageError(
+                    f"{label}: column {motor} is {slope:.3g} times {joint} where the pulleys give {ratio:.3g}; {motor} "
+                    f"and {joint} seem to be swapped, or the radii in the model file: exchange them"
+                )
 
 
 def _near(ratio: float, factor: float) -> bool:

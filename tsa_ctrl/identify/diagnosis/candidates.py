@@ -237,16 +237,20 @@ def _stribeck(s: Scales, _: Frame) -> list[Variant]:
 
 
 def _presliding(s: Scales, frame: Frame) -> list[Variant]:
-    def of(elements: int) -> Variant:
+    def of(elements: int, follows: str, reach: float) -> Variant:
         def parameters(u: Array) -> dict[str, Value]:
-            return {"presliding_distance": math.exp(u[0]), "elements": elements}
+            return {"presliding_distance": math.exp(u[0]), "elements": elements, "displacement": follows}
 
-        low, high = 0.001 * s.motor_reach, 0.7 * s.motor_reach
+        low, high = 0.0002 * reach, 0.7 * reach
         coordinate = Coordinate("presliding_distance", math.log(low), math.log(high), 2e-2)
-        starts = tuple((math.log(v),) for v in _geometric(3.0 * low, 0.5 * s.motor_reach, 8))
-        return Variant("presliding_hysteresis", (coordinate,), starts, (), parameters, f"{elements} elements")
+        starts = tuple((math.log(v),) for v in _geometric(3.0 * low, 0.5 * reach, 8))
+        return Variant(
+            "presliding_hysteresis", (coordinate,), starts, (), parameters, f"{elements} elements, {follows}"
+        )
 
-    return [of(1), of(2), of(4), of(8)]
+    # Where the tendons are soft a motor hardly moves while the joint's own reversal turns the friction.
+    motor = [("motor", s.motor_reach)] if frame.has("q_m") else []
+    return [of(n, follows, reach) for follows, reach in (*motor, ("joint", s.reach)) for n in (1, 2, 4, 8)]
 
 
 def _backlash(s: Scales, _: Frame) -> list[Variant]:

@@ -20,6 +20,7 @@ from tsa_ctrl.identify.diagnosis.features import angle
 from tsa_ctrl.identify.diagnosis.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.misfit import Misfit, plain_error
 from tsa_ctrl.identify.diagnosis.problem import Problem
+from tsa_ctrl.identify.diagnosis.refit import through_reversals
 from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, rivals, without
 from tsa_ctrl.identify.diagnosis.warmth import warmth
 
@@ -97,15 +98,18 @@ def _group(
         dataclasses.replace(rival, limit=rival.name in limits and rival.worse > -PER_COORDINATE) for rival in found
     ]
     if structure is not None:
-        found = _by_misfit(problem, found, structure, plain_error(problem, smaller))
+        found = _by_misfit(problem, found, structure, smaller, through_reversals(fitted))
     return Group(name, tuple(sorted(found, key=lambda rival: rival.worse)))
 
 
-def _by_misfit(problem: Problem, found: Sequence[Rival], structure: Misfit, without: float) -> list[Rival]:
+def _by_misfit(
+    problem: Problem, found: Sequence[Rival], structure: Misfit, smaller: Fit, reversals: bool
+) -> list[Rival]:
     """The same, with what the simulation error says of those that noise would exclude; one of each name."""
     judged = []
+    without_any = plain_error(problem, smaller, reversals)
     for rival in found:
-        covers = rival.excluded and structure.covers(plain_error(problem, rival.fitted), without)
+        covers = rival.excluded and structure.covers(plain_error(problem, rival.fitted, reversals), without_any)
         judged.append(dataclasses.replace(rival, within_misfit=covers))
     best: dict[str, Rival] = {}
     for rival in sorted(judged, key=lambda rival: (rival.excluded, rival.worse)):

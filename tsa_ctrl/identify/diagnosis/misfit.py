@@ -43,9 +43,12 @@ def misfit(problem: Problem, fitted: Fit, share: float) -> Misfit | None:
     return Misfit(share, plain_error(problem, fitted)) if share > STRUCTURE and fitted.names else None
 
 
-def plain_error(problem: Problem, fitted: Fit) -> float:
-    """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate."""
-    return refit(problem, fitted).fitted.rss * problem.noise.rms**2
+def plain_error(problem: Problem, fitted: Fit, reversals: bool | None = None) -> float:
+    """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate.
+
+    `reversals` as of `refit`.
+    """
+    return refit(problem, fitted, reversals=reversals).fitted.rss * problem.noise.rms**2
 
 
 def by_simulation_error(problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]]) -> Fit:

@@ -53,4 +53,4 @@ def refined(problem: Problem, fitted: Fit, score: Score, found: list[Response]) 
             low, a, at_a = a, b, at_b
             b = low + SHRINK * (high - low)
             at_b = gain(b)
-    return Score(variant, np.array([best]), most, column[:, None])
+    return Score(variant, np.array([best]), most, column[:, None], most)

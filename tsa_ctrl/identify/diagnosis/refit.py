@@ -47,11 +47,22 @@ class Refit:
         return Quantity(value, max(value - half, low), min(value + half, high), unit)
 
 
-def refit(problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None) -> Refit:
-    """Fit of the same hypothesis on the plain error over `mask` (default: the problem's own), started at `found`."""
+def through_reversals(found: Fit) -> bool:
+    """Whether the hypothesis says what friction does in a reversal, so that none of its moments is unknown."""
+    return "presliding_hysteresis" in found.names
+
+
+def refit(
+    problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None, *, reversals: bool | None = None
+) -> Refit:
+    """Fit of the same hypothesis on the plain error over `mask` (default: the problem's own), started at `found`.
+
+    `reversals`: whether the moments of reversals count; default: where the hypothesis goes `through_reversals`. Errors
+    of two hypotheses compare only where it is the same for both.
+    """
     used = problem.mask if mask is None else mask
     plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
-    if "presliding_hysteresis" in found.names:  # friction follows the displacement through a reversal: nothing unknown
+    if through_reversals(found) if reversals is None else reversals:
         plain = dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0))))
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)

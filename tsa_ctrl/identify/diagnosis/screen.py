@@ -39,6 +39,7 @@ class Score:
     start: Array
     gain: float
     columns: Array  # (m, k) white, the fitted parameters projected out
+    whole: float  # decrease by the response as it is, neither shrunk nor stretched
 
 
 def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> list[Response]:
@@ -88,7 +89,8 @@ def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Sco
         at += response.columns.shape[1]
         measure = _amplitudes if response.variant.amplitude else _whole
         start, gain = measure(response.variant, response.start, columns, residual)
-        out.append(Score(response.variant, start, gain, columns))
+        whole = 2.0 * float(columns[:, 0] @ residual) - float(columns[:, 0] @ columns[:, 0])
+        out.append(Score(response.variant, start, gain, columns, gain if response.variant.amplitude else whole))
     return out
 
 

@@ -15,7 +15,7 @@ from tsa_ctrl.identify.diagnosis.nuisance import nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.profile import refined
-from tsa_ctrl.identify.diagnosis.refit import refit
+from tsa_ctrl.identify.diagnosis.refit import refit, through_reversals
 from tsa_ctrl.identify.diagnosis.screen import Response, Score, best_by_effect, responses, scores
 
 Catalogue = Mapping[str, tuple[Variant, ...]]
@@ -107,7 +107,7 @@ def _refined(
     by_variant: dict[int, Score] = {}
     for score in screened:
         number = id(score.variant)
-        if score.variant.effect in names and (number not in by_variant or score.gain > by_variant[number].gain):
+        if score.variant.effect in names and (number not in by_variant or score.whole > by_variant[number].whole):
             by_variant[number] = score
     finer = [refined(problem, fitted, score, found) for score in by_variant.values()]
     others = [score for score in best_by_effect(screened) if score.variant.effect not in names]
@@ -145,7 +145,8 @@ def _enters(
 
 def _worth(problem: Problem, smaller: Fit, larger: Fit) -> float:
     """RMS in N*m at the score rate that the plain error loses: what noise of an input feigns gains next to nothing."""
-    before, after = (refit(problem, fitted).fitted.rss for fitted in (smaller, larger))
+    reversals = through_reversals(larger)
+    before, after = (refit(problem, fitted, reversals=reversals).fitted.rss for fitted in (smaller, larger))
     return problem.noise.rms * float(np.sqrt(max(before - after, 0.0) / problem.count))
 
 

@@ -20,6 +20,8 @@ from tsa_ctrl.identify.diagnosis.prepare import Frame, Run, block_numbers
 STRETCHES = 12  # of one log; every third is held out
 GAP = 0.3  # s between what is learned from and what is held out
 ENDS = 0.15  # s at either end of a log whose motion was derived
+FIRST_SPEED = 0.01  # of the fastest: slower is standstill at the log's start
+FIRST_TRAVEL = 0.02  # of half the range, after which a joint that stood has its friction whatever was before
 FEWEST_LOGS = 3  # from which on whole logs are held out
 
 
@@ -67,7 +69,17 @@ def _inner(run: Run) -> NDArray[np.bool_]:
     if {"omega_j", "omega_m"} & run.raw.derived or "tau_j" not in run.raw:
         ends = min(round(ENDS / run.period), run.count // 20)
         out[:ends] = out[run.count - ends :] = False
+    out[: _unknown(run)] = False
     return out
+
+
+def _unknown(run: Run) -> int:
+    """How many first score samples of a log that begins at standstill have a friction that no sample tells."""
+    omega = run.average(run.signals.omega_j)
+    travel = np.cumsum(np.abs(omega)) * run.period
+    if abs(omega[0]) > FIRST_SPEED * float(np.quantile(np.abs(omega), 0.95)):
+        return 0
+    return int(np.searchsorted(travel, FIRST_TRAVEL * 0.5 * float(np.ptp(np.cumsum(omega))) * run.period))
 
 
 def _stretches(counts: Sequence[int], period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
