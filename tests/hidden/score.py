@@ -13,6 +13,7 @@ from .cases import Case, Truth
 
 MOST_ALTERNATIVES = 2
 WHOLE = ("cycles_per_revolution", "elements")  # parameters without an interval
+DEFAULTS = {"elements": 1}  # of what a hidden effect leaves out
 
 
 @dataclass
@@ -96,7 +97,7 @@ def _covered(cause: dict[str, Any], truth: Truth) -> dict[str, bool]:
     for key in ("law", "curvature_profile", *WHOLE):
         value = found.get(key)
         value = value["value"] if isinstance(value, dict) else value
-        if value is not None and key in hidden and value != hidden[key]:
+        if value is not None and value != hidden.get(key, DEFAULTS.get(key, value)):
             return {}
     out = {}
     for key, value in hidden.items():

@@ -34,6 +34,7 @@ from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_qua
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, Experiment, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
 from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, select
+from tsa_ctrl.identify.diagnosis.sharpen import sharpened
 from tsa_ctrl.identify.diagnosis.show import details
 from tsa_ctrl.identify.diagnosis.split import Split, split
 from tsa_ctrl.identify.diagnosis.words import insufficient_sentence, sentence
@@ -109,7 +110,7 @@ def diagnose(
         structure = misfit(chosen.problem, best, share)
     grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
     say("parameters and gain")
-    shipped = refit(chosen.problem, chosen.fitted)
+    shipped = sharpened(chosen.problem, refit(chosen.problem, chosen.fitted))
     errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
     limits, invisible = _limits(chosen, parts)
     not_testable = {

@@ -60,10 +60,7 @@ def refit(
     `reversals`: whether the moments of reversals count; default: where the hypothesis goes `through_reversals`. Errors
     of two hypotheses compare only where it is the same for both.
     """
-    used = problem.mask if mask is None else mask
-    plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
-    if through_reversals(found) if reversals is None else reversals:
-        plain = dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0))))
+    plain = on_plain_error(problem, through_reversals(found) if reversals is None else reversals, mask)
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))
@@ -72,6 +69,13 @@ def refit(
     if index.size and plain.count:
         covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
     return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM)))
+
+
+def on_plain_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
+    """The problem whose residual is the simulation error, in units of the noise; see `refit`."""
+    used = problem.mask if mask is None else mask
+    plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
+    return dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0)))) if reversals else plain
 
 
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:
