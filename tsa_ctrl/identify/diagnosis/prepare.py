@@ -2,7 +2,8 @@
 
 Averaging is linear and the same for the measured torque and for every prediction, so comparing averages loses nothing
 but resolution: a pulse shorter than one average keeps its area. Angles and velocities are low-passed with zero phase
-before the model sees them, because the sign of a noisy velocity is wrong near every standstill.
+before the model sees them, because the sign of a noisy velocity is wrong near every standstill. Torques are not: they
+jump with a reversal, and a drive that compensates friction says little else.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ COMPUTE_SAMPLES = 90_000  # of all logs together at most
 SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
 SCORE_SAMPLES = 12_000  # of all logs together at most
 BLOCKS = 24  # for block-robust statistics
-HIGHEST = {"tau_m": 100.0}  # Hz, cut-off of the denoising: torques follow a reversal at once
 ANGLE_HIGHEST = 40.0  # Hz, of angles and velocities
 ACCELERATION_HIGHEST = 20.0  # Hz, of a velocity that is to be derived
 STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
-RINGING = 0.1  # s beside a standstill in which the velocity is left as it is
+RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is left as it is
+JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
 DERIVED_CUTOFF = 10.0  # Hz, of the filter that derives a velocity
 
@@ -144,13 +145,14 @@ def _clean(log: Dataset) -> tuple[Signals, float, Array]:
     noise, error = 0.0, np.zeros(len(log))
     # A displacement must turn when the velocity does that was derived from it.
     highest = DERIVED_CUTOFF if {"omega_j", "omega_m"} & log.derived else ANGLE_HIGHEST
-    for name in ("tau_m", "omega_j", "omega_m", "q_j", "q_m"):
+    for name in ("omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
         if column is None:
             continue
-        smooth, left = denoised(column, log.period, HIGHEST.get(name, highest))
+        smooth, left = denoised(column, log.period, highest)
         if name == "omega_j":
-            smooth = np.where(_about_standstill(column, log.period), column, smooth)
+            as_it_is = _about_standstill(column, log.period) | _about_jumps(column - smooth, log.period)
+            smooth = np.where(as_it_is, column, smooth)
             noise = max(left, STEP_NOISE * _count(log, column))
             error = np.hypot(noise, distortion(smooth, log.period, highest))
         clean[name] = smooth
@@ -177,6 +179,14 @@ def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
         if (stop - start) * period > STANDSTILL:
             out[max(0, start - margin) : stop + margin] = True
     return out
+
+
+def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
+    """Where the filter took far more than noise from a velocity (n): it jumped, and would come out bent."""
+    noise = float(np.median(np.abs(taken))) / 0.6745
+    jumped = np.abs(taken) > JUMP * noise if noise > 0.0 else np.zeros(len(taken), dtype=np.bool_)
+    margin = round(0.5 * RINGING / period)
+    return np.asarray(np.convolve(jumped, np.ones(2 * margin + 1), mode="same") > 0.5)
 
 
 def _count(log: Dataset, omega: Array) -> float:

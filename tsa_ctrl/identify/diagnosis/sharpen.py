@@ -24,6 +24,7 @@ FIRST_SPAN = 2.0  # steps of the coordinate, to either side
 DOUBLINGS = 6  # of the span
 HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end
 DRAWS = 400
+UNEVEN = 0.5  # of a grid step: jumps of single samples make a profile no smoother
 
 
 def sharpened(problem: Problem, shipped: Refit) -> Refit:
@@ -63,7 +64,7 @@ def _resampled(problem: Problem, found: Fit, index: int) -> tuple[float, float]:
     drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), DRAWS)
     spread = float(np.std(_lowest(grid, profile @ drawn.T)))
     step = float(grid[1] - grid[0])
-    return float(_lowest(grid, profile.sum(axis=1, keepdims=True))[0]), float(np.hypot(spread, step / np.sqrt(12.0)))
+    return float(_lowest(grid, profile.sum(axis=1, keepdims=True))[0]), float(np.hypot(spread, UNEVEN * step))
 
 
 def _grid(found: Fit, index: int, total: Callable[[float], float]) -> Array:

@@ -1,0 +1,41 @@
+"""Intervals where they are hard: numbers that hang on single moments, and motor torques that compensate friction."""
+
+from __future__ import annotations
+
+import pytest
+
+from . import case
+from .score import mark
+from .test_gate import SEED, ask, likely
+
+none = pytest.mark.xdist_group("gate none")
+single = pytest.mark.xdist_group("gate single")
+
+
+@none
+def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_loop() -> None:
+    inside = []
+    for seed in range(SEED, SEED + 5):
+        hidden = case("none", "free", seed, short=True)
+        inside += list(mark(hidden, ask(hidden)).covered.values())
+    assert len(inside) >= 8
+    assert likely(sum(inside), len(inside), 0.93), f"{sum(inside)} of {len(inside)}"
+
+
+@single
+@pytest.mark.parametrize(
+    ("effect", "parameter"),
+    [("velocity_lag", "time_constant"), ("backlash", "gap"), ("transport_delay", "delay")],
+)
+def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str) -> None:
+    inside = []
+    for seed in range(SEED, SEED + 4):
+        hidden = case("single", effect, seed, short=True)
+        found = [cause for cause in ask(hidden)["causes"] if cause["effect"] == effect]
+        truth = hidden.truth.effects[effect][parameter]
+        for cause in found:
+            quantity = cause["parameters"][parameter]
+            assert 0.0 < quantity["high"] - quantity["low"] < 0.3 * truth
+            inside.append(quantity["low"] <= truth <= quantity["high"])
+    assert len(inside) >= 3
+    assert likely(sum(inside), len(inside), 0.93), f"{sum(inside)} of {len(inside)}"
