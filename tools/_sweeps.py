@@ -6,7 +6,7 @@ import contextlib
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from _rig import controller_text
 
 from tsa_ctrl.bus.socketcan import SocketCan
 from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 
 AXES = (1, 2, 4, 8)
@@ -49,6 +50,10 @@ def by_axes(interface: str, rounds: int, cycles: int) -> Table:
             more = axes - 1
             row["each more, floor"] = (floor - first["floor"]) / more
             row["each more, ours"] = (ours - first["ours"]) / more
+        row["late p99, bare"], row["late p99, ours"] = (
+            found["bare sleep"]["lateness_p99"],
+            found["ours"]["lateness_p99"],
+        )
         row["late p99 of a bare sleep's"] = found["ours"]["lateness_p99"] / found["bare sleep"]["lateness_p99"]
         rows.append(row)
     return rows
@@ -69,17 +74,38 @@ def by_estimator(interface: str, rounds: int, cycles: int) -> Table:
 
 
 def by_effect(interface: str, rounds: int, cycles: int) -> Table:
-    """The cycle with the model extended by each effect, and by all that go together."""
+    """The cycle, and the law alone in it, with the model extended by each effect, and by all that go together."""
     stacks: dict[str, dict[str, Any]] = {"none": {}}
     stacks.update({name: {name: values} for name, values in EFFECTS.items()})
     stacks[f"all {len(STACK)} that go together"] = STACK
     with contextlib.ExitStack() as stack:
         table = {}
+        alone: dict[str, list[float]] = {name: [] for name in stacks}
         for name, effects in stacks.items():
             configuration = stack.enter_context(_configuration(interface, 1, effects=effects))
-            table[name] = lambda c=configuration: ways.ours(c)
+            table[name] = lambda c=configuration, spans=alone[name]: ways.ours(c, prepare=_stamp_law(spans))
         stack.enter_context(responder(interface, 1))
-        return _against_first(measure(table, configuration.file.controller.rate, rounds, cycles), "effect")
+        rows = _against_first(measure(table, configuration.file.controller.rate, rounds, cycles), "effect")
+    for row in rows:
+        row["law alone"] = statistics.median(alone[row["effect"]])
+    return rows
+
+
+def _stamp_law(spans: list[float]) -> Callable[[Sequence[ControlAxis]], None]:
+    """Keep how long each update of the first axis' law takes, us."""
+
+    def put(axes: Sequence[ControlAxis]) -> None:
+        update = axes[0].law.update
+
+        def stamped(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            result = update(*arguments)
+            spans.append(1e6 * (time.perf_counter() - start))
+            return result
+
+        axes[0].law.update = stamped  # type: ignore[method-assign]
+
+    return put
 
 
 def stages(interface: str, cycles: int) -> Table:

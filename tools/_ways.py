@@ -102,12 +102,17 @@ def raw_socket(configuration: Configuration) -> Iterator[Way]:
 
 
 @contextlib.contextmanager
-def ours(configuration: Configuration, bus: Bus | None = None) -> Iterator[Way]:
-    """The control cycle of `tsa run`, torque permitted."""
+def ours(
+    configuration: Configuration,
+    bus: Bus | None = None,
+    prepare: Callable[[Sequence[ControlAxis]], None] = lambda axes: None,
+) -> Iterator[Way]:
+    """The control cycle of `tsa run`, torque permitted; `prepare` may put stamps on its axes."""
     file = configuration.file
     bus = bus or SocketCan(file.bus.channel, file.bus.send_queue)
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
     axes = control_axes(configuration, rig)
+    prepare(axes)
     rig.start()
     collect = file.controller.collect * configuration.period
     start: list[float] = []
