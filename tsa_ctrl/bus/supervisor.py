@@ -20,7 +20,6 @@ _RUN = (Controlword.ENABLE_OPERATION, True, None)
 _TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
 _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
 _OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
-_MAX_FAULTS = 16  # the first is the cause; what follows from it is kept for the log up to this many
 
 
 class Request(Enum):
@@ -249,7 +248,6 @@ class Supervisor:
                 return Controlword.FAULT_RESET
         elif image.fresh:
             self.faults.clear()
-            self._armed = False
             self._enter(Phase.STANDBY, now)
         elif waited > self._settings.reset_timeout:
             self._latch(Cause.RESET_TIMEOUT, "no fresh PDO", now)
@@ -258,7 +256,7 @@ class Supervisor:
     def _latch(self, cause: Cause, detail: str, now: float) -> None:
         if self.phase is Phase.RESETTING and cause is Cause.STALE_PDO:
             return  # judged by the time-out of the reset
-        if all(fault.cause is not cause for fault in self.faults) and len(self.faults) < _MAX_FAULTS:
+        if all(fault.cause is not cause for fault in self.faults):  # the first is the cause; each is kept once
             self.faults.append(Fault(cause, detail, now))
         self.needs_bring_up = self.needs_bring_up or cause.needs_bring_up
         self._armed = False
