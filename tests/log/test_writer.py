@@ -139,6 +139,24 @@ def test_the_process_writes_all_and_completes_the_file(ring: RingWriter, tmp_pat
     assert "1000 records" in log.summary()
 
 
+def test_a_writer_is_waited_for_until_it_looks_at_the_ring(ring: RingWriter, tmp_path: Path) -> None:
+    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    assert log.health().state is WriterState.STARTING
+    log.wait_until_up()
+    assert log.health().state is WriterState.WRITING
+    log.end()
+
+
+def test_a_writer_that_ended_or_hangs_at_once_is_not_waited_for(ring: RingWriter, tmp_path: Path) -> None:
+    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    os.kill(log.pid, signal.SIGSTOP)
+    log.wait_until_up(timeout=0.05)
+    os.kill(log.pid, signal.SIGKILL)
+    log.wait_until_up()
+    assert log.health().state is WriterState.STARTING
+    log.end()
+
+
 def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     log = LogProcess(path, ring, HEADER)

@@ -1,4 +1,4 @@
-"""The processes beside the loop: log writer, socket server, serial readers. Started before it, never waited for."""
+"""The processes beside the loop: log writer, socket server, serial readers. Up before it, and then never waited for."""
 
 from __future__ import annotations
 
@@ -48,6 +48,8 @@ class Children:
             if file.log.enabled:
                 self._start_log(configuration)
             answer = self._server.stdout.readline()
+            if self.log is not None:
+                self.log.wait_until_up()
             if answer != READY:
                 raise UsageError(answer.decode(errors="replace").strip() or "the socket server ended at once")
         except BaseException:

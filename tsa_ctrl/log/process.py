@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
@@ -11,6 +12,8 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.record import LogHealth, RingWriter, WriterState
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
+STARTED = 20.0  # s for the writer to look at the ring
+POLL = 0.01  # s
 
 
 class LogProcess:
@@ -45,6 +48,12 @@ class LogProcess:
     def alive(self) -> bool:
         """False once the process is gone; then records are no longer written."""
         return self._child.poll() is None
+
+    def wait_until_up(self, timeout: float = STARTED) -> None:
+        """Until the writer looks at the ring, or `timeout` s: a process that starts takes the processor from a loop."""
+        end = time.monotonic() + timeout
+        while self.health().state is WriterState.STARTING and self.alive and time.monotonic() < end:
+            time.sleep(POLL)
 
     def health(self) -> LogHealth:
         """What the writer last said."""
