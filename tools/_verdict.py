@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
-STALL = 0.03  # s between two rows of the record: the machine stood still, and the plant with it
+STALL = 2.5  # periods between two rows of the record, which has one per ms: the machine stood still or was too slow
 
 
 @dataclass(frozen=True)

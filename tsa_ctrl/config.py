@@ -13,7 +13,9 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.bus import budget
 from tsa_ctrl.bus.budget import Load
+from tsa_ctrl.bus.plan import drive_plan
 from tsa_ctrl.bus.profile import DriveProfile, load_profile
+from tsa_ctrl.bus.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import BendingSettings
 from tsa_ctrl.control.direction import DirectionSettings
@@ -141,6 +143,18 @@ def load_configuration(path: str | Path) -> Configuration:
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
     return Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load)
+
+
+def check_drives(configuration: Configuration) -> None:
+    """Whether all of it can be written to the drives, the period above all; raises UsageError."""
+    file = configuration.file
+    try:
+        for axis, profile in zip(file.axes, configuration.profiles, strict=True):
+            drive_plan(
+                axis, profile, drive_scale(axis.drive, profile, f"axis '{axis.name}'"), file.bus, configuration.period
+            )
+    except UsageError as error:
+        raise UsageError(f"{configuration.path}: {error}") from None
 
 
 def longest_timeout(file: ControllerFile) -> tuple[float, str]:

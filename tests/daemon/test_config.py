@@ -118,6 +118,22 @@ def test_wrong_is_one_line_and_exit_code_2(folder: Path, pattern: str, text: str
 
 
 @pytest.mark.parametrize(
+    ("pattern", "text", "words"),
+    [
+        (r"^rate = 1000.0", "rate = 933.3", "cannot be written to the drive .* choose a rate such as"),
+        (r"^# host_timeout = 0.1 ", "host_timeout = 0.03 ", "host_timeout 0.03 s is less than two of our heartbeats"),
+    ],
+)
+@pytest.mark.parametrize("verb", [("run", "--check"), ("doctor",)])
+def test_what_no_drive_can_be_told_is_found_before_there_is_a_drive(
+    folder: Path, pattern: str, text: str, words: str, verb: tuple[str, ...]
+) -> None:
+    result = CliRunner().invoke(cli, [*verb, str(edit(folder, pattern, text))])
+    assert isinstance(result.exception, UsageError)
+    assert re.search(f"controller.toml: .*{words}", str(result.exception))
+
+
+@pytest.mark.parametrize(
     ("name", "drive", "encoder", "words"),
     [
         ("knee", 2, 33, "2 axes are named 'knee'"),

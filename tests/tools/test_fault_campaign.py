@@ -112,7 +112,7 @@ def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
 @pytest.mark.slow
 def test_every_fault_is_met_safely(vcan: str) -> None:
     """Torque zero in time at the plant, cause in the log, latched; or the loop goes on and says what was lost."""
-    done = subprocess.run([TOOLS / "fault_campaign", "--json"], capture_output=True, text=True)
+    done = subprocess.run([TOOLS / "fault_campaign", "--tolerant", "--json"], capture_output=True, text=True)
     assert done.stdout, done.stderr
     found = json.loads(done.stdout)["faults"]
     assert {fault["name"] for fault in found} == {fault.name for fault in faults.FAULTS}

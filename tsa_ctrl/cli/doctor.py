@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from tsa_ctrl.config import load_configuration
+from tsa_ctrl.config import check_drives, load_configuration
 from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.doctor import can_interface, machine
 from tsa_ctrl.doctor.check import Check, Result
@@ -34,6 +34,7 @@ def command(controller: Path | None, seconds: float, as_json: bool) -> int:
     if configuration is None:
         found += machine.checks(RealtimeSettings(), 1000.0, seconds)
     else:
+        check_drives(configuration)
         file = configuration.file
         found += machine.checks(file.realtime, file.controller.rate, seconds)
         found += can_interface.checks(file.bus, file.axes, file.controller.rate)

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.config import Configuration, check_drives, load_configuration
 
 
 @click.command(
@@ -26,6 +26,7 @@ from tsa_ctrl.config import Configuration, load_configuration
 def command(controller: Path, check: bool, seconds: float | None, reset_faults: bool, as_json: bool) -> int:
     configuration = load_configuration(controller)
     if check:
+        check_drives(configuration)
         click.echo(_checked(configuration))
         return 0
     from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check

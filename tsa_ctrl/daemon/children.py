@@ -46,24 +46,24 @@ class Children:
             self._server.stdin.write(msgspec.json.encode(description) + b"\n")
             self._server.stdin.flush()
             if file.log.enabled:
-                self._start_log(configuration)
+                self.log = self._start_log(configuration)
             answer = self._server.stdout.readline()
-            if self.log is not None:
-                self.log.wait_until_up()
             if answer != READY:
                 raise UsageError(answer.decode(errors="replace").strip() or "the socket server ended at once")
+            if self.log is not None:
+                self.log.wait_until_up()
         except BaseException:
             self.end()
             raise
 
-    def _start_log(self, configuration: Configuration) -> None:
+    def _start_log(self, configuration: Configuration) -> LogProcess:
         folder = configuration.log_folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(f"{folder}: the log folder cannot be made ({error.strerror}); choose another") from None
         self.ring = RingWriter(len(configuration.file.axes))
-        self.log = LogProcess(untaken(folder, "tsa", ".mcap"), self.ring, log_header(configuration))
+        return LogProcess(untaken(folder, "tsa", ".mcap"), self.ring, log_header(configuration))
 
     @property
     def server_alive(self) -> bool:

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from tsa_ctrl.bus.bring_up import bring_up
+from tsa_ctrl.bus.bring_up import bring_up, prove
 from tsa_ctrl.bus.connect import open_bus
 from tsa_ctrl.bus.rig import Rig
 from tsa_ctrl.bus.seam import Bus
@@ -126,6 +126,8 @@ class Daemon:
         realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
         try:
             self._bring_up(bus, rig, self._reset_faults)
+            if not self._configured:
+                prove(rig, period)
             self._loop = loop
             if self._early_stop is not None:
                 loop.stop(self._early_stop)
