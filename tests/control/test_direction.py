@@ -90,3 +90,52 @@ def test_refuses_a_hysteresis_that_fills_the_zone(zone: float, hysteresis: float
     """More than half of the zone leaves no linear part."""
     with pytest.raises(ValueError, match="at most half of the zone"):
         DirectionSettings(zone=zone, hysteresis=hysteresis)
+
+
+class TestLead:
+    """A velocity that is known to be late is taken ahead of its reversals, and only of those."""
+
+    LEAD = 7e-3  # s
+
+    def crossings(self, lead: float) -> list[float]:
+        """Times (s) at which sigma changes its sign while the joint swings at 1 Hz and up to 3 rad/s."""
+        direction = Direction(SETTINGS, PERIOD, lead)
+        t = np.arange(0.0, 4.0, PERIOD)
+        sigma = np.array([direction.update(3.0 * math.cos(2.0 * math.pi * s)) for s in t])
+        return [float(t[i]) for i in np.flatnonzero(np.diff(np.sign(sigma)))]
+
+    def test_reversals_come_earlier_by_the_lead(self) -> None:
+        """To a millisecond, at each of them."""
+        shifts = np.subtract(self.crossings(0.0), self.crossings(self.LEAD))
+        assert shifts.size == 8
+        np.testing.assert_allclose(shifts, self.LEAD, atol=PERIOD * 1.01)
+
+    def test_at_standstill_noise_moves_nothing(self) -> None:
+        """The derivative of noise is no direction."""
+        direction = Direction(SETTINGS, PERIOD, self.LEAD)
+        noise = np.random.default_rng(1).uniform(-0.0099, 0.0099, 5000)
+        assert {direction.update(float(omega)) for omega in noise} == {0.0}
+
+    def test_trembling_is_not_led(self) -> None:
+        """Up to 4 zones nothing differs from a direction without a lead."""
+        plain, led = Direction(SETTINGS, PERIOD), Direction(SETTINGS, PERIOD, self.LEAD)
+        for n in range(2000):
+            omega = 3.9 * SETTINGS.zone * math.sin(2.0 * math.pi * 12.0 * n * PERIOD)
+            assert led.update(omega) == plain.update(omega)
+
+    def test_a_stop_releases_to_zero(self) -> None:
+        """After fast motion, braked within 50 ms, sigma leaves for 0 and stays."""
+        direction = Direction(SETTINGS, PERIOD, self.LEAD)
+        for n in range(3000):
+            direction.update(3.0 * max(0.0, 1.0 - n * PERIOD / 0.05))
+        assert direction.sigma == 0.0
+
+    def test_a_missing_velocity_counts_as_standstill(self) -> None:
+        """nan neither raises nor leaves a derivative behind."""
+        direction = Direction(SETTINGS, PERIOD, self.LEAD)
+        for omega in (1.0, 0.5, math.nan, math.nan):
+            direction.update(omega)
+        for _ in range(4000):
+            direction.update(math.nan)
+        assert direction.sigma == 0.0
+        assert direction.update(1.0) == 1.0

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 GRID = 400  # strain samples along the sheath
+LEAST_PRETENSION = 0.2  # of the rig's: a tendon that goes slack while its sheath straightens is another rig
 OVERSAMPLING = 4
 PROFILES = ("joint_end", "uniform", "motor_end")
 
@@ -78,8 +79,10 @@ def record(
     t = np.arange(n) / (rate * OVERSAMPLING)
     omega = _motion(t, rng)
     sigma = np.sign(omega)
-    theta = rig.theta + theta_swing * np.sin(2.0 * np.pi * t / (seconds / rng.uniform(2.0, 4.0)))
     stiffness = rig.ea / rig.length
+    room = (1.0 - LEAST_PRETENSION) * (rig.pretension + tensioner) / (stiffness * rig.half_width)
+    theta_swing = min(theta_swing, room)
+    theta = rig.theta + theta_swing * np.sin(2.0 * np.pi * t / (seconds / rng.uniform(2.0, 4.0)))
     slack_free = rig.pretension + tensioner + stiffness * rig.half_width * (theta - rig.theta)
     limit = 2.0 * float(slack_free.min()) * rig.r_m
     tau_m = limit * rng.uniform(0.3, 0.6) * _load(t, rng)

@@ -7,6 +7,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tests.identify import tendon_logs
 from tsa_ctrl.identify import diagnosis
@@ -95,3 +96,40 @@ def test_a_name_with_rivals_is_told_and_not_used(monkeypatch: pytest.MonkeyPatch
     found = extended([log], model, without)
     assert found.effects == ()
     assert "Not used: rivals of viscous_friction are not excluded" in found.notes[-1]
+
+
+LAG = 4e-3  # s, of the encoder's velocity
+
+
+def late_log(profile: str, lag: float) -> tuple[TendonSheath, Dataset]:
+    """A log at 1 kHz whose velocity went through a first-order filter."""
+    rng = np.random.default_rng(4)
+    rig = tendon_logs.draw_rig(rng, profile)
+    model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal.toml")
+    assert isinstance(model, TendonSheath)
+    columns = tendon_logs.record(rig, rng, seconds=20.0, rate=1000.0)
+    if lag > 0.0:
+        keep = np.exp(-1e-3 / lag)
+        columns["omega_j"] = lfilter([1.0 - keep], [1.0, -keep], columns["omega_j"])
+    return model, Dataset.from_arrays(columns, "late.csv")
+
+
+@pytest.mark.parametrize("profile", ["joint_end", "uniform"])
+def test_a_late_velocity_is_found_with_its_interval(profile: str) -> None:
+    model, log = late_log(profile, LAG)
+    found = estimate([log], model, certified_gain=False, forms=True)
+    assert found.effects == ("velocity_lag",)
+    assert found.model.effects["velocity_lag"]["time_constant"] == pytest.approx(LAG, abs=1e-3)
+    quantity = found.parameters["velocity_lag.time_constant"]
+    assert quantity.low <= LAG + 0.5e-3
+    assert quantity.high >= LAG - 0.5e-3
+
+
+def test_a_velocity_in_time_gets_no_lag() -> None:
+    model, log = late_log("joint_end", 0.0)
+    assert estimate([log], model, certified_gain=False, forms=True).effects == ()
+
+
+def test_the_given_form_gets_no_lag() -> None:
+    model, log = late_log("joint_end", LAG)
+    assert estimate([log], model, certified_gain=False, forms=False).effects == ()

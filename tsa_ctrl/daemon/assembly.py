@@ -10,9 +10,9 @@ from tsa_ctrl.bus.supervisor import Supervisor
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
-from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.direction import MOST_LEAD, Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
-from tsa_ctrl.control.law import Inverse, Law
+from tsa_ctrl.control.law import Inverse, Law, LawSettings
 from tsa_ctrl.control.limiter import Limiter, Reason
 from tsa_ctrl.control.live import Tuner, parameters_of
 from tsa_ctrl.control.oscillation import OscillationMonitor
@@ -47,7 +47,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 model=model,
                 supervisor=Supervisor(supervision, profile.reports_following),
                 set_point=SetPoint(settings.setpoint, period, configuration.folder),
-                direction=Direction(settings.direction, period),
+                direction=Direction(settings.direction, period, lead_of(model, settings.law)),
                 bending=Bending(settings.bending, model.bending_angle),
                 estimator=estimator_of(settings, model, period),
                 law=Law(inverse_of(model, period, signals), ratio, settings.law, period),
@@ -70,6 +70,18 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
         gains = settings.bending.gains
         axis.bending.connect(tuple((gain, _joint_angle(by_name[name])) for name, gain in gains.items()))
     return tuple(axes)
+
+
+def lead_of(model: TendonSheath, law: LawSettings) -> float:
+    """By how much the direction leads the velocity, s: the velocity's lag, and half of the friction term's turn.
+
+    0 for a model without the effect `velocity_lag`: nobody measured then that the friction turns at once.
+    """
+    lag = model.effects.get("velocity_lag")
+    if lag is None:
+        return 0.0
+    friction = SimplifiedFeedforward(model).update(0.0, 1.0, 0.0)
+    return min(MOST_LEAD, float(lag["time_constant"]) + law.compensation * friction / law.slew)
 
 
 def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:

@@ -219,7 +219,7 @@ def _notes(model: TendonSheath, signals: Collection[str]) -> list[str]:
         elif name == "backlash":
             notes.append(f"{name}: not compensated, no torque crosses the play of {parameters['gap']} rad")
         elif name == "velocity_lag":
-            notes.append(f"{name}: compensated in the velocity, not in the direction, which the estimator gives")
+            notes.append(f"{name}: compensated in the velocity; the direction is led by the loop")
         elif name == "inertia":
             milliseconds = ACCELERATION_TIME * 1e3
             notes.append(f"{name}: compensated with an acceleration from omega_j that is {milliseconds:g} ms late")

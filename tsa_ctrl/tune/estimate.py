@@ -18,6 +18,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
+from tsa_ctrl.tune.lag import EFFECT, velocity_lag, with_lag
 
 if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
@@ -41,8 +42,8 @@ class Estimate:
     """The new model and how it came about.
 
     `calibration` is that of the form that was kept, `errors` each form's RMS error while sliding (N*m; all have the
-    same two free parameters), `effects` what the diagnosis added with certainty and `parameters` their
-    numbers, by "effect.parameter".
+    same two free parameters), `effects` what was added with certainty and `parameters` their numbers, by
+    "effect.parameter".
     """
 
     model: TendonSheath
@@ -55,7 +56,8 @@ class Estimate:
 
 
 def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool, forms: bool) -> Estimate:
-    """Calibrate `model`; with `forms` also as the full model with an evenly or a motor-side bent sheath.
+    """Calibrate `model`; with `forms` also as the full model with an evenly or a motor-side bent sheath, and how late
+    the velocity is.
 
     Raises UsageError when the logs do not show enough.
     """
@@ -82,7 +84,19 @@ def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool,
             f"{1e3 * errors[Form.GIVEN]:.1f} mN*m); at one bending angle an error of the torque "
             "constant would look alike"
         )
-    return Estimate(found[best].model, found[best], best, errors, (), tuple(notes))
+    chosen = Estimate(found[best].model, found[best], best, errors, (), tuple(notes))
+    lag = velocity_lag(logs, chosen.model) if forms else None
+    if lag is None:
+        return chosen
+    model = with_lag(chosen.model, lag.value)
+    return dataclasses.replace(
+        chosen,
+        model=model,
+        calibration=dataclasses.replace(chosen.calibration, model=model),
+        effects=(EFFECT,),
+        notes=(*notes, f"the velocity is {1e3 * lag.value:.2f} ms late: the loop turns its friction term ahead of it"),
+        parameters={f"{EFFECT}.time_constant": lag},
+    )
 
 
 def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.calibrate.prepared import PreparedLog, stack
+from tsa_ctrl.identify.calibrate.prepared import PreparedLog, offsets, stack
 from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
@@ -29,10 +29,10 @@ def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
 
 
 def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list[FloatArray]) -> Estimate:
-    """Fit tau_J = a tau_M - b weight sigma + c; returns the estimate of (a, b, c)."""
+    """Fit tau_J = a tau_M - b weight sigma + c; returns the estimate of (a, b, and c of each log)."""
     x, z, y = [], [], []
-    for log, w in zip(logs, weight, strict=True):
-        rest = (-w * log.admission.direction, np.ones(log.tau_j.size))
+    for log, w, offset in zip(logs, weight, offsets(logs), strict=True):
+        rest = (-w * log.admission.direction, offset)
         x.append(np.column_stack([log.signals.tau_m, *rest]))
         z.append(np.column_stack([lagged(log.signals.tau_m, lag), *rest]))
         y.append(_base_target(log, model))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.calibrate.prepared import PreparedLog, stack
+from tsa_ctrl.identify.calibrate.prepared import PreparedLog, offsets, stack
 from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
@@ -24,7 +24,7 @@ STEP = 1e-4  # relative step of numerical derivatives
 
 @dataclass(frozen=True)
 class JointFit:
-    """Joint fit of (ln x, ln T_p0, [ln gain], offset) over all configurations."""
+    """Joint fit of (ln x, ln T_p0, [ln gain], offset of each log) over all configurations."""
 
     estimate: Estimate
     condition: float
@@ -34,14 +34,21 @@ class JointFit:
 def joint_fit(logs: list[PreparedLog], model: TendonSheath, lag: int, certified_gain: bool) -> JointFit | None:
     """Gauss-Newton on the instrumented normal equations; None when the data do not determine it."""
     gain_free = not certified_gain
-    p = np.array([math.log(model.friction_angle), math.log(model.pretension), 0.0, 0.0])
-    free = [0, 1, 2, 3] if gain_free else [0, 1, 3]
+    p = np.array([math.log(model.friction_angle), math.log(model.pretension), 0.0, *np.zeros(len(logs))])
+    free = [0, 1, *([2] if gain_free else []), *range(3, p.size)]
+    zero = offsets(logs)
     estimate = None
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     for _ in range(ITERATIONS):
-        x = [_jacobian(log, model, p, log.signals.tau_m)[:, free] for log in logs]
-        z = [_jacobian(log, model, p, lagged(log.signals.tau_m, lag))[:, free] for log in logs]
-        y = [log.tau_j - _response(log, model, p, log.signals.tau_m) for log in logs]
+        x = [_jacobian(log, model, p, log.signals.tau_m, own)[:, free] for log, own in zip(logs, zero, strict=True)]
+        z = [
+            _jacobian(log, model, p, lagged(log.signals.tau_m, lag), own)[:, free]
+            for log, own in zip(logs, zero, strict=True)
+        ]
+        y = [
+            log.tau_j - _response(log, model, p, log.signals.tau_m) - offset
+            for log, offset in zip(logs, p[3:], strict=True)
+        ]
         rows = np.concatenate([a[log.mask] for a, log in zip(x, logs, strict=True)])
         instruments = np.concatenate([a[log.mask] for a, log in zip(z, logs, strict=True)])
         try:
@@ -66,17 +73,19 @@ def _response(log: PreparedLog, model: TendonSheath, p: FloatArray, tau_m: Float
         log.mask, log.admission.direction * np.maximum(np.abs(log.signals.omega_j), 1e-9), log.signals.omega_j
     )
     tau_j: FloatArray = predict(variant, dataclasses.replace(log.signals, tau_m=tau_m * math.exp(p[2]), omega_j=held))
-    return tau_j + float(p[3])
+    return tau_j
 
 
-def _jacobian(log: PreparedLog, model: TendonSheath, p: FloatArray, tau_m: FloatArray) -> FloatArray:
+def _jacobian(
+    log: PreparedLog, model: TendonSheath, p: FloatArray, tau_m: FloatArray, offset: FloatArray
+) -> FloatArray:
     columns = []
     for i in range(3):
         up, down = p.copy(), p.copy()
         up[i] += STEP
         down[i] -= STEP
         columns.append((_response(log, model, up, tau_m) - _response(log, model, down, tau_m)) / (2.0 * STEP))
-    return np.column_stack([*columns, np.ones(tau_m.size)])
+    return np.column_stack([*columns, offset])
 
 
 def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:

@@ -99,10 +99,17 @@ def instrument_lag(logs: list[PreparedLog]) -> int:
     residuals = []
     for log in logs:
         x = np.column_stack([log.signals.tau_m, log.admission.direction, np.ones(log.tau_j.size)])
+        if log.signals.theta is not None:
+            x = np.column_stack([x, x * (log.signals.theta - log.signals.theta.mean())[:, None]])
         b = np.linalg.lstsq(x[log.mask], log.tau_j[log.mask], rcond=None)[0]
         residuals.append(np.where(log.mask, log.tau_j - x @ b, 0.0))
     period = float(logs[0].signals.t[1] - logs[0].signals.t[0])
     return choose_lag([log.signals.tau_m for log in logs], residuals, max(2, round(LAG_LIMIT / period)))
+
+
+def offsets(logs: list[PreparedLog]) -> list[FloatArray]:
+    """For each log, columns (n, m) of which its own is 1: a sensor's zero moves from log to log, not within one."""
+    return [np.broadcast_to(row, (log.tau_j.size, len(logs))) for row, log in zip(np.eye(len(logs)), logs, strict=True)]
 
 
 def stack(parts: list[FloatArray], logs: list[PreparedLog]) -> FloatArray:

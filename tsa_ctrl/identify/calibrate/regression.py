@@ -2,9 +2,10 @@
 
 Ordinary least squares of tau_J on tau_M is biased when tau_M is noisy (the slope shrinks), and its textbook intervals
 are wrong when the errors are coloured. Here the instrument of tau_M is the mean of tau_M a lag earlier and a lag later,
-beyond the correlation time of the noise: the noise drops out, the (slow) signal stays. Intervals come from leaving out
-whole blocks of time (Efron's jackknife; the CR3 form of a cluster-robust variance, MacKinnon and White 1985) with
-Student's t.
+beyond the correlation time of the noise: the noise drops out, the (slow) signal stays. Intervals come from the scatter
+of whole blocks of time, each block's residuals scaled by (1 - leverage)^(-1/2), with Student's t at as many degrees of
+freedom as that variance has (CR2: Bell and McCaffrey 2002; Imbens and Kolesar 2016). Leaving blocks out (CR3) scales by
+(1 - leverage)^(-1), too much where few blocks decide.
 """
 
 from __future__ import annotations
@@ -21,20 +22,24 @@ FloatArray = NDArray[np.float64]
 
 BLOCKS = 18
 MAX_LAG_LOSS = 0.10  # the instrument may lose so much of the correlation with its signal
+ALONE = 1e-6  # 1 - leverage, below which a block alone determines a combination
 NOISE_CORRELATION = 0.05  # the lag at which the noise's autocorrelation has died out
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Coefficients (k), their leave-one-block-out covariance (k, k) and each block's share in it (B, k, k).
+    """Coefficients (k), their covariance (k, k) from B blocks of time, and what tells how well that is known.
 
-    `shares` are the covariances that white noise within each block would cause: a coefficient that rests on few blocks
-    has few degrees of freedom (Satterthwaite; Bell and McCaffrey 2002).
+    With k-vectors of scores, `influence` (B, k, k) takes the residuals' score of a block to its share of the error of
+    `value`, `leverage` (B, k, k) is the part of a block's score that the fit took up, `weight` (B, k, k) what white
+    errors of variance 1 would make the covariance of each block's true score.
     """
 
     value: FloatArray
     covariance: FloatArray
-    shares: FloatArray
+    influence: FloatArray
+    leverage: FloatArray
+    weight: FloatArray
 
     def interval(self, index: int, level: float = 0.95) -> tuple[float, float]:
         """Two-sided interval of one coefficient."""
@@ -44,10 +49,17 @@ class Estimate:
         """Interval of `gradient @ value` (delta method for a function with that gradient)."""
         centre = float(gradient @ self.value)
         deviation = float(np.sqrt(gradient @ self.covariance @ gradient))
-        share = np.einsum("i,bij,j->b", gradient, self.shares, gradient)
-        dof = max(1.0, float(share.sum() ** 2 / np.square(share).sum()) - 1.0)
-        half = float(stats.t.ppf(0.5 + level / 2.0, dof)) * deviation
+        half = float(stats.t.ppf(0.5 + level / 2.0, self.degrees_of_freedom(gradient))) * deviation
         return centre - half, centre + half
+
+    def degrees_of_freedom(self, gradient: FloatArray) -> float:
+        """Of the variance of `gradient @ value` (Satterthwaite): few where it rests on few blocks."""
+        b = self.influence.transpose(0, 2, 1) @ gradient
+        taken = np.einsum("bji,bj->bi", self.leverage, b)
+        own = np.einsum("bij,bj->bi", self.weight, b)
+        cross = own @ taken.T
+        joint = np.diag(np.sum(b * own, axis=1)) - cross - cross.T + taken @ self.weight.sum(axis=0) @ taken.T
+        return max(1.0, float(np.trace(joint) ** 2 / np.sum(np.square(joint))))
 
 
 def block_labels(lengths: list[int], blocks: int = BLOCKS) -> list[NDArray[np.int64]]:
@@ -99,8 +111,10 @@ def _correlation_lag(residual: FloatArray, limit: int) -> int:
 
 
 def _loss(signal: FloatArray, lag: int) -> float:
+    """Share of the correlation with itself that a signal loses at a lag; noise, which is to be lost, is averaged."""
     if 4 * lag >= signal.size:
         return 1.0
+    signal = uniform_filter1d(signal, lag, mode="nearest")
     a, b = signal - signal.mean(), lagged(signal, lag)
     b = b - b.mean()
     scale = float(np.sqrt((a @ a) * (b @ b)))
@@ -108,7 +122,7 @@ def _loss(signal: FloatArray, lag: int) -> float:
 
 
 def solve(regressors: FloatArray, instruments: FloatArray, target: FloatArray, labels: NDArray[np.int64]) -> Estimate:
-    """Just-identified instrumental variables with a leave-one-block-out covariance.
+    """Just-identified instrumental variables with a covariance from blocks of time.
 
     `regressors`, `instruments` (n, k), `target` (n), `labels` (n) block numbers. Raises numpy.linalg.LinAlgError
     when the data do not determine the coefficients.
@@ -118,12 +132,19 @@ def solve(regressors: FloatArray, instruments: FloatArray, target: FloatArray, l
     x, z, y = regressors[order], instruments[order], target[order]
     zx = np.add.reduceat(z[:, :, None] * x[:, None, :], starts, axis=0)
     zy = np.add.reduceat(z * y[:, None], starts, axis=0)
-    total_zx, total_zy = zx.sum(axis=0), zy.sum(axis=0)
-    value = np.linalg.solve(total_zx, total_zy)
-    replicas = np.linalg.solve(total_zx - zx, (total_zy - zy)[:, :, None])[:, :, 0]
-    count = replicas.shape[0]
-    deviation = replicas - value
-    covariance = (count - 1) / count * deviation.T @ deviation
-    inverse = np.linalg.inv(total_zx - zx)
-    shares = inverse @ np.add.reduceat(z[:, :, None] * z[:, None, :], starts, axis=0) @ inverse.transpose(0, 2, 1)
-    return Estimate(value, covariance, shares)
+    inverse = np.linalg.inv(zx.sum(axis=0))
+    value = inverse @ zy.sum(axis=0)
+    leverage = zx @ inverse
+    influence = inverse @ _inverse_root(np.eye(value.size) - leverage)
+    errors = np.einsum("bij,bj->bi", influence, zy - zx @ value)
+    weight = np.add.reduceat(z[:, :, None] * z[:, None, :], starts, axis=0)
+    return Estimate(value, errors.T @ errors, influence, leverage, weight)
+
+
+def _inverse_root(matrices: FloatArray) -> FloatArray:
+    """Inverse square roots (B, k, k); what a block alone determines (a root of 0) leaves no residual to be scaled."""
+    values, vectors = np.linalg.eig(matrices)
+    alone = values.real < ALONE
+    roots = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, values.astype(np.complex128))))
+    product = (vectors * roots[:, None, :]) @ np.linalg.inv(vectors)
+    return np.ascontiguousarray(product.real)
