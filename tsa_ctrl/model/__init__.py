@@ -1,0 +1,1 @@
+"""The tendon-sheath: equations, model files, the catalogue of effects."""

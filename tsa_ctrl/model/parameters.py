@@ -28,12 +28,16 @@ Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
 
 
 class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[actuator] of a tendon-sheath model file."""
+
     kind: Literal["tendon_sheath"] = "tendon_sheath"
     motor_pulley_radius: Radius  # r_M, m
     joint_pulley_radius: Radius  # r_J, m
 
 
 class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[actuator] of a drive without joint torque sensor."""
+
     kind: Literal["rigid_drive"]
     inertia: NonNegative | None = None  # J, kg*m^2
     coulomb_friction: NonNegative | None = None  # tau_c, N*m
@@ -42,6 +46,8 @@ class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 
 
 class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[tendon]."""
+
     axial_stiffness: Positive  # E A, N
     unstrained_length: Length  # l_us, m
     diameter: Annotated[float, Meta(gt=0.0, le=0.1)]  # d, m
@@ -49,6 +55,8 @@ class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
 
 class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[sheath]."""
+
     friction_coefficient: Annotated[float, Meta(ge=0.0, le=5.0)]  # mu, 1
     bending_angle: Angle  # Theta, rad
     contact_offset: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # p, m
@@ -56,15 +64,21 @@ class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
 
 class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[pretension]."""
+
     value: NonNegative | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
 
 
 class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[uncertainty]: how far the nominal values may be off."""
+
     friction_angle: NonNegative = 0.25  # factor either way, minus 1
     pretension: NonNegative = 0.25
 
 
 class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A model file of kind "tendon_sheath", as it is written."""
+
     actuator: ActuatorSection
     tendon: TendonSection
     sheath: SheathSection
@@ -75,6 +89,8 @@ class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
 
 class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A model file of kind "rigid_drive", as it is written."""
+
     actuator: RigidDriveSection
     effects: dict[str, dict[str, Any]] = {}
     provenance: dict[str, Any] = {}

@@ -48,6 +48,7 @@ def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list
 
 
 def combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
+    """Slope (1) and half loop torque (N*m): what one configuration identifies; instruments are `lag` samples away."""
     estimate = _linear(logs, model, lag, [np.ones(log.tau_j.size) for log in logs])
     slope = Quantity(float(estimate.value[0]), *estimate.interval(0), "1")
     return slope, Quantity(float(estimate.value[1]), *estimate.interval(1), "N*m")

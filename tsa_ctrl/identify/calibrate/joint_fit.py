@@ -89,6 +89,7 @@ def _jacobian(
 
 
 def quantities(joint: JointFit) -> tuple[Quantity, Quantity]:
+    """Friction angle (1) and pretension (N) with their intervals."""
     made = []
     for index, unit in ((0, "1"), (1, "N")):
         low, high = joint.estimate.interval(index)

@@ -48,6 +48,7 @@ class PreparedLog:
 
 
 def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str, float]) -> list[PreparedLog]:
+    """Each log with its signals, what is admitted of it, and its known change of pretension; `tensioner`: patterns of names to changes of T_p0, N. Raises UsageError."""
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
     for pattern in tensioner:
@@ -96,6 +97,7 @@ def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:
 
 
 def instrument_lag(logs: list[PreparedLog]) -> int:
+    """Samples beyond which the noise of the motor torque no longer correlates with itself."""
     residuals = []
     for log in logs:
         x = np.column_stack([log.signals.tau_m, log.admission.direction, np.ones(log.tau_j.size)])
@@ -113,4 +115,5 @@ def offsets(logs: list[PreparedLog]) -> list[FloatArray]:
 
 
 def stack(parts: list[FloatArray], logs: list[PreparedLog]) -> FloatArray:
+    """The admitted samples of all logs in one array; `parts`: one array per log."""
     return np.concatenate([part[log.mask] for part, log in zip(parts, logs, strict=True)])

@@ -64,6 +64,7 @@ class Scales:
 
 
 def scales_of(frame: Frame) -> Scales:
+    """Speeds, torques and travels that occur in these logs: where the grids of candidates lie."""
     signals = [run.signals for run in frame.runs]
     speed = np.concatenate([np.abs(s.omega_j) for s in signals])
     fast = float(np.quantile(speed, 0.95))

@@ -53,6 +53,7 @@ def time_family(frame: Frame, sigma: Array, load: Array) -> Array:
 
 
 def direction_and_load(frame: Frame, predicted: Array) -> tuple[Array, Array]:
+    """Direction of motion (1) and load (1) of every sample, as the random features see them."""
     drivers = _drivers(frame, predicted)
     return drivers["direction"], drivers["load"]
 

@@ -32,6 +32,7 @@ def details(
     findings: Sequence[Finding],
     shipped: Refit,
 ) -> Details:
+    """What the pictures need, from what the pipeline found."""
     models = (
         base.hypothesis.base.given,
         base.hypothesis.model(base.point),

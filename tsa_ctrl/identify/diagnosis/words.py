@@ -16,6 +16,7 @@ def spoken(name: str) -> str:
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:
+    """Names as a person lists them: a, b and c."""
     if len(names) < 2:
         return "".join(names)
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
@@ -58,6 +59,7 @@ def cause_phrase(cause: Cause) -> str:
 
 
 def insufficient_sentence(reason: str) -> str:
+    """The first sentence of a report that cannot say anything else."""
     return f"These logs cannot tell: {reason}."
 
 
