@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report import PAGE
+from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_model
 
 EXAMPLES = """\b
@@ -83,16 +85,13 @@ def _show(result: Diagnosis, out: Path) -> None:
     console = Console()
     console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
     if result.causes:
-        table = Table("cause", "or", "parameter", "value", "95 % interval")
+        table = Table(
+            *(Column(name, overflow="fold") for name in ("cause", "or", "parameter", "value", "95 % interval"))
+        )
         for cause in result.causes:
             first = True
             for name, value in cause.parameters.items() or (("", ""),):
-                shown = (
-                    ("", "")
-                    if isinstance(value, str)
-                    else (f"{value.value:.4g} {value.unit}", f"{value.low:.4g} to {value.high:.4g}")
-                )
-                text = (value, "") if isinstance(value, str) else shown
+                text = (value, "") if isinstance(value, str) else _shown(value)
                 table.add_row(*((cause.effect, ", ".join(cause.alternatives)) if first else ("", "")), name, *text)
                 first = False
         console.print(table)
@@ -100,3 +99,10 @@ def _show(result: Diagnosis, out: Path) -> None:
         f"verdict: {result.verdict.value}; next experiment: {result.experiment.text}", soft_wrap=True, markup=False
     )
     console.print(f"report: {out / PAGE}", soft_wrap=True, markup=False)
+
+
+def _shown(value: Quantity) -> tuple[str, str]:
+    """A number with its unit, and its interval where the logs told it."""
+    told = 0.0 < value.high - value.low < math.inf
+    unit = "" if value.unit == "1" else f" {value.unit}"
+    return f"{value.value:.4g}{unit}", f"{value.low:.4g} to {value.high:.4g}" if told else ""

@@ -112,7 +112,8 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
         return
     raise UsageError(
         f"{dataset.label}: column {channel} is reversed: as recorded the transmission creates energy (allowed: tau_m "
-        "omega_m > 0 is work put in, tau_j omega_j > 0 work given out, omega_m and omega_j of one sign); turn its sign"
+        "omega_m > 0 is work put in, tau_j omega_j > 0 work given out, omega_m and omega_j of one sign); turn its "
+        "sign, unless two columns are swapped"
     )
 
 

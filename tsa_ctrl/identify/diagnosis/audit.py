@@ -13,6 +13,9 @@ from tsa_ctrl.model.signals import hold_direction
 SHORTEST = 3.0  # s
 FEWEST = 60  # score samples
 STUCK = 0.5  # share of a torque's samples that repeat the one before
+FEWEST_HELD = 20  # samples at the largest value that are no chance
+UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
+FEWEST_MEANS = 20
 SPEED_BINS, LOAD_BINS = 8, 8
 
 
@@ -88,6 +91,13 @@ def _insufficient(
     return ""
 
 
+def _is_noise(column: Array) -> bool:
+    """Whether neighbours, also as means over a hundred samples, have nothing to do with each other."""
+    coarse = column[: len(column) // 100 * 100].reshape(-1, 100).mean(axis=1)
+    series = [column, coarse] if len(coarse) >= FEWEST_MEANS else [column]
+    return all(float(np.mean(np.diff(y) ** 2)) > UNRELATED * float(np.var(y)) for y in series)
+
+
 def _suspicions(frame: Frame) -> tuple[str, ...]:
     out = []
     for run in frame.runs:
@@ -98,8 +108,12 @@ def _suspicions(frame: Frame) -> tuple[str, ...]:
             repeated = np.diff(column) == 0.0
             if float(np.mean(repeated)) > STUCK and len(np.unique(column)) > 0.05 * len(column):
                 out.append(f"{run.name}: {name} repeats its last value in {np.mean(repeated):.0%} of the samples")
+            if float(np.ptp(column)) == 0.0:
+                continue
+            if _is_noise(column):
+                out.append(f"{run.name}: {name} is a constant with noise: is the torque recorded?")
             top = np.max(np.abs(column))
-            held = float(np.mean(np.abs(column) > 0.9999 * top)) if top > 0.0 else 0.0
-            if held > 0.01:
+            held = float(np.mean(np.abs(column) > 0.9999 * top))
+            if held > 0.01 and held * len(column) > FEWEST_HELD:
                 out.append(f"{run.name}: {name} stays at its largest value {top:.3g} N*m for {held:.1%} of the time")
     return tuple(out)

@@ -6,6 +6,7 @@ torque can sweep (speed of reversals, level, sign, rest), and the words say what
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -76,12 +77,24 @@ def advice(
         wanted.append("repeat the very same motion ten times, so that the noise floor is measured and not estimated")
     if not wanted:
         wanted = _gaps(found, not_testable, rigid=isinstance(model, RigidDrive))
-    torque = _setpoint(scales.torque)
     what = "; ".join(
         text for text in dict.fromkeys(wanted) if not any(text in other for other in wanted if other != text)
     )
     told = " or ".join(dict.fromkeys(name.replace("_", " ") for group in groups for name in group))
     text = f"{what}: this would tell {told}" if groups else what
+    return _playable(text, _setpoint(scales.torque))
+
+
+def first_motion(model: Model) -> Experiment:
+    """What to record when the logs tell nothing, under torques as large as the model file's friction."""
+    text = "reversals at 0.1, 0.5 and 2 rad/s over the whole range, under torques of both signs, for a minute"
+    if isinstance(model, RigidDrive):
+        return Experiment(text)
+    friction = 2.0 * model.pretension * model.joint_pulley_radius * math.sinh(model.friction_angle)
+    return _playable(text, _setpoint(0.5 * friction)) if friction > 0.0 else Experiment(text)
+
+
+def _playable(text: str, torque: Array) -> Experiment:
     t = np.arange(len(torque)) * PERIOD
     return Experiment(text, tuple(t.tolist()), tuple(torque.tolist()))
 

@@ -19,7 +19,7 @@ from tsa_ctrl.identify.diagnosis.audit import Audit, audit
 from tsa_ctrl.identify.diagnosis.base import Base, RigidBase, TendonBase
 from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
-from tsa_ctrl.identify.diagnosis.experiment import advice
+from tsa_ctrl.identify.diagnosis.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.grouping import Group, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
@@ -31,13 +31,13 @@ from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.prepare import Frame, prepare
 from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
 from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit
-from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, Experiment, ParameterError, Rms, Verdict
+from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
 from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, select
 from tsa_ctrl.identify.diagnosis.sharpen import sharpened
 from tsa_ctrl.identify.diagnosis.show import details
 from tsa_ctrl.identify.diagnosis.split import Split, split
-from tsa_ctrl.identify.diagnosis.words import insufficient_sentence, sentence
+from tsa_ctrl.identify.diagnosis.words import insufficient_sentence, listed, sentence
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 
@@ -50,6 +50,11 @@ ABSURD = 1.5  # times the torque's own variation: a simulation so far off is of 
 UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
     "or is the model another drive's?"
+)
+UNRELATED = 0.6  # of the torque's own variation: more that is not noise is left by every cause only of strange logs
+STRANGE = (
+    "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, is a unit wrong, "
+    "or is one column of another log?"
 )
 BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
 PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
@@ -112,6 +117,8 @@ def diagnose(
     say("parameters and gain")
     shipped = sharpened(chosen.problem, refit(chosen.problem, chosen.fitted))
     errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
+    if not plain and share > 0.0 and errors.extended > UNRELATED * float(np.std(parts.frame.target[parts.held])):
+        return _insufficient(model, found, STRANGE, not_testable)
     limits, invisible = _limits(chosen, parts)
     not_testable = {
         **not_testable,
@@ -320,7 +327,7 @@ def _assembled(
         sentence="",
         causes=tuple(causes),
         parameter_errors=_parameter_errors(shipped, parts.frame, model),
-        unexplained=_description(left),
+        unexplained=_description(left, () if named else found.suspicions),
         not_testable=dict(sorted(not_testable.items())),
         detection_limit=dict(sorted(limits.items())),
         experiment=advice(model, verdict, causes, found, not_testable, scales, seed),
@@ -351,14 +358,25 @@ def _parameter_errors(shipped: Refit, frame: Frame, model: Model) -> dict[str, P
     return out
 
 
-def _description(left: Sequence[Finding]) -> str:
+def _description(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
+    """`suspicions` of the data, for what nothing else explains."""
     if not left:
         return ""
-    first = left[0]
-    what = first.what
-    told = f"what is left depends on {what}" if not what.startswith(("a ", "bursts")) else f"what is left is {what}"
-    more = [finding.what for finding in left[1:3]]
-    return f"{told} ({first.share:.0%} of its mean square)" + (f"; also on {' and '.join(more)}" if more else "")
+    first, *others = left[:3]
+    share = f"({first.share:.0%} of its mean square)"
+    told = [
+        f"what is left depends on {first.what} {share}" if _drives(first) else f"what is left is {first.what} {share}"
+    ]
+    depends = [finding.what for finding in others if _drives(finding)]
+    are = [finding.what for finding in others if not _drives(finding)]
+    told += [f"it also depends on {listed(depends)}"] if depends else []
+    told += [f"there is also {listed(are)}"] if are else []
+    return "; ".join([*told, *suspicions])
+
+
+def _drives(finding: Finding) -> bool:
+    """Whether a finding names a signal on which the rest depends; else it names the rest itself."""
+    return not finding.what.startswith(("a ", "bursts"))
 
 
 def _insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[str, str] | None = None) -> Diagnosis:
@@ -371,9 +389,7 @@ def _insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping
         unexplained="",
         not_testable=dict(sorted((not_testable or {}).items())),
         detection_limit={},
-        experiment=Experiment(
-            "reversals at 0.1, 0.5 and 2 rad/s over the whole range, under torques of both signs, for a minute"
-        ),
+        experiment=first_motion(model),
         rms=Rms(),
         gain=0.0,
         model=model,

@@ -57,11 +57,18 @@ def details(
         band=1.96 / float(np.sqrt(len(residual))),
         audit=found,
         findings=tuple(findings),
-        excluded=tuple(dict.fromkeys(rival.name for group in grouped for rival in group.rivals if rival.excluded)),
+        excluded=_excluded(grouped),
         held_out=held,
         logs=tuple(logs),
-        notes=found.notes,
+        notes=(*found.notes, *found.suspicions),
     )
+
+
+def _excluded(grouped: Sequence[Group]) -> tuple[str, ...]:
+    """Rivals that take no cause's place, nearest first."""
+    possible = {name for group in grouped for name in (group.name, *(r.name for r in group.alternatives))}
+    names = dict.fromkeys(rival.name for group in grouped for rival in group.rivals if rival.excluded)
+    return tuple(name for name in names if name not in possible)
 
 
 def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:

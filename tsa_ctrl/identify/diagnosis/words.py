@@ -9,6 +9,9 @@ from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, Verdict
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import CATALOGUE
 
+ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
+EXCLUDED = 3  # names in the sentence; the report has them all
+
 
 def spoken(name: str) -> str:
     """An effect's name as words."""
@@ -30,9 +33,7 @@ def sentence(result: Diagnosis) -> str:
     assert rms.noise_floor is not None
     start = f"After recalibration the simulation is off by {_torque(rms.recalibrated)} RMS on held-out data"
     if result.verdict is Verdict.CONSISTENT:
-        smallest = min(result.detection_limit.values(), default=None)
-        seen = f"; an effect of {_torque(smallest)} or more would have been seen" if smallest else ""
-        return f"{start}, which is noise: nothing is wrong with the model beyond its parameters{seen}."
+        return f"{start}, which is noise: nothing is wrong with the model beyond its parameters{_visible(result)}."
     if result.verdict is Verdict.UNEXPLAINED:
         return (
             f"{start} where noise is {_torque(rms.noise_floor)}, and nothing in the catalogue explains it: "
@@ -41,8 +42,24 @@ def sentence(result: Diagnosis) -> str:
     causes = listed([cause_phrase(cause) for cause in result.causes])
     noise = _torque(rms.noise_floor)
     gained = f"the extended model is off by {_torque(rms.extended)} (noise {noise}, gain {result.gain:.0%})"
+    ruled_out = [spoken(name) for name in result.details.excluded[:EXCLUDED]] if result.details else []
+    excluded = f" Excluded: {listed(ruled_out)}." if ruled_out else ""
     end = f"; but {result.unexplained}" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
-    return f"{start}. Cause: {causes}; {gained}{end}."
+    return f"{start}. Cause: {causes}; {gained}{end}.{excluded}"
+
+
+def _visible(result: Diagnosis) -> str:
+    """The smallest effects that would have been seen: the smallest of all, and that of the effect that hides best."""
+    limits = result.detection_limit
+    if not limits:
+        return ""
+    least, most = min(limits, key=lambda name: limits[name]), max(limits, key=lambda name: limits[name])
+    if limits[most] < ALIKE * limits[least]:
+        return f"; any effect of {_torque(limits[most])} or more would have been seen"
+    return (
+        f"; {spoken(least)} of {_torque(limits[least])} or more would have been seen, and any other effect from "
+        f"{_torque(limits[most])} on ({spoken(most)})"
+    )
 
 
 def cause_phrase(cause: Cause) -> str:
