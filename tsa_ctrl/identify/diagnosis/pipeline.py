@@ -53,7 +53,7 @@ UNSUITED = (
 )
 UNRELATED = 0.6  # of the torque's own variation: more that is not noise is left by every cause only of strange logs
 STRANGE = (
-    "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, is a unit wrong, "
+    "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, a unit wrong, "
     "or is one column of another log?"
 )
 BENDING_VARIED = 0.05  # of the bending angle: less is one configuration

@@ -185,7 +185,7 @@ def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
     """Where the filter took far more than noise from a velocity (n): it jumped, and would come out bent."""
     noise = float(np.median(np.abs(taken))) / 0.6745
     jumped = np.abs(taken) > JUMP * noise if noise > 0.0 else np.zeros(len(taken), dtype=np.bool_)
-    margin = round(0.5 * RINGING / period)
+    margin = min(round(0.5 * RINGING / period), (len(taken) - 1) // 2)
     return np.asarray(np.convolve(jumped, np.ones(2 * margin + 1), mode="same") > 0.5)
 
 
