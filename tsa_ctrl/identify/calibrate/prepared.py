@@ -48,7 +48,7 @@ class PreparedLog:
 
 
 def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str, float]) -> list[PreparedLog]:
-    """Each log with its signals, what is admitted of it, and its known change of pretension; `tensioner`: patterns of names to changes of T_p0, N. Raises UsageError."""
+    """Each log with what is admitted of it; `tensioner`: patterns of names to changes of T_p0, N. Raises UsageError."""
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
     for pattern in tensioner:
