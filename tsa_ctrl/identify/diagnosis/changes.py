@@ -23,6 +23,7 @@ LINE_BAND = (0.1, 25.0)  # Hz
 BURST = 0.25  # s
 BURST_SHARE = 0.03  # of the time: bursts may take
 BURST_ENERGY = 0.12  # of the mean square that they hold, above what noise puts there
+DRIFT = "a slow drift"  # its share is of the plain mean square
 REFERENCE_BAND = (0.4, 5.0)  # Hz, from which noise is continued to lower frequencies
 STEEPEST = 1.2  # power of 1/f that noise may have there
 DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have
@@ -134,8 +135,8 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         excess += float(np.sum(power[slow]))
         lines_ += int(slow.sum())
     if lines_ == 0 or expected <= 0.0:
-        return Finding("a slow drift", 0.0, 0.0, False)
+        return Finding(DRIFT, 0.0, 0.0, False)
     ratio = excess / expected
     share = (excess - expected) / rms**2
     sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_)
-    return Finding("a slow drift", share, ratio, bool(sure and share > DRIFT_SHARE**2))
+    return Finding(DRIFT, share, ratio, bool(sure and share > DRIFT_SHARE**2))

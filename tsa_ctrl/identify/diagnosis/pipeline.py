@@ -21,7 +21,7 @@ from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
 from tsa_ctrl.identify.diagnosis.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
-from tsa_ctrl.identify.diagnosis.grouping import Group, groups
+from tsa_ctrl.identify.diagnosis.grouping import Group, compared, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
 from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
 from tsa_ctrl.identify.diagnosis.misfit import by_simulation_error, misfit
@@ -33,7 +33,7 @@ from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
 from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
-from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, select
+from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, select, without
 from tsa_ctrl.identify.diagnosis.sharpen import sharpened
 from tsa_ctrl.identify.diagnosis.show import details
 from tsa_ctrl.identify.diagnosis.split import Split, split
@@ -114,6 +114,10 @@ def diagnose(
         chosen = dataclasses.replace(chosen, fitted=best)
         structure = misfit(chosen.problem, best, share)
     grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
+    unsure = _unsure(chosen, grouped, findings)
+    if unsure:
+        chosen = dropped(chosen, unsure)
+        grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
     say("parameters and gain")
     shipped = sharpened(chosen.problem, refit(chosen.problem, chosen.fitted))
     errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
@@ -242,6 +246,15 @@ def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Fin
     rest = frame.target - predicted
     findings.append(changes.drift(_known(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
     return findings
+
+
+def _unsure(chosen: Selection, grouped: Sequence[Group], findings: Sequence[Finding]) -> list[int]:
+    """Causes that stand alone, but explain less than what is left and no cause explains: a name would be a guess."""
+    problem, fitted = chosen.problem, chosen.fitted
+    shares = [finding.share for finding in findings if finding.found and finding.what != changes.DRIFT]
+    left = max(shares, default=0.0) * fitted.rss
+    alone = [i for i, group in enumerate(grouped) if left > 0.0 and not group.alternatives]
+    return [i for i in alone if compared(problem, fitted, without(problem, fitted, i), "nothing").worse < left]
 
 
 def _accounted(problem: Problem, fitted: Fit) -> Array:

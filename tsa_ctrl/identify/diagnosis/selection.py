@@ -228,5 +228,13 @@ def without(problem: Problem, fitted: Fit, index: int) -> Fit:
     return fit(problem, hypothesis, np.concatenate([fitted.point[:base], *own[:index], *own[index + 1 :]]))
 
 
+def dropped(selection: Selection, indices: Sequence[int]) -> Selection:
+    """The selection without these causes, under the same noise model."""
+    fitted = selection.fitted
+    for index in sorted(indices, reverse=True):
+        fitted = without(selection.problem, fitted, index)
+    return dataclasses.replace(selection, fitted=fitted, evidence=_evidence(selection.problem, fitted))
+
+
 def _evidence(problem: Problem, fitted: Fit) -> tuple[Evidence, ...]:
     return tuple(evidence(problem, without(problem, fitted, i), fitted) for i in range(len(fitted.names)))
