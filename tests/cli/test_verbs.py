@@ -48,6 +48,19 @@ def test_wrong_option_is_one_line_and_code_2(line: str, wrong: str, capsys: pyte
     assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
 
 
+@pytest.mark.parametrize("number", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize("line", ["run", "bench", "doctor", "verify-safety"])
+def test_a_number_that_is_none_is_one_line_and_code_2(
+    line: str, number: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    option = "--torque" if line == "verify-safety" else "--seconds"
+    with pytest.raises(SystemExit) as ended:
+        main([line, "no.toml", option, number])
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert option in said.err
+
+
 def test_unknown_verb_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["diagnoze"])

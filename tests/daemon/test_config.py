@@ -101,6 +101,8 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         (r"^\[axis.bending\]", '[axis.bending]\nsource = "joints"', "gains .* belong to"),
         (r"^\[realtime\]", "[realtime]\npriority = 100", "realtime.priority"),
         (r"^rated_torque = 1.0", "rated_torque = 0.0", "drive.rated_torque"),
+        (r'^channel = "vcan0"', 'channel = ""', "bus.channel"),
+        (r'^channel = "vcan0"', r'channel = "can\u0000"', "bus.channel"),
         (r'^name = "knee"', 'name = "the knee"', "name"),
         (r'^# profile = "generic"', 'profile = "epos9"', "no such drive profile 'epos9'"),
         (r"^\[\[axis\]\]", "[axis]", "axis"),

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import select
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,8 @@ from typing import Any
 import pytest
 
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.safety import trials
 from tsa_ctrl.safety.loop import under_trial
 from tsa_ctrl.safety.verify import trial_torque
 
@@ -72,6 +75,42 @@ def test_nobody_there_to_agree_is_an_error(folder: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "give --yes" in done.stderr
+
+
+def test_a_folder_that_can_take_no_record_is_found_before_anything_moves(folder: Path) -> None:
+    (folder / "file").touch()
+    done = subprocess.run(
+        ["tsa", "verify-safety", "controller.toml", "--yes", "--record", "file/x"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "file/x: no record can be kept there" in done.stderr
+
+
+def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would look like a watchdog's work; the loop's own first words are the reason."""
+    torques = iter((0.1, 0.0))
+
+    class Listener:
+        def ask(self, word: str) -> object:
+            return {"1": next(torques)} if word == "torque" else True
+
+    loop = "import sys, time; print('0.1 s: knee: stale PDO', file=sys.stderr, flush=True); time.sleep(60)"
+    start = subprocess.Popen
+
+    def starts(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        process = start([sys.executable, "-c", loop], **options)
+        assert process.stderr is not None
+        select.select([process.stderr], [], [])
+        return process
+
+    monkeypatch.setattr(trials, "SETTLED", 0.0)
+    monkeypatch.setattr(trials.subprocess, "Popen", starts)
+    configuration = load_configuration(folder / "controller.toml")
+    with pytest.raises(BusError, match=r"torque was lost before anything was done .* knee: stale PDO"):
+        trials.run_trial(configuration, Listener(), trials.Trial.KILL, 0.1)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("given", "code"), [("0.1", 2), ("0.3", 0)])

@@ -31,7 +31,7 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     """One CAN bus."""
 
     interface: Annotated[str, Meta(min_length=1)] = "socketcan"  # or any interface of python-can
-    channel: Annotated[str, Meta(min_length=1)] = "vcan0"
+    channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s
     options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface
     rpdo: Literal["sync", "arrival"] = "sync"  # a torque is applied at the next SYNC, or when it arrives

@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.config import load_configuration
 
 if TYPE_CHECKING:
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 
 @click.command("bench", epilog="Example: tsa bench config/controller.toml")
 @click.argument("controller", type=click.Path(path_type=Path))
-@click.option("--seconds", default=5.0, show_default=True, type=click.FloatRange(0.1, 600.0), help="At each rate.")
-@click.option("--margin", default=0.3, show_default=True, type=click.FloatRange(0.0, 0.9), help="Of the period, free.")
+@click.option("--seconds", default=5.0, show_default=True, type=Finite(0.1, 600.0), help="At each rate.")
+@click.option("--margin", default=0.3, show_default=True, type=Finite(0.0, 0.9), help="Of the period, free.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(controller: Path, seconds: float, margin: float, as_json: bool) -> int:
     """The highest rate that this machine, this adapter and this CONTROLLER.toml carry with margin.

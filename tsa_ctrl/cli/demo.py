@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice, choose
 from tsa_ctrl.demo.motion import from_file, gait
@@ -28,10 +29,10 @@ FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
 @click.option("--setpoint", type=click.Path(path_type=Path), help="CSV with t, tau_j_des and q_j; default: a gait.")
 @click.option(
     "--seconds",
-    type=click.FloatRange(3.0, 3600.0),
+    type=Finite(3.0, 3600.0),
     help=f"Torque per run.  [default: {SECONDS:g}; with --full {FULL_SECONDS:g}]",
 )
-@click.option("--rate", default=1000.0, show_default=True, type=click.FloatRange(50.0, 4000.0), help="Of the loop, Hz.")
+@click.option("--rate", default=1000.0, show_default=True, type=Finite(50.0, 4000.0), help="Of the loop, Hz.")
 @click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL of python-can; default: the best there is.")
 @click.option("--tendon", type=click.Choice(["full", "distributed"]), default="full", show_default=True)
 @click.option(

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.config import check_drives, load_configuration
 from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.doctor import can_interface, machine
@@ -20,9 +21,7 @@ COLOURS = {Result.PASS: "green", Result.WARN: "yellow", Result.FAIL: "red"}
 
 @click.command("doctor", epilog="Example: tsa doctor config/controller.toml")
 @click.argument("controller", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--seconds", default=3.0, show_default=True, type=click.FloatRange(0.1, 600.0), help="Of measured lateness."
-)
+@click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 600.0), help="Of measured lateness.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(controller: Path | None, seconds: float, as_json: bool) -> int:
     """Check kernel, rights, clock, CAN interface, bus load and lateness; exit code 1 when something fails.

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.config import Configuration, check_drives, load_configuration
 
 
@@ -20,7 +21,7 @@ from tsa_ctrl.config import Configuration, check_drives, load_configuration
 )
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.option("--check", is_flag=True, help="Validate the configuration and what it refers to; move nothing.")
-@click.option("--seconds", type=click.FloatRange(min=0.0, min_open=True), help="End after this time of torque.")
+@click.option("--seconds", type=Finite(min=0.0, min_open=True), help="End after this time of torque.")
 @click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def command(controller: Path, check: bool, seconds: float | None, reset_faults: bool, as_json: bool) -> int:

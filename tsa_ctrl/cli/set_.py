@@ -6,6 +6,7 @@ import json
 
 import click
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
@@ -21,7 +22,7 @@ from tsa_ctrl.ipc.client import Client
 @click.option("--against", type=float, help="Compare VALUE (A) with this one (B) in alternating blocks, then put back.")
 @click.option("--with", "more", multiple=True, metavar="NAME=A,B", help="A further parameter of the two sets compared.")
 @click.option("--blocks", default=12, show_default=True, type=click.IntRange(6, 1000), help="Of a comparison.")
-@click.option("--block-seconds", default=4.0, show_default=True, type=click.FloatRange(1.0, 3600.0), help="Of each.")
+@click.option("--block-seconds", default=4.0, show_default=True, type=Finite(1.0, 3600.0), help="Of each.")
 @click.option("--json", "as_json", is_flag=True, help="The comparison as one JSON object on stdout.")
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
 def command(

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tsa_ctrl.cli.finite import Finite
+
 if TYPE_CHECKING:
     from tsa_ctrl.tune.procedure import Outcome
     from tsa_ctrl.tune.session import Session
@@ -25,15 +27,15 @@ if TYPE_CHECKING:
 )
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.option("--axis", "axis_name", metavar="NAME", help="Which axis, where the file has several.")
-@click.option("--torque", type=click.FloatRange(min=0.0, min_open=True), help="Most joint torque, N*m.")
-@click.option("--speed", type=click.FloatRange(min=0.0, min_open=True), help="Most joint speed, rad/s.")
+@click.option("--torque", type=Finite(min=0.0, min_open=True), help="Most joint torque, N*m.")
+@click.option("--speed", type=Finite(min=0.0, min_open=True), help="Most joint speed, rad/s.")
 @click.option("--travel", type=float, nargs=2, metavar="LOW HIGH", help="Joint travel, rad.")
-@click.option("--seconds", default=20.0, show_default=True, type=click.FloatRange(8.0, 600.0), help="Of excitation.")
+@click.option("--seconds", default=20.0, show_default=True, type=Finite(8.0, 600.0), help="Of excitation.")
 @click.option(
     "--verify-seconds",
     default=10.0,
     show_default=True,
-    type=click.FloatRange(4.0, 600.0),
+    type=Finite(4.0, 600.0),
     help="Of each of three runs.",
 )
 @click.option("--certified-gain", is_flag=True, help="The gain of both torque channels is certified: the slope counts.")

@@ -11,6 +11,7 @@ import click
 from rich.console import Console
 from rich.table import Table
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
 
@@ -24,9 +25,7 @@ if TYPE_CHECKING:
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.argument("controller", metavar="CONTROLLER.toml", type=click.Path(path_type=Path))
-@click.option(
-    "--torque", type=click.FloatRange(min=0.0, min_open=True), help="N*m at the motor; default: [safety] torque."
-)
+@click.option("--torque", type=Finite(min=0.0, min_open=True), help="N*m at the motor; default: [safety] torque.")
 @click.option("--record", type=click.Path(path_type=Path), help="Folder of the record; default: that of the logs.")
 @click.option("--yes", is_flag=True, help="Do not ask before the motor pulls.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
@@ -36,14 +35,16 @@ def command(controller: Path, torque: float | None, record: Path | None, yes: bo
     A process apart from the loop listens on the bus and takes the time until the drive reports no torque. Leaves a
     dated record. Exit code 1 when a drive takes longer than [safety] zero_torque_within.
     """
-    from tsa_ctrl.safety.verify import save, trial_torque, verify
+    from tsa_ctrl.safety.verify import check_folder, save, trial_torque, verify
 
     configuration = load_configuration(controller)
     chosen = trial_torque(configuration, torque)
+    folder = record or configuration.log_folder
+    check_folder(folder)
     if not yes:
         _confirm(chosen, len(configuration.file.axes))
     found = verify(configuration, chosen, lambda line: click.echo(line, err=True))
-    path = save(found, record or configuration.log_folder)
+    path = save(found, folder)
     if as_json:
         click.echo(json.dumps({**found.as_dict(samples=False), "record": str(path)}, allow_nan=False))
     else:

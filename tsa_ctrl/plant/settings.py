@@ -27,7 +27,7 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
     """Where the nodes are."""
 
     interface: str = "socketcan"  # or any interface of python-can
-    channel: str = "vcan0"
+    channel: Annotated[str, Meta(pattern=r"^[^\0]+$")] = "vcan0"
     bitrate: Annotated[int, Meta(ge=10_000, le=1_000_000)] = 1_000_000  # bit/s, for adapters that must be told
     options: dict[str, str | int | float | bool] = {}  # further arguments of python-can's interface
 

@@ -121,6 +121,8 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
         time.sleep(SETTLED)
         listener.ask("guard")
         time.sleep(0.05)
+        if not _all_pull(listener, torque):
+            raise BusError(f"torque was lost before anything was done to the loop: {_first_words(loop)}")
         stopped = time.monotonic()
         loop.send_signal(_SIGNALS[trial])
         time.sleep(limit + BEYOND)
@@ -151,14 +153,9 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
 
 def _await_torque(loop: subprocess.Popen[bytes], listener: ListenerProcess, torque: float) -> None:
     end = time.monotonic() + STARTED
-    while True:
-        torques = listener.ask("torque").values()
-        if all(found is not None and abs(found) >= DELIVERED * torque for found in torques):
-            return
+    while not _all_pull(listener, torque):
         if loop.poll() is not None:
-            assert loop.stderr is not None
-            said = loop.stderr.read().decode(errors="replace").strip().splitlines()
-            raise BusError(f"the loop ended before there was torque: {said[-1] if said else 'it said nothing'}")
+            raise BusError(f"the loop ended before there was torque: {_first_words(loop)}")
         if time.monotonic() > end:
             raise BusError(
                 f"the drives do not report {torque:g} N*m within {STARTED:g} s; watch `tsa run`, or give more --torque"
@@ -166,16 +163,27 @@ def _await_torque(loop: subprocess.Popen[bytes], listener: ListenerProcess, torq
         time.sleep(0.02)
 
 
-def _end(loop: subprocess.Popen[bytes]) -> None:
-    """Whatever was done to it, it ends, in order if it can."""
+def _all_pull(listener: ListenerProcess, torque: float) -> bool:
+    found = listener.ask("torque").values()
+    return all(one is not None and abs(one) >= DELIVERED * torque for one in found)
+
+
+def _first_words(loop: subprocess.Popen[bytes]) -> str:
+    """It ends; the first line that it said."""
+    said = _end(loop).decode(errors="replace").strip().splitlines()
+    return said[0] if said else "it said nothing"
+
+
+def _end(loop: subprocess.Popen[bytes]) -> bytes:
+    """Whatever was done to it, it ends, in order if it can; what it said."""
     if loop.poll() is None:
         loop.send_signal(signal.SIGCONT)
         loop.terminate()
     try:
-        loop.communicate(timeout=ENDED)
+        return loop.communicate(timeout=ENDED)[1]
     except subprocess.TimeoutExpired:
         loop.kill()
-        loop.communicate()
+        return loop.communicate()[1]
 
 
 def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> None:

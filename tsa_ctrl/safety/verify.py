@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import json
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -78,16 +79,21 @@ def trial_torque(configuration: Configuration, asked: float | None) -> float:
 def verify(configuration: Configuration, torque: float, say: Callable[[str], None]) -> Verification:
     """Do all trials; `say` gets a line for each. Raises BusError when the rig does not come up or gives no torque."""
     outcomes: list[Outcome] = []
+    wrong = ""
     with listening(configuration) as listener:
         try:
             for trial in Trial:
                 say(f"{trial.words} ...")
                 outcomes += run_trial(configuration, listener, trial, torque)
+        except TsaError as error:
+            wrong = str(error)
+            raise
         finally:
             try:
                 leave_in_order(configuration, say)
             except TsaError as error:  # the trial that went wrong is the one to tell
-                say(f"the drives could not be left in order: {error}")
+                if str(error) not in wrong:
+                    say(f"the drives could not be left in order: {error}")
     return Verification(
         date=datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
         version=__version__,
@@ -101,12 +107,18 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
     )
 
 
-def save(verification: Verification, folder: Path) -> Path:
-    """A dated file that is not overwritten; raises UsageError when it cannot be there."""
+def check_folder(folder: Path) -> None:
+    """Whether a record can be kept there, before anything moves; raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
-        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --record") from None
+        raise UsageError(f"{folder}: no record can be kept there ({error.strerror}); choose another --record") from None
+
+
+def save(verification: Verification, folder: Path) -> Path:
+    """A dated file that is not overwritten; raises UsageError when it cannot be there."""
     path = untaken(folder, "safety", ".json", datetime.datetime.fromisoformat(verification.date))
     write_text(path, json.dumps(verification.as_dict(samples=True), allow_nan=False) + "\n")
     return path
