@@ -1,3 +1,5 @@
+"""`python -m tsa_ctrl` is `tsa`."""
+
 from tsa_ctrl.cli import main
 from tsa_ctrl.parent import follow
 

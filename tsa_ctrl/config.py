@@ -84,6 +84,8 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
 
 
 class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A controller file, as it is written."""
+
     controller: ControllerSection = ControllerSection()
     bus: BusSettings = BusSettings()
     realtime: RealtimeSettings = RealtimeSettings()

@@ -52,6 +52,7 @@ class Task(msgspec.Struct, frozen=True):
 
 
 def ids_of(axes: Sequence[AxisNodes]) -> tuple[Ids, ...]:
+    """Identifiers of each axis' frames, as the configuration maps them."""
     return tuple(
         Ids(
             axis.drive.node_id,
@@ -160,6 +161,7 @@ def _in_a_thread(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[N
 
 
 def main() -> int:
+    """Answer until the parent ends this process; the task comes by stdin."""
     task = msgspec.json.decode(sys.stdin.buffer.readline(), type=Task)
     bus = open_bus(task.bus)
     with contextlib.suppress(OSError):

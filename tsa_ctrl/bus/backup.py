@@ -35,6 +35,8 @@ _COMMANDS = frozenset({objects.CONTROLWORD.key, objects.TARGET_TORQUE.key})
 
 
 class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One object of a dump: where it lies, and what was in it."""
+
     index: Index
     subindex: Subindex
     type: IntegerType

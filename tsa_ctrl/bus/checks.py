@@ -42,6 +42,7 @@ class Node:
 
 
 def check_identity(session: Session, node: Node, report: NodeReport) -> None:
+    """Device type (0x1000) and identity (0x1018) are those of the configuration; raises BusError."""
     node_id = node.settings.node_id
     device_type = session.read(node_id, objects.DEVICE_TYPE)
     report.identity[objects.DEVICE_TYPE.name] = device_type
@@ -80,6 +81,7 @@ def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[in
 
 
 def read_errors(session: Session, node: Node, report: NodeReport) -> None:
+    """Note the error register (0x1001) and history (0x1003)."""
     node_id = node.settings.node_id
     register = session.read_if_there(node_id, objects.ERROR_REGISTER)
     if register:
@@ -118,6 +120,7 @@ def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
 
 
 def check_drive(session: Session, node: Node, report: NodeReport) -> None:
+    """State, supported modes (0x6502), rated torque (0x6076) and reactions of a drive; raises BusError."""
     node_id = node.settings.node_id
     state = cia402.decode(session.read(node_id, objects.STATUSWORD))
     if state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
@@ -170,6 +173,7 @@ def rated_torque_hint(found: float, wanted: float) -> str:
 
 
 def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None:
+    """Resolution and range of an encoder (0x6001, 0x6002) are those of the configuration; raises UsageError."""
     for entry, wanted, key in (
         (objects.MEASURING_UNITS, encoder.counts_per_revolution, "counts_per_revolution"),
         (objects.TOTAL_RANGE, encoder.counts_range, "counts_range"),
@@ -181,6 +185,7 @@ def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None
 
 
 def confirm_mode(session: Session, node: Node) -> None:
+    """0x6061 displays cyclic synchronous torque; raises BusError."""
     node_id = node.settings.node_id
     wanted = Mode.CYCLIC_SYNC_TORQUE
     if not _poll(lambda: session.read(node_id, objects.MODE_DISPLAY) == wanted, _MODE_TIMEOUT):
@@ -192,6 +197,7 @@ def confirm_mode(session: Session, node: Node) -> None:
 
 
 def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> None:
+    """The drive stops by itself when this computer is gone; raises BusError unless that is waived."""
     there = {row.entry.key for row in report.rows if row.after is not None}
     watched = any(write.watchdog and write.entry.key in there for write in plan)
     reacts = objects.CONNECTION_LOSS.key in there

@@ -17,6 +17,8 @@ ALL_NODES = 0
 
 
 class NmtCommand(IntEnum):
+    """Command specifier of NMT (CiA 301, 7.2.8.3.1)."""
+
     START = 0x01
     STOP = 0x02
     PRE_OPERATIONAL = 0x80

@@ -35,6 +35,7 @@ VERBS: dict[str, str] = {
 
 
 def module_of(verb: str) -> str:
+    """The module that a verb lies in."""
     return "tsa_ctrl.cli." + verb.replace("-", "_") + ("_" if verb in {"set"} else "")
 
 

@@ -17,7 +17,6 @@ from tsa_ctrl.config import Configuration, check_drives, load_configuration
 @click.command(
     "run",
     epilog="Example: tsa run config/controller.toml --seconds 20",
-    help="Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`.",
 )
 @click.argument("controller", type=click.Path(path_type=Path))
 @click.option("--check", is_flag=True, help="Validate the configuration and what it refers to; move nothing.")
@@ -25,6 +24,7 @@ from tsa_ctrl.config import Configuration, check_drives, load_configuration
 @click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def command(controller: Path, check: bool, seconds: float | None, reset_faults: bool, as_json: bool) -> int:
+    """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     configuration = load_configuration(controller)
     if check:
         check_drives(configuration)

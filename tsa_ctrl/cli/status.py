@@ -15,12 +15,12 @@ from tsa_ctrl.ipc.client import Client
 @click.command(
     "status",
     epilog="Example: tsa status --json",
-    help="Show what a running daemon does: a live page on a terminal, else once.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--once", is_flag=True, help="Print the page once, even on a terminal.")
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
 def command(as_json: bool, once: bool, path: str) -> None:
+    """Show what a running daemon does: a live page on a terminal, else once."""
     from tsa_ctrl.ipc.page import Page, watch  # rich's layouts are not needed for --json
 
     with Client(path) as client:

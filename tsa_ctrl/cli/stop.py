@@ -16,11 +16,11 @@ POLL = 0.05  # s
 @click.command(
     "stop",
     epilog="Example: tsa stop",
-    help="Ramp a running daemon's torque to zero, disable its drives, and end it.",
 )
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
 @click.option("--wait", default=15.0, show_default=True, help="Seconds to wait for its end; 0: do not wait.")
 def command(path: str, wait: float) -> None:
+    """Ramp a running daemon's torque to zero, disable its drives, and end it."""
     with Client(path) as client:
         client.ask(protocol.Stop())
     end = time.monotonic() + wait

@@ -21,6 +21,8 @@ SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
 
 
 class Attribution(Enum):
+    """What is taken to have changed when the half loop has."""
+
     FRICTION = "friction"
     PRETENSION = "pretension"
     BENDING = "bending"

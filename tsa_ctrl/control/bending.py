@@ -16,6 +16,8 @@ Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
 
 
 class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.bending]."""
+
     source: Literal["fixed", "command", "joints"] = "fixed"
     offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
     gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name

@@ -29,6 +29,8 @@ ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j
 
 
 class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.direction]."""
+
     zone: Speed = 0.05  # omega_z, rad/s: at this joint speed sigma is +-1
     hysteresis: Speed = 0.01  # omega_h, rad/s: changes of velocity smaller than this move nothing
     release: Seconds = 0.2  # s: time constant with which sigma leaves for 0 at standstill

@@ -30,6 +30,8 @@ class EstimateState(Enum):
 
 
 class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.estimator]."""
+
     kind: Literal["fixed", "map", "sensor", "motor"] = "fixed"
     use: bool = False  # whether the law uses the estimate; it is logged in any case ("map" is always used)
     attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"

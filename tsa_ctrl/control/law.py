@@ -16,6 +16,8 @@ from msgspec import Meta
 
 
 class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.law]."""
+
     compensation: Annotated[float, Meta(ge=0.0, le=1.2)] = 0.95  # 1, share of the friction term
     slew: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 120.0  # N*m/s, of the friction term at the motor
     fade_in: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # s after every enable

@@ -23,6 +23,8 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 class RealtimeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[realtime]."""
+
     priority: Annotated[int, Meta(ge=1, le=99)] = 80  # SCHED_FIFO
     lock_memory: bool = True
     cpu: Annotated[int, Meta(ge=0, le=1023)] | None = None  # run on this processor only; default: any

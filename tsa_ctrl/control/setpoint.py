@@ -26,12 +26,16 @@ Source = Callable[[float], float]
 
 
 class Component(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One sine of a multi-sine."""
+
     amplitude: Torque  # N*m
     frequency: Frequency  # Hz
     phase: Annotated[float, Meta(ge=-7.0, le=7.0)] = 0.0  # rad
 
 
 class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.setpoint]."""
+
     kind: Literal["constant", "sine", "multi_sine", "chirp", "step", "file", "socket"] = "constant"
     offset: Torque = 0.0  # N*m, added to every kind
     amplitude: Torque = 0.0  # N*m: of sine, chirp and step

@@ -104,6 +104,7 @@ def estimator_of(settings: AxisSettings, model: TendonSheath, period: float) -> 
 
 
 def tuners_of(axes: Sequence[ControlAxis], period: float) -> tuple[Tuner, ...]:
+    """What moves the parameters of each axis."""
     return tuple(Tuner(parameters_of(axis), period) for axis in axes)
 
 

@@ -7,6 +7,8 @@ from enum import Enum
 
 
 class Result(Enum):
+    """What a check found."""
+
     PASS = "pass"
     WARN = "warn"
     FAIL = "fail"

@@ -22,25 +22,29 @@ class Request(msgspec.Struct, forbid_unknown_fields=True, frozen=True, tag_field
 
 
 class Status(Request, frozen=True, tag="status"):
-    pass
+    """Ask for the status."""
 
 
 class Set(Request, frozen=True, tag="set"):
+    """Move a parameter."""
+
     name: str  # PARAMETER or AXIS.PARAMETER
     value: float
 
 
 class SetPointValue(Request, frozen=True, tag="setpoint"):
+    """Give an axis its set-point."""
+
     axis: str
     value: float  # N*m
 
 
 class Recover(Request, frozen=True, tag="recover"):
-    pass
+    """Recover from a latched fault."""
 
 
 class Stop(Request, frozen=True, tag="stop"):
-    pass
+    """Ramp down, disable, end."""
 
 
 AnyRequest = Status | Set | SetPointValue | Recover | Stop
@@ -80,6 +84,7 @@ def default_path() -> str:
 
 
 def is_socket(path: str) -> bool:
+    """Whether a socket lies there."""
     try:
         return stat.S_ISSOCK(Path(path).lstat().st_mode)
     except OSError:

@@ -52,6 +52,7 @@ def pretension(s: Any, p: Any, time: float) -> float:
 
 @compiled
 def friction_coefficient(s: Any, p: Any) -> float:
+    """mu with the effects that change it."""
     mu = p.friction
     if p.static_excess != 0.0:
         mu *= 1.0 + p.static_excess * math.exp(-(abs(s.omega_j / p.stribeck_velocity) ** p.stribeck_shape))
@@ -62,6 +63,7 @@ def friction_coefficient(s: Any, p: Any) -> float:
 
 @compiled
 def tension_factor(p: Any, tension: float) -> float:
+    """Factor on the friction by the tension (tension_dependent_friction)."""
     if p.tension_exponent == 0.0:
         return 1.0
     ratio = max(tension, _MIN_TENSION * p.reference_tension) / p.reference_tension

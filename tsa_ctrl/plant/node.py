@@ -31,6 +31,8 @@ class NmtState(IntEnum):
 
 
 class NmtCommand(IntEnum):
+    """Command specifier of NMT (CiA 301, 7.2.8.3.1); the plant has its own, so that it checks ours."""
+
     START = 1
     STOP = 2
     ENTER_PRE_OPERATIONAL = 128

@@ -19,6 +19,8 @@ SPEED_DIVIDER = 256  # counts/s per digit of 0x6030:1, an i16: coarse by nature
 
 @dataclass(slots=True)
 class EncoderFaults:
+    """What is wrong with an encoder."""
+
     offset: float = 0.0  # rad, a jump
     sign: int = 1
 
@@ -62,6 +64,8 @@ class Encoder(Node):
 
 @dataclass(slots=True)
 class TorqueSensorFaults:
+    """What is wrong with a torque sensor."""
+
     stuck: bool = False
 
 

@@ -33,6 +33,8 @@ class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[physics]."""
+
     step: Annotated[float, Meta(gt=0.0, le=1e-4)] = 1e-4  # s, longest sub-step
     record_period: Annotated[float, Meta(ge=1e-3, le=1.0)] = 1e-3  # s, between two rows of the record
     seed: int = 1  # of all noise
@@ -64,6 +66,8 @@ class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
 
 class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.motor]."""
+
     inertia: NonNegative = 1e-4  # kg*m^2 at the motor pulley; 0: the torque acts on the tendons at once
     damping: Positive = 1e-4  # N*m*s/rad
 
@@ -107,6 +111,8 @@ class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.encoder]."""
+
     present: bool = True
     node_id: NodeId | None = None  # default: 32 + place of the axis
     name: str = "simulated encoder"
@@ -118,6 +124,8 @@ class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 class TorqueSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.torque_sensor]."""
+
     present: bool = True
     node_id: NodeId | None = None  # default: 64 + place of the axis
     name: str = "simulated torque sensor"
@@ -179,6 +187,8 @@ N = TypeVar("N", DriveSettings, EncoderSettings, TorqueSensorSettings)
 
 
 class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A plant file, as it is written."""
+
     bus: BusSettings = BusSettings()
     physics: PhysicsSettings = PhysicsSettings()
     axis: Annotated[list[AxisSettings], Meta(min_length=1, max_length=16)]

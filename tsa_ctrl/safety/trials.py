@@ -100,6 +100,7 @@ class ListenerProcess:
 
 @contextlib.contextmanager
 def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
+    """A listener on the bus, in a process of its own."""
     listener = ListenerProcess(configuration)
     try:
         yield listener

@@ -95,6 +95,7 @@ def parent_gone(wait: float) -> bool:
 
 
 def main() -> None:
+    """Read one sensor until the daemon ends this process."""
     for number in (signal.SIGINT, signal.SIGHUP):  # they are for the daemon, which then ends this process
         signal.signal(number, signal.SIG_IGN)
     fd, count, index, text = sys.argv[1:]

@@ -158,4 +158,5 @@ def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dat
 
 
 def longest(pieces: Sequence[Dataset]) -> Dataset:
+    """The piece of the most seconds."""
     return max(pieces, key=lambda piece: piece.seconds)
