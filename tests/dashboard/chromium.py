@@ -8,6 +8,7 @@ import json
 import os
 import select
 import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,18 +80,28 @@ class Page:
             time.sleep(0.05)
         return found
 
-    def picture(self, path: Path, width: int = 1100, height: int = 1400) -> None:
-        """A screenshot as PNG."""
+    def resize(self, width: int, height: int = 1400) -> None:
+        """The window, pixels."""
         self.call(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False
         )  # fmt: skip
+
+    def picture(self, path: Path, width: int = 1100, height: int = 1400) -> None:
+        """A screenshot as PNG."""
+        self.resize(width, height)
         shot = self.call("Page.captureScreenshot", format="png")
         path.write_bytes(base64.b64decode(shot["data"]))
 
 
 @contextlib.contextmanager
 def chromium(path: str, folder: Path) -> Iterator[Page]:
-    """A page of a fresh Chromium whose profile lies in `folder`."""
+    """A page of a fresh Chromium whose profile lies in `folder`, and which leaves nothing elsewhere."""
+    # Not in `folder`: the path of the socket that it makes there has to be short.
+    with tempfile.TemporaryDirectory(prefix="tsa-", ignore_cleanup_errors=True) as own:
+        yield from _started(path, folder, own)
+
+
+def _started(path: str, folder: Path, own: str) -> Iterator[Page]:
     to_read, to_write = os.pipe()
     from_read, from_write = os.pipe()
     options = [
@@ -102,6 +113,7 @@ def chromium(path: str, folder: Path) -> Iterator[Page]:
     process = subprocess.Popen(
         ["bash", "-c", script, path, *options],
         pass_fds=(to_read, from_write),
+        env={**os.environ, "TMPDIR": own},
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -8,12 +8,13 @@ from pathlib import Path
 import click
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Column, Table
+from rich.table import Table
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report import PAGE
+from tsa_ctrl.identify.diagnosis.words import spoken
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_model
 
@@ -85,14 +86,13 @@ def _show(result: Diagnosis, out: Path) -> None:
     console = Console()
     console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
     if result.causes:
-        table = Table(
-            *(Column(name, overflow="fold") for name in ("cause", "or", "parameter", "value", "95 % interval"))
-        )
+        table = Table("cause", "or", "parameter", "value", "95 % interval")
         for cause in result.causes:
             first = True
+            names = spoken(cause.effect), ", ".join(spoken(other) for other in cause.alternatives)
             for name, value in cause.parameters.items() or (("", ""),):
                 text = (value, "") if isinstance(value, str) else _shown(value)
-                table.add_row(*((cause.effect, ", ".join(cause.alternatives)) if first else ("", "")), name, *text)
+                table.add_row(*(names if first else ("", "")), spoken(name), *text)
                 first = False
         console.print(table)
     console.print(
