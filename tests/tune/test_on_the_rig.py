@@ -16,6 +16,7 @@ from tests.tune import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.model.parameters import load_tendon_sheath
 from tsa_ctrl.processes import plant, tsa
 
 RATE = 500.0  # Hz
@@ -40,18 +41,26 @@ def until(condition: Callable[[], bool]) -> None:
         time.sleep(0.02)
 
 
-def test_the_whole_procedure_writes_a_file_that_compensates(folder: Path) -> None:
-    command = tsa("tune", rig.CONTROLLER, "--yes", "--json", "--out", "out", *SHORT)
-    run = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+def test_the_whole_procedure_writes_a_file_that_compensates_a_weight_too(tmp_path: Path, vcan: str) -> None:
+    """A joint with a weight that the nominal file does not know: `--extended` names it and compensates it."""
+    amplitude = 0.35  # N*m
+    effects = {"effects": {"gravity_load": {"amplitude": amplitude, "phase": 0.3}}}
+    rig.write(tmp_path, BusChoice("socketcan", vcan), RATE, axis=effects)
+    command = tsa("tune", rig.CONTROLLER, "--yes", "--json", "--extended", "--out", "out", *SHORT)
+    with plant(tmp_path):
+        run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stderr
     data = json.loads(run.stdout)
-    assert data["verification"]["reduction_percent"]["after"] > 75.0
+    assert "gravity_load" in data["effects"]
+    assert data["parameters"]["gravity_load.amplitude"]["value"] == pytest.approx(amplitude, rel=0.1)
+    reduction = data["verification"]["reduction_percent"]
+    assert reduction["after"] > max(75.0, reduction["before"] + 10.0)
     loop = data["calibration"]["combinations"]["half_loop_torque"]
     assert loop["low"] < loop["value"] < loop["high"]
-    assert (folder / "out" / "report.html").stat().st_size > 50_000
-    assert not list(folder.glob(".tune-*"))
-    if data["written"] is not None:
-        assert "[provenance]" in (folder / rig.MODEL).read_text()
+    assert (tmp_path / "out" / "report.html").stat().st_size > 50_000
+    assert not list(tmp_path.glob(".tune-*"))
+    assert data["written"] is not None
+    assert "gravity_load" in load_tendon_sheath(tmp_path / rig.MODEL).effects
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -139,7 +139,7 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
             f"{cause.effect}.{name}": value
             for cause in found.causes
             for name, value in cause.parameters.items()
-            if isinstance(value, Quantity)
+            if isinstance(value, Quantity) and value.low < value.high  # counts and choices are not measured
         },
     )
 
