@@ -1,0 +1,174 @@
+"""Each line of the doctor's table says no when there is reason to, with the command that mends it."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.bus.fake import FakeBus
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.control.realtime import RealtimeSettings
+from tsa_ctrl.doctor import can_interface, machine
+from tsa_ctrl.doctor.check import Check, Result
+
+LINK: dict[str, Any] = {  # of `ip -details -statistics -json link show dev can0`, a good one
+    "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"],
+    "txqlen": 128,
+    "linkinfo": {
+        "info_kind": "can",
+        "info_data": {
+            "state": "ERROR-ACTIVE",
+            "berr_counter": {"tx": 0, "rx": 0},
+            "restart_ms": 0,
+            "bittiming": {"bitrate": 1_000_000},
+        },
+    },
+    "stats64": {"rx": {"errors": 0, "dropped": 0}, "tx": {"errors": 0, "dropped": 0}},
+}
+
+
+def of_link(monkeypatch: pytest.MonkeyPatch, place: str = "", value: object = None) -> dict[str, Check]:
+    """The lines of the interface, with one figure of the kernel's report replaced."""
+    link = copy.deepcopy(LINK)
+    *way, last = place.split("/")
+    at = link
+    for name in way:
+        at = at[name]
+    if last:
+        at[last] = value
+    monkeypatch.setattr(can_interface, "_link", lambda channel: link)
+    checks = can_interface.checks(BusSettings(channel="can0"), [], 1000.0)
+    return {check.name: check for check in checks}
+
+
+def test_a_good_interface_passes_in_every_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = of_link(monkeypatch)
+    names = {"CAN interface", "bit rate", "error counters", "automatic restart", "transmit queue", "lost frames"}
+    assert {name for name in names if lines[name].result is Result.PASS} == names
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "name", "result", "found", "fix"),
+    [
+        ("flags", ["NOARP"], "CAN interface", Result.FAIL, "down", "ip link set can0 up"),
+        ("linkinfo/info_data/bittiming/bitrate", 500_000, "bit rate", Result.FAIL, "500000 bit/s", "bitrate 1000000"),
+        ("linkinfo/info_data/state", "ERROR-PASSIVE", "error counters", Result.FAIL, "ERROR-PASSIVE", "termination"),
+        ("linkinfo/info_data/berr_counter/rx", 3, "error counters", Result.FAIL, "rx 3", "termination"),
+        ("linkinfo/info_data/restart_ms", 100, "automatic restart", Result.WARN, "restart-ms 100", "restart-ms 0"),
+        ("txqlen", 1000, "transmit queue", Result.WARN, "1000 frames", "txqueuelen 128"),
+        ("txqlen", 0, "transmit queue", Result.WARN, "0 frames", "txqueuelen 128"),
+        ("stats64/tx/dropped", 5, "lost frames", Result.WARN, "5 errors and drops", "bus load"),
+        ("stats64/rx/errors", 2, "lost frames", Result.WARN, "2 errors and drops", "cable"),
+    ],
+)
+def test_each_line_of_an_interface_can_say_no(
+    monkeypatch: pytest.MonkeyPatch, place: str, value: object, name: str, result: Result, found: str, fix: str
+) -> None:
+    line = of_link(monkeypatch, place, value)[name]
+    assert (line.result, found in line.found, fix in line.fix) == (result, True, True)
+
+
+@pytest.mark.parametrize("can_id", [0x080, 0x201, 0x27F])
+def test_somebody_who_sends_what_a_master_sends_fails(can_id: int) -> None:
+    bus = FakeBus()
+    bus.waiting.extend([(0x181, bytes(8)), (can_id, b"")])
+    check = can_interface.listen(bus, "")
+    assert check.result is Result.FAIL
+    assert f"another master sends 0x{can_id:03X}" in check.found
+    assert "tsa stop" in check.fix
+
+
+def test_a_bus_with_answers_alone_passes() -> None:
+    bus = FakeBus()
+    bus.waiting.extend([(0x181, bytes(8)), (0x701, b"\x05")])
+    assert can_interface.listen(bus, "").result is Result.PASS
+
+
+@pytest.mark.parametrize(
+    ("release", "flag", "result", "found"),
+    [
+        ("#1 SMP PREEMPT_RT Debian", "", Result.PASS, "PREEMPT_RT"),
+        ("#1 SMP", "1", Result.PASS, "PREEMPT_RT"),
+        ("#1 SMP PREEMPT_DYNAMIC", "", Result.WARN, "PREEMPT"),
+        ("#1 SMP", "0", Result.WARN, "no full preemption"),
+    ],
+)
+def test_the_kernels_preemption(
+    monkeypatch: pytest.MonkeyPatch, release: str, flag: str, result: Result, found: str
+) -> None:
+    monkeypatch.setattr(machine.platform, "version", lambda: release)
+    monkeypatch.setattr(machine, "_text", lambda path: flag)
+    check = machine.kernel()
+    assert (check.result, check.found.rpartition(", ")[2]) == (result, found)
+
+
+@pytest.mark.parametrize(("runtime", "result"), [("950000", Result.PASS), ("-1", Result.PASS), ("500000", Result.WARN)])
+def test_real_time_throttling(monkeypatch: pytest.MonkeyPatch, runtime: str, result: Result) -> None:
+    monkeypatch.setattr(machine, "_text", lambda path: runtime if "runtime" in path.name else "1000000")
+    check = machine.throttling()
+    assert check.result is result
+    assert check.fix == ("" if result is Result.PASS else "sysctl kernel.sched_rt_runtime_us=950000")
+
+
+def test_one_processor_is_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(machine.os, "cpu_count", lambda: 1)
+    assert machine.processors().result is Result.WARN
+
+
+class Measured:
+    """Stands in for the process that takes the rights, with what it is to have found."""
+
+    def __init__(self, found: tuple[object, ...]) -> None:
+        self._found = found
+
+    def get_context(self, method: str) -> Measured:
+        return self
+
+    def Pipe(self, duplex: bool) -> tuple[Measured, Measured]:  # noqa: N802  the library's name
+        return self, self
+
+    def Process(self, **options: object) -> Measured:  # noqa: N802
+        return self
+
+    def recv(self) -> tuple[object, ...]:
+        return self._found
+
+    def start(self) -> None: ...
+
+    def join(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize(
+    ("fifo", "locked", "late", "results"),
+    [
+        (True, 1 << 20, 50e-6, (Result.PASS, Result.PASS, Result.PASS)),
+        (False, 1 << 20, 50e-6, (Result.FAIL, Result.PASS, Result.PASS)),
+        (True, 0, 50e-6, (Result.PASS, Result.FAIL, Result.PASS)),
+        (True, 1 << 20, 400e-6, (Result.PASS, Result.PASS, Result.FAIL)),
+    ],
+)
+def test_rights_and_lateness_as_found(
+    monkeypatch: pytest.MonkeyPatch, fifo: bool, locked: int, late: float, results: tuple[Result, ...]
+) -> None:
+    found = (fifo, 80 if fifo else 0, locked, (), np.full(100, late))
+    monkeypatch.setattr(machine, "multiprocessing", Measured(found))
+    lines = list(machine.checks(RealtimeSettings(), 1000.0, 0.1))[-3:]
+    assert tuple(line.result for line in lines) == results
+    assert all(bool(line.fix) == (line.result is not Result.PASS) for line in lines)
+
+
+def test_a_single_late_cycle_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    late = np.full(1000, 20e-6)
+    late[7] = 2e-3
+    monkeypatch.setattr(machine, "multiprocessing", Measured((True, 80, 1 << 20, (), late)))
+    assert list(machine.checks(RealtimeSettings(), 1000.0, 0.1))[-1].result is Result.WARN
+
+
+def test_what_cannot_be_read_is_empty() -> None:
+    assert machine._text(Path("/nowhere/at/all")) == ""
