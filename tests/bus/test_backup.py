@@ -105,6 +105,15 @@ def test_restore_to_another_model_is_refused(nodes: Bench, tmp_path: Path) -> No
         run(nodes, "restore", str(file))
 
 
+def test_restore_of_another_nodes_backup_is_refused(nodes: Bench, tmp_path: Path) -> None:
+    """Its PDOs would get that node's identifiers: both drives would follow one command."""
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    file.write_text(file.read_text(encoding="utf-8").replace("node_id = 1\n", "node_id = 2\n", 1), encoding="utf-8")
+    with pytest.raises(TsaError, match=r"node 1: the backup is of node 2 .* identifiers"):
+        run(nodes, "restore", str(file))
+
+
 def test_restore_to_an_enabled_drive_is_refused(nodes: Bench, tmp_path: Path) -> None:
     file = tmp_path / "drive.toml"
     run(nodes, "dump", "--out", str(file))

@@ -153,9 +153,15 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
 def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
     """Write a backup to a drive that is not enabled, and read everything back; leaves it pre-operational.
 
-    Raises BusError when the drive is enabled, is another model, or does not take a value.
+    Raises UsageError for the backup of another node, whose identifiers this one would take: two drives would follow one
+    command. Raises BusError when the drive is enabled, is another model, or does not take a value.
     """
     name = f"node {node_id}"
+    if backup.node_id != node_id:
+        raise UsageError(
+            f"{name}: the backup is of node {backup.node_id} and holds the identifiers of its PDOs; "
+            "give a backup of this node, or the drive the id of that one"
+        )
     for entry, wanted in ((objects.VENDOR_ID, backup.vendor_id), (objects.PRODUCT_CODE, backup.product_code)):
         found = session.read_if_there(node_id, entry) or 0
         if found != wanted:

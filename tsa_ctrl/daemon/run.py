@@ -26,7 +26,7 @@ from tsa_ctrl.daemon.notify import Notifier
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.errors import TsaError, UsageError
 
 Say = Callable[[str], None]
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -158,7 +158,7 @@ class Daemon:
         try:
             with self._notifier.no_loop():
                 self._bring_up(bus, rig, reset_faults=False)  # the supervisors do it
-        except BusError as error:
+        except TsaError as error:  # a drive that was exchanged may contradict the configuration, too
             loop.note(f"recovery failed: {error}")
             loop.run(seconds, LoopPhase.FAULTED)
             return
