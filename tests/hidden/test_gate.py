@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -66,34 +67,28 @@ def test_no_structure_is_claimed_where_nothing_is_hidden() -> None:
     assert likely(NONE - len(claimed), NONE, 0.95), claimed
 
 
-@single
-def test_one_effect_is_named_alone() -> None:
-    found = answers("single", SINGLE * len(FAMILIES["single"]))
-    missed = [key for key, marks, _ in found if not marks.unique]
-    assert likely(len(found) - len(missed), len(found), 0.95), missed
+def singles() -> list[tuple[str, Mark, str]]:
+    return answers("single", SINGLE * len(FAMILIES["single"]))
 
 
 @single
-def test_one_effect_is_within_the_name_and_two_alternatives() -> None:
-    found = answers("single", SINGLE * len(FAMILIES["single"]))
-    missed = [key for key, marks, _ in found if not marks.within]
-    assert likely(len(found) - len(missed), len(found), 0.99), missed
-
-
-@single
-def test_hardly_a_wrong_name_is_sure() -> None:
-    found = answers("single", SINGLE * len(FAMILIES["single"]))
-    wrong = [key for key, marks, _ in found if marks.wrong]
-    assert likely(len(found) - len(wrong), len(found), 0.99), wrong
+@pytest.mark.parametrize(
+    ("well", "target"),
+    [
+        pytest.param(lambda marks: marks.unique, 0.95, id="named alone"),
+        pytest.param(lambda marks: marks.within, 0.99, id="within the name and two alternatives"),
+        pytest.param(lambda marks: not marks.wrong, 0.99, id="hardly a wrong name is sure"),
+    ],
+)
+def test_one_effect_is_named(well: Callable[[Mark], bool], target: float) -> None:
+    found = singles()
+    missed = [key for key, marks, _ in found if not well(marks)]
+    assert likely(len(found) - len(missed), len(found), target), missed
 
 
 @single
 def test_intervals_cover() -> None:
-    found = [
-        inside
-        for _, marks, _ in answers("single", SINGLE * len(FAMILIES["single"]))
-        for inside in marks.covered.values()
-    ]
+    found = [inside for _, marks, _ in singles() for inside in marks.covered.values()]
     assert likely(sum(found), len(found), 0.93), f"{sum(found)} of {len(found)}"
 
 

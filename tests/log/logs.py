@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -56,3 +60,22 @@ def wait_for(condition: Callable[[], bool], seconds: float = 20.0) -> bool:
             return True
         time.sleep(0.01)
     return False
+
+
+def kill_an_owner(path: Path) -> None:
+    """A process that owns a ring and its log pushes 700 cycles of two axes and is killed."""
+    code = f"""
+        import os
+        from pathlib import Path
+        from tests.log.logs import HEADER, records
+        from tsa_ctrl.log.process import LogProcess
+        from tsa_ctrl.log.record import RingWriter
+        ring = RingWriter(axes=2)
+        log = LogProcess(Path({str(path)!r}), ring, HEADER)
+        for row in records(700).tolist():
+            ring.push(0, tuple(row))
+            ring.push(1, tuple(row))
+        os.kill(os.getpid(), 9)
+    """
+    owner = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=False)
+    assert owner.returncode == -signal.SIGKILL

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import signal
-import subprocess
-import sys
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tests.log.logs import HEADER, records, wait_for
+from tests.log.logs import HEADER, kill_an_owner, records, wait_for
 from tsa_ctrl.cli import main
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.note import Note
@@ -124,21 +120,7 @@ def test_garbage_is_no_note(data: bytes) -> None:
 
 def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    code = f"""
-        import os
-        from pathlib import Path
-        from tests.log.logs import HEADER, records
-        from tsa_ctrl.log.process import LogProcess
-        from tsa_ctrl.log.record import RingWriter
-        ring = RingWriter(axes=2)
-        log = LogProcess(Path({str(path)!r}), ring, HEADER)
-        for row in records(700).tolist():
-            ring.push(0, tuple(row))
-            ring.push(1, tuple(row))
-        os.kill(os.getpid(), 9)
-    """
-    owner = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=False)
-    assert owner.returncode == -signal.SIGKILL
+    kill_an_owner(path)
     assert wait_for(lambda: path.exists() and LogFile(path).read_notes() != [])
     (note,) = LogFile(path).read_notes()
     assert (note.text, note.fault) == (DEAD, True)

@@ -6,16 +6,13 @@ import datetime
 import errno
 import os
 import signal
-import subprocess
-import sys
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.log.logs import HEADER, records, wait_for
+from tests.log.logs import HEADER, kill_an_owner, records, wait_for
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
 from tsa_ctrl.log.process import LogProcess
@@ -178,21 +175,7 @@ def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, t
 
 def test_an_owner_killed_in_the_middle_leaves_a_complete_log(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
-    code = f"""
-        import os, sys, time
-        from pathlib import Path
-        from tests.log.logs import HEADER, records
-        from tsa_ctrl.log.process import LogProcess
-        from tsa_ctrl.log.record import RingWriter
-        ring = RingWriter(axes=2)
-        log = LogProcess(Path({str(path)!r}), ring, HEADER)
-        for row in records(700).tolist():
-            ring.push(0, tuple(row))
-            ring.push(1, tuple(row))
-        os.kill(os.getpid(), 9)
-    """
-    owner = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=False)
-    assert owner.returncode == -signal.SIGKILL
+    kill_an_owner(path)
 
     def complete() -> bool:
         try:

@@ -150,10 +150,7 @@ class SocketCan:
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
 
     def flush(self) -> int:
-        count = 0
-        while count < _FLUSH_LIMIT and self.recv(0.0) is not None:
-            count += 1
-        return count
+        return len(self.gather(0.0, _FLUSH_LIMIT))
 
     def clear_fault(self) -> None:
         self.fault = None
