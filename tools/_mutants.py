@@ -43,13 +43,28 @@ _WIDEST = 88  # characters of a context that names a mutant
 Edit = Callable[[ast.AST], ast.AST | None]
 
 
+Path = tuple[tuple[str, int | None], ...]  # of a node: field of its parent, index where that is a list
+
+
 @dataclass(frozen=True)
 class Mutant:
     """`name` is what the list of equivalent mutants knows it by: no line number in it."""
 
     name: str
     line: int
-    source: str
+    _tree: ast.Module  # of the module as it is
+    _path: Path  # of the statement
+    _statement: ast.AST  # instead of it
+
+    @property
+    def source(self) -> str:
+        """The whole module with the mistake in it."""
+        original = _at(self._tree, self._path)[-1]
+        _put(self._tree, self._path, self._statement)
+        try:
+            return ast.unparse(self._tree)
+        finally:
+            _put(self._tree, self._path, original)
 
 
 @dataclass(frozen=True)
@@ -57,7 +72,7 @@ class _Place:
     """A node and how to reach it: its parent, the parent's field, and the index in that field if it is a list."""
 
     node: ast.AST
-    path: tuple[tuple[str, int | None], ...]
+    path: Path
 
 
 def mutants(source: str, path: str, enums: dict[str, list[str]]) -> list[Mutant]:
@@ -67,17 +82,14 @@ def mutants(source: str, path: str, enums: dict[str, list[str]]) -> list[Mutant]
     seen: dict[str, int] = {}
     for place in _places(tree, ()):
         for edit in _edits(place.node, enums):
-            mutated = copy.deepcopy(tree)
-            before, after, where = _apply(mutated, place, edit)
+            before, after, where, statement = _apply(tree, place, edit)
             if before == after:
                 continue
             name = f"{path} {where}: {before} -> {after}" if where else f"{path}: {before} -> {after}"
             seen[name] = seen.get(name, 0) + 1
             if seen[name] > 1:
                 name = f"{name} ({seen[name]})"
-            found.append(
-                Mutant(name, getattr(place.node, "lineno", 0), ast.unparse(ast.fix_missing_locations(mutated)))
-            )
+            found.append(Mutant(name, getattr(place.node, "lineno", 0), tree, *statement))
     return found
 
 
@@ -93,7 +105,7 @@ def enums_of(*sources: str) -> dict[str, list[str]]:
     return found
 
 
-def _places(node: ast.AST, path: tuple[tuple[str, int | None], ...]) -> Iterator[_Place]:
+def _places(node: ast.AST, path: Path) -> Iterator[_Place]:
     """Nodes that may be mutated, outermost first."""
     if isinstance(node, (ast.Import, ast.ImportFrom, ast.JoinedStr)):
         return
@@ -258,25 +270,41 @@ def _constant(value: float) -> Edit:
     return lambda node: ast.Constant(value)
 
 
-def _apply(tree: ast.AST, place: _Place, edit: Edit) -> tuple[str, str, str]:
-    """Edit in place; the context before and after, and the name of the class and function around it."""
-    chain = [tree]
-    for field, index in place.path:
-        value = getattr(chain[-1], field)
-        chain.append(value if index is None else value[index])
+def _apply(tree: ast.Module, place: _Place, edit: Edit) -> tuple[str, str, str, tuple[Path, ast.AST]]:
+    """Edit a copy of the statement around a node.
+
+    Returns the context before and after, the name of the class and function around it, and path and copy.
+    """
+    chain = _at(tree, place.path)
     where = ".".join(node.name for node in chain[:-1] if isinstance(node, (ast.ClassDef, ast.FunctionDef)))
     context = _context(chain)
     before = _text(chain[context])
-    replacement = edit(chain[-1])
-    if replacement is None:
-        replacement = ast.Pass()
-    field, index = place.path[-1]
-    if index is None:
-        setattr(chain[-2], field, replacement)
-    else:
-        getattr(chain[-2], field)[index] = replacement
+    top = max((index for index, node in enumerate(chain) if isinstance(node, ast.stmt)), default=1)
+    chain[top:] = _at(copy.deepcopy(chain[top]), place.path[top:])
+    replacement = edit(chain[-1]) or ast.Pass()
+    if top == len(chain) - 1:
+        return before, _text(replacement), where, (place.path[:top], replacement)
+    _put(chain[top], place.path[top:], replacement)
     after = _text(replacement if context == len(chain) - 1 else chain[context])
-    return before, after, where
+    return before, after, where, (place.path[:top], chain[top])
+
+
+def _at(root: ast.AST, path: Path) -> list[ast.AST]:
+    """The nodes on the way from `root`, which is the first."""
+    chain = [root]
+    for field, index in path:
+        value = getattr(chain[-1], field)
+        chain.append(value if index is None else value[index])
+    return chain
+
+
+def _put(root: ast.AST, path: Path, node: ast.AST) -> None:
+    """Another node at the end of a path."""
+    parent, (field, index) = _at(root, path[:-1])[-1], path[-1]
+    if index is None:
+        setattr(parent, field, node)
+    else:
+        getattr(parent, field)[index] = node
 
 
 def _context(chain: list[ast.AST]) -> int:

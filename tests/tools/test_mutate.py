@@ -79,7 +79,7 @@ def test_members_of_an_enum_are_confused() -> None:
 
 def test_a_fixed_sample_is_killed_and_the_list_is_current() -> None:
     """The same mutants each time; entries of the list that name none would be problems here, too."""
-    code, found = run("--sample", str(SAMPLE))
+    code, found = run("--sample", str(SAMPLE), "--jobs", "2")
     assert found["problems"] == []
     assert code == 0
     assert sum(row["mutants"] for row in found["modules"]) == SAMPLE
