@@ -49,7 +49,7 @@ def test_drive_that_does_not_confirm_is_named() -> None:
     assert unconfirmed == [
         "axis 'knee': the drive did not confirm that it is off (its last state was operation_enabled); cut its power"
     ]
-    assert bus.sent[-3][1] == b"\x80\x01"
+    assert [data for _, data in bus.sent[-3:]] == [b"\x02\x01", b"\x80\x20", b"\x80\x40"]  # it may obey its 0x6007
 
 
 def test_failed_bus_ends_it_at_once_with_the_reason() -> None:

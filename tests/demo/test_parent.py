@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+
+from tsa_ctrl.parent import terminal_blocked
 
 CHILD = "import time; from tsa_ctrl.parent import follow; follow(); print('up', flush=True); time.sleep(120)"
 PARENT = f"""
@@ -44,3 +47,22 @@ def test_child_of_a_parent_that_is_gone_does_not_begin() -> None:
     environment = {**os.environ, "TSA_PARENT": "1" if os.getpid() != 1 else "2"}
     found = subprocess.run([sys.executable, "-c", CHILD], env=environment, capture_output=True, text=True, timeout=60)
     assert (found.returncode, found.stdout) == (1, "")
+
+
+def test_child_never_gets_the_terminals_signals_and_they_wait_for_its_owner() -> None:
+    heard: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        with terminal_blocked():
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(120)"])
+            signal.raise_signal(signal.SIGINT)
+            assert heard == []
+        assert heard == [signal.SIGINT]
+        for number in (signal.SIGINT, signal.SIGHUP):
+            child.send_signal(number)
+        time.sleep(0.1)
+        assert alive(child.pid)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        child.kill()
+        child.wait()

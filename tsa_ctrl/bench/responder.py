@@ -24,6 +24,7 @@ from tsa_ctrl.bus.connect import open_bus
 from tsa_ctrl.bus.seam import Bus, Frame
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.parent import terminal_blocked
 
 PRIORITY = 70  # below the loop, above everything else
 BEAT = 0.02  # s between heartbeats, at the next SYNC
@@ -125,9 +126,10 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
         with _in_a_thread(settings, axes):
             yield
         return
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tsa_ctrl.bench.responder"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
+    with terminal_blocked():
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tsa_ctrl.bench.responder"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
     assert process.stdin is not None
     assert process.stdout is not None
     try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from tsa_ctrl.bus import cia402
 from tsa_ctrl.bus.cia301 import NmtCommand
 from tsa_ctrl.bus.cia402 import Controlword, PowerState
+from tsa_ctrl.bus.image import Role
 from tsa_ctrl.bus.rig import Rig
 
 _OFF = (PowerState.SWITCH_ON_DISABLED, PowerState.FAULT, PowerState.NOT_READY_TO_SWITCH_ON)
@@ -16,6 +17,8 @@ _LAST_COMMANDS = 3  # cycles of "disable voltage" after the confirmation, or in 
 
 def shut_down(rig: Rig, period: float, timeout: float = 1.0) -> list[str]:
     """Disable all drives and leave their nodes pre-operational; returns what was not confirmed, one line each.
+
+    A drive that does not confirm is stopped by NMT instead.
 
     Cycles at `period` s until every drive says in a fresh PDO that it is off, at most `timeout` s. May be called in any
     state, twice, and on a bus that has failed: it never raises for that.
@@ -38,7 +41,9 @@ def shut_down(rig: Rig, period: float, timeout: float = 1.0) -> list[str]:
             after += 1
     for axis in rig.axes:
         for health in axis.image.nodes:
-            rig.nmt(NmtCommand.PRE_OPERATIONAL, health.node_id)
+            # Stopped is what a drive's reaction to a lost connection (0x6007) answers to; pre-operational is not.
+            obeyed = health.role is not Role.DRIVE or axis.name in off
+            rig.nmt(NmtCommand.PRE_OPERATIONAL if obeyed else NmtCommand.STOP, health.node_id)
     return [_unconfirmed(rig, axis.name, axis.image.statusword) for axis in rig.axes if axis.name not in off]
 
 

@@ -18,6 +18,7 @@ from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.parent import terminal_blocked
 from tsa_ctrl.untaken import untaken
 
 PATIENCE = 2.0  # s for the socket server to end
@@ -34,12 +35,13 @@ class Children:
         self.sensors = AxisSensors(file.axes)
         self.mailbox = Mailbox.create(len(file.axes), len(tuners[0].parameters))
         description = describe(configuration, tuners)
-        self._server = subprocess.Popen(
-            [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            pass_fds=[self.mailbox.descriptor],
-        )
+        with terminal_blocked():
+            self._server = subprocess.Popen(
+                [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=[self.mailbox.descriptor],
+            )
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         try:

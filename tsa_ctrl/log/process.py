@@ -10,6 +10,7 @@ from pathlib import Path
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.record import LogHealth, RingWriter, WriterState
+from tsa_ctrl.parent import terminal_blocked
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
 STARTED = 20.0  # s for the writer to look at the ring
@@ -27,12 +28,13 @@ class LogProcess:
         self.path = path
         self._ring = ring
         check_place(path)
-        self._child = subprocess.Popen(
-            [sys.executable, "-m", "tsa_ctrl.log.writer", str(ring.fd), str(path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            pass_fds=[ring.fd],
-        )
+        with terminal_blocked():
+            self._child = subprocess.Popen(
+                [sys.executable, "-m", "tsa_ctrl.log.writer", str(ring.fd), str(path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                pass_fds=[ring.fd],
+            )
         assert self._child.stdin is not None
         try:
             self._child.stdin.write(header.to_json().encode() + b"\n")

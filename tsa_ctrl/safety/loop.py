@@ -18,6 +18,7 @@ from tsa_ctrl.config import AxisSettings, Configuration, load_configuration
 from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.parent import follow
 
 FADE_IN = 0.2  # s
 
@@ -51,7 +52,8 @@ def _pulling(axis: AxisSettings, model: TendonSheath, torque: float) -> AxisSett
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM, or until somebody kills it: that is what it is for."""
+    """Run until SIGTERM, until its owner is gone, or until somebody kills it: that is what it is for."""
+    follow()
     from tsa_ctrl.daemon.run import run
 
     def watch(rig: Rig) -> None:

@@ -19,6 +19,7 @@ from tsa_ctrl.bus.rig import Rig
 from tsa_ctrl.bus.shut_down import shut_down
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.parent import environment, terminal_blocked
 from tsa_ctrl.safety.listener import READY, ZERO_SHARE
 from tsa_ctrl.safety.samples import Sample, Timing, timing
 
@@ -65,11 +66,12 @@ class ListenerProcess:
 
     def __init__(self, configuration: Configuration) -> None:
         """Raises BusError when it cannot listen."""
-        self._process = subprocess.Popen(
-            [sys.executable, "-m", "tsa_ctrl.safety.listener", str(configuration.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-        )
+        with terminal_blocked():
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tsa_ctrl.safety.listener", str(configuration.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
         assert self._process.stdout is not None
         said = self._process.stdout.readline()
         if said != READY:
@@ -111,13 +113,16 @@ def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
 def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Trial, torque: float) -> list[Outcome]:
     """One trial, all axes at once, with `torque` in N*m at each motor. Raises BusError when no torque comes."""
     limit = configuration.zero_torque_within
-    loop = subprocess.Popen(
-        [sys.executable, "-m", "tsa_ctrl.safety.loop", str(configuration.path), repr(torque)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-    )
+    loop = None
     try:
+        with terminal_blocked():
+            loop = subprocess.Popen(
+                [sys.executable, "-m", "tsa_ctrl.safety.loop", str(configuration.path), repr(torque)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                env=environment(),
+            )
         _await_torque(loop, listener, torque)
         time.sleep(SETTLED)
         listener.ask("guard")
@@ -129,7 +134,8 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
         time.sleep(limit + BEYOND)
         seen = msgspec.convert(listener.ask("quiet")["samples"], list[Sample])
     finally:
-        _end(loop)
+        if loop is not None:
+            _end(loop)
     outcomes = []
     for axis in configuration.file.axes:
         drive = axis.drive

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
+from tsa_ctrl.parent import terminal_blocked
 from tsa_ctrl.serial_line.settings import SerialSensorSettings
 from tsa_ctrl.serial_line.slots import Reading, Slots
 
@@ -27,9 +28,10 @@ class SerialSensors:
         text = msgspec.json.encode(self.settings[index]).decode()
         command = [sys.executable, "-m", "tsa_ctrl.serial_line.reader"]
         arguments = [str(self._slots.fd), str(self._slots.count), str(index), text]
-        return subprocess.Popen(
-            command + arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, pass_fds=[self._slots.fd]
-        )
+        with terminal_blocked():
+            return subprocess.Popen(
+                command + arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, pass_fds=[self._slots.fd]
+            )
 
     def value(self, index: int, now: float) -> float:
         """SI value of a sensor, nan when there is none younger than its time-out; costs about a microsecond."""
