@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 
 from tests.log.logs import HEADER, kill_an_owner, records, wait_for
 from tsa_ctrl.cli import main
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
@@ -121,7 +122,14 @@ def test_garbage_is_no_note(data: bytes) -> None:
 def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     kill_an_owner(path)
-    assert wait_for(lambda: path.exists() and LogFile(path).read_notes() != [])
+
+    def noted() -> bool:
+        try:
+            return LogFile(path).read_notes() != []
+        except (OSError, UsageError):  # not there yet, or not yet with its header
+            return False
+
+    assert wait_for(noted)
     (note,) = LogFile(path).read_notes()
     assert (note.text, note.fault) == (DEAD, True)
     assert note.t == pytest.approx(0.699)
