@@ -15,6 +15,7 @@ def test_presliding_is_found_in_the_displacement_that_shows_it(compensated: bool
     cause = result.causes[0]
     assert (cause.effect, cause.alternatives) == ("presliding_hysteresis", ()), result.sentence
     assert cause.parameters["displacement"] == follows
-    assert result.rms.recalibrated is not None
-    assert result.rms.extended is not None
-    assert result.rms.extended < 0.3 * result.rms.recalibrated
+    assert result.gain > 0.9
+    assert result.details is not None
+    groups = {ranked.effect: ranked.group for ranked in result.details.ranking}
+    assert [groups[each.effect] for each in result.causes] == list(range(len(result.causes)))

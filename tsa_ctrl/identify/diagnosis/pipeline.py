@@ -332,7 +332,7 @@ def _assembled(
         )
         for index, group in enumerate(grouped)
     ]
-    order = np.argsort([-proof.gain for proof in chosen.evidence], kind="stable")
+    order = [int(i) for i in np.argsort([-proof.gain for proof in chosen.evidence], kind="stable")]
     causes = [causes[i] for i in order]
     rms = Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor)
     result = Diagnosis(
@@ -347,7 +347,7 @@ def _assembled(
         rms=rms,
         gain=min(errors.gain, 1.0) if named else 0.0,
         model=shipped.fitted.hypothesis.model(shipped.fitted.point),
-        details=details(parts, found, base, chosen, grouped, findings, shipped),
+        details=details(parts, found, base, chosen, [grouped[i] for i in order], findings, shipped),
     )
     return dataclasses.replace(result, sentence=sentence(result))
 
