@@ -102,6 +102,15 @@ def test_undo_puts_the_file_before_back(folder: Path, capsys: pytest.CaptureFixt
     assert tsa("controller.toml", "--undo") == 2
 
 
+def test_undo_goes_with_nothing_else(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa(*FROM_LOG, "--yes") == 0
+    written = (folder / "actuator.toml").read_bytes()
+    assert tsa("controller.toml", "--undo", "--dry-run") == 2
+    assert tsa(*FROM_LOG, "--undo") == 2
+    assert "does nothing else than" in capsys.readouterr().err
+    assert (folder / "actuator.toml").read_bytes() == written
+
+
 def test_json_has_the_estimate_and_writes_only_with_yes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (folder / "actuator.toml").read_text()
     assert tsa(*FROM_LOG, "--json") == 0

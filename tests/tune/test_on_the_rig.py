@@ -21,6 +21,7 @@ from tsa_ctrl.processes import plant, tsa
 
 RATE = 500.0  # Hz
 PATIENCE = 120.0  # s
+TRUTH = "plant/truth.csv"  # its own record
 SHORT = ("--seconds", "12", "--verify-seconds", "6")
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow, pytest.mark.soak]
@@ -30,7 +31,8 @@ pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow, pytest.mark.s
 def folder(tmp_path: Path, vcan: str) -> Iterator[Path]:
     """A rig with its plant running."""
     rig.write(tmp_path, BusChoice("socketcan", vcan), RATE)
-    with plant(tmp_path):
+    (tmp_path / TRUTH).parent.mkdir()
+    with plant(tmp_path, TRUTH):
         yield tmp_path
 
 
@@ -63,12 +65,19 @@ def test_the_whole_procedure_writes_a_file_that_compensates_a_weight_too(tmp_pat
     assert "gravity_load" in load_tendon_sheath(tmp_path / rig.MODEL).effects
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("stage", ["controller-probe-1.toml", "probe-1.mcap", "controller-excitation.toml"])
+@pytest.mark.parametrize(
+    ("number", "stage", "with_torque"),
+    [
+        (signal.SIGINT, "controller-probe-1.toml", False),
+        (signal.SIGTERM, "probe-1.csv", True),
+        (signal.SIGINT, "controller-excitation.toml", True),
+        (signal.SIGTERM, "excitation.mcap", False),
+    ],
+)
 def test_an_interruption_leaves_the_drive_disabled_and_the_files_as_they_were(
-    folder: Path, stage: str, number: signal.Signals
+    folder: Path, number: signal.Signals, stage: str, with_torque: bool
 ) -> None:
-    """Before torque, after the probe, and while the excitation starts; the daemon that was running has ended."""
+    """While the daemon starts, under torque of probe and excitation, in the estimate; the plant says what it did."""
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     process = subprocess.Popen(
         tsa("tune", rig.CONTROLLER, "--yes", *SHORT),
@@ -78,6 +87,7 @@ def test_an_interruption_leaves_the_drive_disabled_and_the_files_as_they_were(
         text=True,
     )
     until(lambda: bool(list(folder.glob(f"**/.tune-*/{stage}"))) or process.poll() is not None)
+    until(lambda: not with_torque or _enabled(folder) or process.poll() is not None)
     process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1, errors
@@ -85,6 +95,14 @@ def test_an_interruption_leaves_the_drive_disabled_and_the_files_as_they_were(
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
     assert not list(folder.glob("**/.tune-*"))
     assert not _daemons()
+    time.sleep(0.5)  # the plant's record is a quarter of a second late
+    assert not _enabled(folder)
+
+
+def _enabled(folder: Path) -> bool:
+    """Whether the power stage was on in the last row of the plant's own record."""
+    rows = (folder / TRUTH).read_bytes()[-4096:].split(b"\n")
+    return len(rows) > 2 and rows[-2].split(b",")[5] == b"1"
 
 
 def _daemons() -> list[str]:

@@ -87,6 +87,8 @@ def command(
         extended=extended,
     )
     session = Session(controller, axis_name, plan)
+    if undo and (dry_run or logs):
+        raise click.UsageError("--undo does nothing else than to put the file before back; give it alone")
     if undo:
         kept = session.undo()
         _tell(as_json, {"schema": 1, "undone": str(session.path)}, f"{session.path}: put back from {kept.name}")
