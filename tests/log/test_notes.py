@@ -137,6 +137,7 @@ def test_a_loop_that_is_killed_is_named_in_the_log(tmp_path: Path) -> None:
 
 def test_a_loop_that_ends_in_order_is_not_called_dead(ring: RingWriter, tmp_path: Path) -> None:
     log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    log.wait_until_up()
     push(ring, 10)
     ring.note(FAULT.encoded())
     log.end()
