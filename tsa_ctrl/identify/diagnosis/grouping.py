@@ -21,7 +21,7 @@ from tsa_ctrl.identify.diagnosis.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.misfit import Misfit, plain_error
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.refit import through_reversals
-from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, rivals, without
+from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, from_the_file, rivals, without
 from tsa_ctrl.identify.diagnosis.warmth import warmth
 
 PARAMETER_ERROR = "parameter_error"
@@ -37,8 +37,8 @@ FITTED = 6  # rivals that are fitted in full
 class Rival:
     """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
 
-    `limit`: the named cause is a limit of this one, which needs further parameters for nothing. `within_misfit`: the
-    simulation error does not tell them apart, where most of what is left is structure.
+    `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
+    vanished. `within_misfit`: the simulation error does not tell them apart, where most of what is left is structure.
     """
 
     name: str
@@ -90,12 +90,16 @@ def _group(
     if name == "pretension_relaxation" and "thermal_friction_drift" not in catalogue:
         fits.append(("thermal_friction_drift", warmth(problem, fitted, smaller, index)))
     if structure is not None:
-        fits += [(rival.names[-1], rival) for rival in _from_the_file(problem, smaller, catalogue, fitted.names)]
+        others = [v for other, options in catalogue.items() if other not in fitted.names for v in options]
+        fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
     tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)
     found = [
-        dataclasses.replace(rival, limit=rival.name in limits and rival.worse > -PER_COORDINATE) for rival in found
+        dataclasses.replace(
+            rival, limit=_vanished(rival.fitted) or (rival.name in limits and rival.worse > -PER_COORDINATE)
+        )
+        for rival in found
     ]
     if structure is not None:
         found = _by_misfit(problem, found, structure, smaller, through_reversals(fitted))
@@ -117,22 +121,12 @@ def _by_misfit(
     return list(best.values())
 
 
-def _from_the_file(
-    problem: Problem, smaller: Fit, catalogue: Mapping[str, tuple[Variant, ...]], barred: Sequence[str]
-) -> list[Fit]:
-    """Effects without a parameter, which act through the base model's numbers, fitted from those of the file.
-
-    Where recalibration has made up for such an effect, it changes nothing any more: a high pretension hides slack.
-    """
-    out = []
-    base = smaller.hypothesis.base.start()
-    start = np.concatenate([base, smaller.point[len(base) :]])
-    for name, options in catalogue.items():
-        for variant in options if name not in barred else ():
-            if not variant.coordinates:
-                found = safely(problem, smaller.hypothesis.plus(variant), start)
-                out += [] if found is None else [found]
-    return out
+def _vanished(rival: Fit) -> bool:
+    """Whether a rival does without what its name says: presliding over no distance is the angle's direction alone."""
+    hypothesis = rival.hypothesis
+    if not hypothesis.rough.any() or not hypothesis.rough[-1]:
+        return False
+    return bool(rival.point[-1] - hypothesis.low[-1] < hypothesis.steps[-1])
 
 
 def _limits(problem: Problem, name: str) -> set[str]:

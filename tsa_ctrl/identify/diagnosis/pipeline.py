@@ -96,13 +96,16 @@ def diagnose(
     say("noise and recalibration")
     try:
         problem, base = _begun(parts.frame, _base(model, parts.frame, scales), scales, catalogue)
-        blind = _absurd(problem, base) or _blind(problem, base)
+        blind = _absurd(problem, base) or ("" if plain else _blind(problem, base))
     except OverflowError:  # a friction angle beyond anything
         return _insufficient(model, found, UNSUITED, not_testable)
     if blind:
         return _insufficient(model, found, blind, not_testable)
     say("causes")
     chosen = select(problem, base, catalogue, rng, lambda problem, fitted: _noise_rms(parts, problem, fitted))
+    blind = _blind(problem, base) if plain and not chosen.fitted.names else ""  # what is hidden may hide its friction
+    if blind:
+        return _insufficient(model, found, blind, not_testable)
     base = fit(chosen.problem, base.hypothesis, base.point)
     say("what is left")
     findings = _left(chosen, parts.frame, rng)

@@ -2,8 +2,8 @@
 
 Averaging is linear and the same for the measured torque and for every prediction, so comparing averages loses nothing
 but resolution: a pulse shorter than one average keeps its area. Angles and velocities are low-passed with zero phase
-before the model sees them, because the sign of a noisy velocity is wrong near every standstill. Torques are not: they
-jump with a reversal, and a drive that compensates friction says little else.
+before the model sees them, because the sign of a noisy velocity is wrong near every standstill. The motor torque is
+hardly: it jumps with a reversal, and a drive that compensates friction says little else.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.smooth import denoised, distortion
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.signals import Signals, hold_direction
+from tsa_ctrl.model.signals import Signals, hold_direction, low_pass
 
 COMPUTE_RATE = 500.0  # Hz at most: reversals are placed to 2 ms
 COMPUTE_SAMPLES = 90_000  # of all logs together at most
 SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
 SCORE_SAMPLES = 12_000  # of all logs together at most
 BLOCKS = 24  # for block-robust statistics
+TORQUE_CUTOFF = 60.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; slow logs keep it as it is
 ANGLE_HIGHEST = 40.0  # Hz, of angles and velocities
 ACCELERATION_HIGHEST = 20.0  # Hz, of a velocity that is to be derived
 STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
@@ -145,6 +146,8 @@ def _clean(log: Dataset) -> tuple[Signals, float, Array]:
     noise, error = 0.0, np.zeros(len(log))
     # A displacement must turn when the velocity does that was derived from it.
     highest = DERIVED_CUTOFF if {"omega_j", "omega_m"} & log.derived else ANGLE_HIGHEST
+    if log.period * TORQUE_CUTOFF < 0.21:
+        clean["tau_m"] = low_pass(signals.tau_m, log.period, TORQUE_CUTOFF)
     for name in ("omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
         if column is None:

@@ -84,6 +84,8 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     screened = scores(problem, fitted, found)
     best = _refined(problem, fitted, screened, found)
     promising = [s for s in best if s.gain > WITHIN * best[0].gain][:FITTED]
+    others = [s for s in best if all(s is not other for other in promising)]
+    promising += [s for s in others if not s.variant.coordinates]  # recalibration may have made up for them
     ranked = []
     for score in promising:
         larger = extended(problem, fitted, score)
@@ -91,6 +93,15 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
             ranked.append((score, larger))
     ranked.sort(key=lambda pair: pair[1].rss + PER_COORDINATE * len(pair[1].point))
     return Stage(fitted, tuple(ranked), tuple(best), tuple(found), family_threshold(rng, screened))
+
+
+def from_the_file(problem: Problem, fitted: Fit, variant: Variant) -> Fit | None:
+    """`fitted` with an effect more that has no parameter and acts through the base model's numbers, from the file's.
+
+    Where recalibration has made up for such an effect, it changes nothing any more: a high pretension hides slack.
+    """
+    base = fitted.hypothesis.base.start()
+    return safely(problem, fitted.hypothesis.plus(variant), np.concatenate([base, fitted.point[len(base) :]]))
 
 
 def _refined(
@@ -118,6 +129,9 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     """The fit with one effect more, from where the score begins; if that goes astray, from no effect at all."""
     hypothesis = fitted.hypothesis.plus(score.variant)
     found = safely(problem, hypothesis, np.concatenate([fitted.point, score.start]))
+    if not score.variant.coordinates:
+        again = from_the_file(problem, fitted, score.variant)
+        return again if again is not None and (found is None or again.rss < found.rss) else found
     if score.variant.amplitude and (found is None or found.rss > fitted.rss - 0.5 * score.gain):
         start = score.start.copy()
         start[list(score.variant.amplitude)] = np.array(score.variant.starts[0])[list(score.variant.amplitude)]
