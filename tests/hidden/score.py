@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from .cases import Case, Truth
+from .cases import Case
 
 MOST_ALTERNATIVES = 2
 WHOLE = ("cycles_per_revolution", "elements")  # parameters without an interval
-DEFAULTS = {"elements": 1}  # of what a hidden effect leaves out
 
 
 @dataclass
@@ -53,7 +52,7 @@ def mark(case: Case, report: dict[str, Any], experiment: dict[str, Any] | None =
         out.unique = is_unique(causes, truth)
         out.within = len(causes) == 1 and _holds(causes[0], truth)
         if out.unique:
-            out.covered = _covered(causes[0], case.truth)
+            out.covered = _covered(causes[0], case)
     elif len(truth) == 2:
         few = all(len(cause["alternatives"]) <= MOST_ALTERNATIVES for cause in causes)
         out.both = {cause["effect"] for cause in causes} == truth and len(causes) == 2 and few
@@ -90,14 +89,15 @@ def _mark_confounded(out: Mark, case: Case, report: dict[str, Any], experiment: 
         out.resolved = is_unique(experiment["causes"], truth)
 
 
-def _covered(cause: dict[str, Any], truth: Truth) -> dict[str, bool]:
+def _covered(cause: dict[str, Any], case: Case) -> dict[str, bool]:
     """Which intervals hold the hidden parameter; only where the same law was fitted."""
-    hidden = truth.effects[cause["effect"]]
+    hidden = case.truth.effects[cause["effect"]]
     found = cause["parameters"]
-    for key in ("law", "curvature_profile", *WHOLE):
+    defaults = {"elements": 1, "displacement": "motor" if any("q_m" in log.columns for log in case.logs) else "joint"}
+    for key in ("law", "curvature_profile", "displacement", *WHOLE):
         value = found.get(key)
         value = value["value"] if isinstance(value, dict) else value
-        if value is not None and value != hidden.get(key, DEFAULTS.get(key, value)):
+        if value is not None and value != hidden.get(key, defaults.get(key, value)):
             return {}
     out = {}
     for key, value in hidden.items():

@@ -27,8 +27,8 @@ COMPUTE_SAMPLES = 90_000  # of all logs together at most
 SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
 SCORE_SAMPLES = 12_000  # of all logs together at most
 BLOCKS = 24  # for block-robust statistics
-TORQUE_CUTOFF = 60.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; slow logs keep it as it is
-ANGLE_HIGHEST = 40.0  # Hz, of angles and velocities
+SHARP = 100.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; and of angles at most
+VELOCITY_HIGHEST = 40.0  # Hz
 ACCELERATION_HIGHEST = 20.0  # Hz, of a velocity that is to be derived
 STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
 RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is left as it is
@@ -145,13 +145,14 @@ def _clean(log: Dataset) -> tuple[Signals, float, Array]:
     clean: dict[str, Array] = {}
     noise, error = 0.0, np.zeros(len(log))
     # A displacement must turn when the velocity does that was derived from it.
-    highest = DERIVED_CUTOFF if {"omega_j", "omega_m"} & log.derived else ANGLE_HIGHEST
-    if log.period * TORQUE_CUTOFF < 0.21:
-        clean["tau_m"] = low_pass(signals.tau_m, log.period, TORQUE_CUTOFF)
+    derived = bool({"omega_j", "omega_m"} & log.derived)
+    if log.period * SHARP < 0.21:
+        clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)
     for name in ("omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
         if column is None:
             continue
+        highest = DERIVED_CUTOFF if derived else VELOCITY_HIGHEST if name.startswith("omega") else SHARP
         smooth, left = denoised(column, log.period, highest)
         if name == "omega_j":
             as_it_is = _about_standstill(column, log.period) | _about_jumps(column - smooth, log.period)
