@@ -46,7 +46,7 @@ Progress = Callable[[str], None]
 
 PILOT_NOISE = 0.02  # of the torque, before anything is known of the noise
 BLIND = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
-ABSURD = 1.5  # times the torque's own variation: a simulation so far off is of another log
+ABSURD = 5.0  # times the torque's own variation: a simulation so far off is of another log; (3.55) may miss by twice
 UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
     "or is the model another drive's?"
