@@ -165,3 +165,36 @@ def test_blocks_never_join_two_logs() -> None:
 def test_lagged_leaves_a_straight_line_alone() -> None:
     line = np.arange(50.0)
     np.testing.assert_allclose(lagged(line, 5)[5:-5], line[5:-5])
+
+
+def test_the_interval_of_a_mean_over_equal_blocks_is_students() -> None:
+    """Variance of the block means over their number, at one degree of freedom less."""
+    means = np.random.default_rng(1).normal(size=7)
+    ones, labels = np.ones((70, 1)), np.repeat(np.arange(7), 10)
+    estimate = solve(ones, ones, np.repeat(means, 10), labels)
+    assert estimate.covariance[0, 0] == pytest.approx(np.var(means, ddof=1) / 7)
+    assert estimate.degrees_of_freedom(np.ones(1)) == pytest.approx(6.0)
+
+
+def test_a_coefficient_that_rests_on_few_blocks_has_few_degrees_of_freedom() -> None:
+    rng = np.random.default_rng(2)
+    labels = np.repeat(np.arange(10), 20)
+    x = np.column_stack([np.ones(200), np.where(labels < 2, rng.normal(size=200), 0.0)])
+    estimate = solve(x, x, rng.normal(size=200), labels)
+    assert estimate.degrees_of_freedom(np.array([0.0, 1.0])) < 2.5
+    assert estimate.degrees_of_freedom(np.array([1.0, 0.0])) > 7.0
+
+
+def test_a_sensor_zero_that_moves_between_logs_widens_nothing() -> None:
+    """Each log has its own; a common one would leave its difference in every interval."""
+    rng, rig, model = rig_and_model(6)
+    change = 0.4 * rig.pretension
+    first, second = tendon_logs.record(rig, rng), tendon_logs.record(rig, rng, tensioner=change)
+
+    def width(zero: float) -> float:
+        moved = {**second, "tau_j": second["tau_j"] + zero}
+        logs = [Dataset.from_arrays(first, "a.csv"), Dataset.from_arrays(moved, "b.csv")]
+        half = calibrate(logs, model, tensioner={"b.csv": change}).half_loop_torque
+        return half.high - half.low
+
+    assert width(0.2 * float(np.std(first["tau_j"]))) == pytest.approx(width(0.0), rel=0.05)
