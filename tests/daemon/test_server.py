@@ -8,6 +8,8 @@ import json
 import os
 import socket
 import stat
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -214,6 +216,14 @@ def test_ends_with_the_daemon_and_removes_its_socket(serving: Serving) -> None:
     serving.end()
     assert serving.process.returncode == 0
     assert not Path(serving.path).exists()
+
+
+@pytest.mark.parametrize("module", ["tsa_ctrl.ipc.server", "tsa_ctrl.log.writer"])
+def test_owner_that_is_gone_before_it_asks_is_no_matter(module: str, tmp_path: Path) -> None:
+    """Ctrl-C while the processes start: they end without a word."""
+    command = [sys.executable, "-m", module, "0", str(tmp_path / "x.mcap")]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
 def test_events_are_told_once(serving: Serving) -> None:

@@ -275,7 +275,10 @@ def main(argv: list[str]) -> int:
     """Serve until the daemon's end of stdin closes; events are printed as they come."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they reach the whole group; the daemon decides
         signal.signal(number, signal.SIG_IGN)
-    description = msgspec.json.decode(sys.stdin.buffer.readline(), type=Description)
+    asked = sys.stdin.buffer.readline()
+    if not asked:  # the daemon is gone already
+        return 0
+    description = msgspec.json.decode(asked, type=Description)
     mailbox = Mailbox(int(argv[0]), len(description.axes), len(description.parameters[0]))
     try:
         server = Server(listen(description.path, description.group), mailbox, description)
@@ -283,7 +286,8 @@ def main(argv: list[str]) -> int:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code
     owned = Path(description.path).stat().st_ino
-    os.write(sys.stdout.fileno(), READY)
+    with contextlib.suppress(BrokenPipeError):  # then stdin says the same
+        os.write(sys.stdout.fileno(), READY)
     daemon = sys.stdin.fileno()
     server.watch(daemon)
     watcher = EventPrinter(mailbox)

@@ -129,7 +129,10 @@ def main(argv: list[str]) -> int:
         signal.signal(number, signal.SIG_IGN)
     fd, path = int(argv[0]), Path(argv[1])
     owner = os.getppid()
-    header = LogHeader.from_json(sys.stdin.buffer.readline().decode())
+    asked = sys.stdin.buffer.readline()
+    if not asked:  # the owner is gone already
+        return 0
+    header = LogHeader.from_json(asked.decode())
     ring = RingReader(fd)
     writer = LogWriter(ring, path, header)
     orphaned = False

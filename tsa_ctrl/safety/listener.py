@@ -8,6 +8,7 @@ then it is asked by SDO. A drive that still has torque when the guard ends is sw
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import signal
@@ -151,11 +152,17 @@ def main(argv: list[str]) -> int:
         print(error, flush=True)
         return error.exit_code
     listener = Listener(configuration, bus)
-    sys.stdout.buffer.write(READY)
-    sys.stdout.flush()
+    with contextlib.suppress(BrokenPipeError):  # who asked is gone: nobody is to be told
+        return _serve(listener, 0.5 * configuration.period)
+    return 1
+
+
+def _serve(listener: Listener, patience: float) -> int:
+    """`patience`: s, of one look."""
+    os.write(1, READY)
     received = b""
     while True:
-        listener.step(0.5 * configuration.period)
+        listener.step(patience)
         if not select.select([0], [], [], 0.0)[0]:
             continue
         data = os.read(0, 4096)
