@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import tomllib
 from pathlib import Path
@@ -12,6 +13,8 @@ import pytest
 
 from tests.identify import tendon_logs
 from tsa_ctrl.cli import main
+from tsa_ctrl.control.setpoint import SetPointSettings, waveform
+from tsa_ctrl.identify.diagnosis.result import Experiment
 from tsa_ctrl.model.parameters import load_tendon_sheath
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -58,6 +61,20 @@ def test_a_dry_run_tells_the_plan_and_touches_nothing(folder: Path, capsys: pyte
     assert "0.3 N*m at the joint" in out
     assert "excitation, 15 s" in out
     assert files(folder) == before
+
+
+def test_the_experiment_of_a_diagnosis_is_the_excitation(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    (folder / "experiment.csv").write_text(Experiment("", tuple(t), tuple(0.3 * np.sin(t))).csv())
+    assert tsa("controller.toml", "--dry-run", "--setpoint", "experiment.csv") == 0
+    assert "excitation, 59.98 s of the file given" in capsys.readouterr().out
+    played = waveform(SetPointSettings(kind="file", file="experiment.csv"), folder)
+    assert played(math.pi / 2.0) == pytest.approx(0.3, abs=1e-3)
+
+
+def test_a_set_point_and_logs_do_not_go_together(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa(*FROM_LOG, "--setpoint", "a.csv") == 2
+    assert "--setpoint" in capsys.readouterr().err
 
 
 def test_a_dry_run_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

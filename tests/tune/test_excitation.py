@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,18 @@ import pytest
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.tune.excitation import FREQUENCIES, Bounds, Response, apart, design, most_torque, multi_sine, response
+from tsa_ctrl.tune.excitation import (
+    FREQUENCIES,
+    Bounds,
+    Response,
+    apart,
+    design,
+    from_file,
+    most_torque,
+    multi_sine,
+    playing,
+    response,
+)
 
 BOUNDS = Bounds(torque=1.0, speed=4.0, travel=(-1.0, 1.0))
 MOVED = Response(peak_speed=0.5, rms_speed=0.3, angle=(-0.1, 0.1), frequency=0.6, by_torque=0.9)
@@ -26,6 +38,30 @@ def test_a_waveform_begins_and_ends_at_zero_and_reaches_its_peak() -> None:
     assert wave.tau_j_des[0] == wave.tau_j_des[-1] == 0.0
     assert wave.peak == pytest.approx(0.7)
     assert wave.seconds == pytest.approx(20.0)
+
+
+def test_a_file_is_played_ramped_and_no_higher_than_the_design_allows(tmp_path: Path) -> None:
+    (tmp_path / "experiment.csv").write_text("t,tau_j_des\n0,2\n5,2\n10,-2\n")
+    wave = from_file(tmp_path / "experiment.csv")
+    assert wave.tau_j_des[0] == wave.tau_j_des[-1] == 0.0
+    assert np.interp(3.0, wave.t, wave.tau_j_des) == pytest.approx(2.0)
+    found = playing(design(CARRIED, 0.2, BOUNDS, 20.0, 8.0), wave)
+    assert found.excitation.peak == pytest.approx(BOUNDS.torque)
+    assert found.excitation.seconds == pytest.approx(10.0, abs=0.02)
+    assert "50% of its torque" in found.reasons[-1]
+
+
+def test_a_file_within_what_is_allowed_is_played_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "experiment.csv").write_text("t,tau_j_des\n0,0\n5,0.4\n10,0\n")
+    wave = from_file(tmp_path / "experiment.csv")
+    assert playing(design(CARRIED, 0.2, BOUNDS, 20.0, 8.0), wave).excitation.peak == wave.peak
+
+
+@pytest.mark.parametrize("text", ["t,tau_j_des\n0,0\n10,0\n", "t,tau_j_des\n0,0\n1,0.2\n", "t,torque\n0,1\n9,2\n"])
+def test_a_file_that_cannot_excite_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "experiment.csv").write_text(text)
+    with pytest.raises(UsageError, match=r"experiment\.csv"):
+        from_file(tmp_path / "experiment.csv")
 
 
 def test_both_tendons_pull_at_the_most_torque_even_if_the_pretension_is_a_fifth_less() -> None:

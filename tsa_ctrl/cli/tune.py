@@ -41,6 +41,12 @@ if TYPE_CHECKING:
 @click.option("--certified-gain", is_flag=True, help="The gain of both torque channels is certified: the slope counts.")
 @click.option("--given-form", is_flag=True, help="Keep the transmission's form; do not try the full model (3.53).")
 @click.option("--extended", is_flag=True, help="Add the effects that the diagnosis names with certainty.")
+@click.option(
+    "--setpoint",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Excite with this torque (CSV with t, tau_j_des), as tsa diagnose writes it.",
+)
 @click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: beside logs."
@@ -62,6 +68,7 @@ def command(
     certified_gain: bool,
     given_form: bool,
     extended: bool,
+    setpoint: Path | None,
     logs: tuple[str, ...],
     out: Path | None,
     yes: bool,
@@ -85,7 +92,10 @@ def command(
         certified_gain=certified_gain,
         forms=not given_form,
         extended=extended,
+        setpoint=setpoint,
     )
+    if setpoint is not None and logs:
+        raise click.UsageError("--setpoint is for a run on the rig; leave it out, or --from-log")
     session = Session(controller, axis_name, plan)
     if undo and (dry_run or logs):
         raise click.UsageError("--undo does nothing else than to put the file before back; give it alone")

@@ -8,14 +8,17 @@ probe with little torque tells which of the two it is.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.log.waypoints import from_zero, read_waypoints
 from tsa_ctrl.model.parameters import TendonSheath
 
 FloatArray = NDArray[np.float64]
@@ -107,6 +110,32 @@ def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> W
     edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
     wave = wave * 0.5 * (1.0 - np.cos(np.pi * edge))
     return Waveform(t, peak * wave / max(float(np.abs(wave).max()), 1e-12))
+
+
+def from_file(path: Path) -> Waveform:
+    """The joint torque of a set-point file (columns t in s, tau_j_des in N*m), ramped at both ends.
+
+    Raises UsageError for a file that cannot be played, is shorter than both ramps or holds no torque.
+    """
+    columns = read_waypoints(path, ("tau_j_des",)).columns
+    given = from_zero(columns["t"])
+    if given[-1] < 4.0 * RAMP or not np.any(columns["tau_j_des"]):
+        raise UsageError(
+            f"{path}: {given[-1]:.3g} s of at most {np.abs(columns['tau_j_des']).max():.3g} N*m; give at least "
+            f"{4.0 * RAMP:g} s with torque"
+        )
+    t = np.arange(0.0, given[-1], 1.0 / RATE)
+    wave = np.interp(t, given, columns["tau_j_des"])
+    edge = np.clip(np.minimum(t, t[-1] - t) / RAMP, 0.0, 1.0)
+    return Waveform(t, wave * 0.5 * (1.0 - np.cos(np.pi * edge)))
+
+
+def playing(designed: Design, wave: Waveform) -> Design:
+    """The same with `wave` as its excitation, scaled down to the torque that the design allows."""
+    share = min(1.0, designed.excitation.peak / wave.peak)
+    reason = f"the excitation is the file given, at {share:.0%} of its torque ({share * wave.peak:.2g} N*m)"
+    excitation = Waveform(wave.t, share * wave.tau_j_des)
+    return dataclasses.replace(designed, excitation=excitation, reasons=(*designed.reasons, reason))
 
 
 def response(run: Dataset) -> Response:

@@ -10,7 +10,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
-from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Design, Waveform, design, probe, response
+from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Design, Waveform, design, playing, probe, response
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 
 PROBE_SECONDS = 6.0
@@ -27,6 +27,7 @@ class Settings:
     certified_gain: bool
     forms: bool
     extended: bool
+    excitation: Waveform | None = None  # to play in place of a designed one; then `seconds` are its own
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,8 @@ class Procedure:
             if found.rms_speed >= MOVING:
                 break
         settings = self._settings
-        return design(found, wave.peak, self._bounds, settings.seconds, settings.verification_seconds)
+        designed = design(found, wave.peak, self._bounds, settings.seconds, settings.verification_seconds)
+        return designed if settings.excitation is None else playing(designed, settings.excitation)
 
     def _play(self, name: str, model: Path, compensation: float, waveform: Waveform) -> Run:
         seconds, begin = waveform.seconds, self._done

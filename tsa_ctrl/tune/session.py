@@ -18,7 +18,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.tune import model_file
-from tsa_ctrl.tune.excitation import FREQUENCIES, OTHER_FREQUENCIES, Bounds, most_torque
+from tsa_ctrl.tune.excitation import FREQUENCIES, OTHER_FREQUENCIES, Bounds, from_file, most_torque
 from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
@@ -38,6 +38,7 @@ class Plan:
     certified_gain: bool = False
     forms: bool = True
     extended: bool = False
+    setpoint: Path | None = None  # file to play as the excitation, as a diagnosis writes it
 
 
 class Session:
@@ -51,13 +52,15 @@ class Session:
         self._model = self._configuration.models[index]
         self.path = self._configuration.folder / self.axis.model
         self.bounds = self._bounds(controller, plan)
+        played = None if plan.setpoint is None else from_file(plan.setpoint)
         self._settings = Settings(
-            seconds=plan.seconds,
+            seconds=plan.seconds if played is None else played.seconds,
             verification_seconds=plan.verification_seconds,
             compensation=self.axis.law.compensation,
             certified_gain=plan.certified_gain,
             forms=plan.forms,
             extended=plan.extended,
+            excitation=played,
         )
         self._folder = Path()
         self._final: Path | None = None
@@ -125,14 +128,16 @@ class Session:
     def plan_text(self) -> str:
         """The same for people."""
         bounds, settings = self.bounds, self._settings
+        wave = (
+            f"at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz" if settings.excitation is None else "of the file given"
+        )
         travel = "any" if bounds.travel is None else f"{bounds.travel[0]:g} to {bounds.travel[1]:g} rad"
         return "\n".join(
             (
                 f"axis {self.axis.name}, model file {self.path}",
                 f"limits: {bounds.torque:.3g} N*m at the joint, {bounds.speed:g} rad/s, travel {travel}",
                 f"1. probe, {PROBE_SECONDS:g} s with a fifth of the torque: does the joint move, and by what",
-                f"2. excitation, {settings.seconds:g} s at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz without "
-                "compensation",
+                f"2. excitation, {settings.seconds:.4g} s {wave}, without compensation",
                 "3. estimate of friction angle and pretension",
                 f"4. verification, 3 x {settings.verification_seconds:g} s at "
                 f"{', '.join(f'{f:g}' for f in OTHER_FREQUENCIES)} Hz: without compensation, with the given and with "

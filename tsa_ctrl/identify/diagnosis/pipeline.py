@@ -51,7 +51,8 @@ UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
     "or is the model another drive's?"
 )
-UNRELATED = 0.6  # of the torque's own variation: more that is not noise is left by every cause only of strange logs
+UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
+HELPED = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
 STRANGE = (
     "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, a unit wrong, "
     "or is one column of another log?"
@@ -124,7 +125,7 @@ def diagnose(
     say("parameters and gain")
     shipped = sharpened(chosen.problem, refit(chosen.problem, chosen.fitted))
     errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share, 0.95))
-    if not plain and share > 0.0 and errors.extended > UNRELATED * float(np.std(parts.frame.target[parts.held])):
+    if not plain and share > 0.0 and _strange(errors, parts):
         return _insufficient(model, found, STRANGE, not_testable)
     limits, invisible = _limits(chosen, parts)
     not_testable = {
@@ -191,6 +192,12 @@ def _absurd(problem: Problem, base: Fit) -> str:
     if not float(np.std(error)) <= ABSURD * float(np.std(problem.frame.target[mask])):
         return UNSUITED
     return ""
+
+
+def _strange(errors: HeldOut, parts: Split) -> bool:
+    """Whether the causes found, if any, hardly help a simulation that has hardly anything of the measured torque."""
+    torque = float(np.sqrt(np.mean(np.square(parts.frame.target[parts.held]))))
+    return errors.extended > UNRELATED * torque and errors.extended > HELPED * errors.recalibrated
 
 
 def _blind(problem: Problem, base: Fit) -> str:
