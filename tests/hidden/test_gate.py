@@ -107,6 +107,11 @@ def test_a_cause_outside_the_catalogue_is_not_explained_away() -> None:
 
 
 @others
+def test_a_rival_that_needs_a_column_which_was_not_recorded_is_no_error() -> None:
+    assert ask(case("outside", "sensor_dead_zone", 7001, short=True))["verdict"] in ("partly_explained", "unexplained")
+
+
+@others
 def test_two_effects_are_both_named() -> None:
     found = answers("pair", PAIRS)
     missed = [key for key, marks, _ in found if not marks.both]
