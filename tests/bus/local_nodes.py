@@ -157,8 +157,13 @@ class Bench:
             self.network.send_message(0x700 + target, b"\x05")
 
     def close(self) -> None:
+        assert self.network.notifier is not None
+        self.network.notifier.stop()  # nobody starts a heartbeat any more
         for node in self.nodes.values():
+            task = node.nmt._send_task
             node.nmt.stop_heartbeat()
+            if task is not None:
+                task._task.thread.join()  # it may still be about to send
         self.network.disconnect()
         self.bus.close()
 
