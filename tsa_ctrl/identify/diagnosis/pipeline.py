@@ -24,13 +24,13 @@ from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.grouping import Group, compared, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
 from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
-from tsa_ctrl.identify.diagnosis.misfit import by_simulation_error, misfit
+from tsa_ctrl.identify.diagnosis.misfit import by_simulation_error, misfit, plain_error
 from tsa_ctrl.identify.diagnosis.noise import white_noise
 from tsa_ctrl.identify.diagnosis.nuisance import FASTEST, Nuisance, fast, nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.prepare import Frame, prepare
 from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
-from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit
+from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit, through_reversals
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
 from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, select, without
@@ -259,12 +259,23 @@ def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Fin
 
 
 def _unsure(chosen: Selection, grouped: Sequence[Group], findings: Sequence[Finding]) -> list[int]:
-    """Causes that stand alone, but explain less than what is left and no cause explains: a name would be a guess."""
+    """Causes that stand alone, but explain less than what is left and no cause explains: a name would be a guess.
+
+    Less of the white residual and of the simulation error, for what is left colours the noise that whitens.
+    """
     problem, fitted = chosen.problem, chosen.fitted
     shares = [finding.share for finding in findings if finding.found and finding.what != changes.DRIFT]
-    left = max(shares, default=0.0) * fitted.rss
-    alone = [i for i, group in enumerate(grouped) if left > 0.0 and not group.alternatives]
-    return [i for i in alone if compared(problem, fitted, without(problem, fitted, i), "nothing").worse < left]
+    left = min(max(shares, default=0.0), 1.0)
+    error = plain_error(problem, fitted) if left > 0.0 else 0.0
+    out = []
+    for i, group in enumerate(grouped):
+        if left <= 0.0 or group.alternatives:
+            continue
+        smaller = without(problem, fitted, i)
+        explained = plain_error(problem, smaller, through_reversals(fitted)) - error
+        if compared(problem, fitted, smaller, "nothing").worse < left * fitted.rss and explained < left * error:
+            out.append(i)
+    return out
 
 
 def _accounted(problem: Problem, fitted: Fit) -> Array:
