@@ -30,6 +30,8 @@ MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
 INEXACT = 0.02  # of what the cause explains: inputs and filters are no better known than that
 MOST_INEXACT = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
+UNSEEN = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
+CLEARLY = 0.9  # of the mean square, below which another name simulates clearly better
 FITTED = 6  # rivals that are fitted in full
 
 
@@ -104,6 +106,23 @@ def _group(
     if structure is not None:
         found = _by_misfit(problem, found, structure, smaller, through_reversals(fitted))
     return Group(name, tuple(sorted(found, key=lambda rival: rival.worse)))
+
+
+def better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
+    """The causes with an alternative in place of one, that simulates best and clearly better; None where none does.
+
+    For what is mostly structure: there the noise that whitens is no judge between alternatives.
+    """
+    reversals = through_reversals(fitted)
+    best, least = None, CLEARLY * plain_error(problem, fitted, reversals)
+    for group in grouped:
+        for rival in group.alternatives:
+            if rival.fitted.hypothesis.wide or rival.fitted.names[-1] != rival.name or rival.name == UNSEEN:
+                continue
+            error = plain_error(problem, rival.fitted, reversals)
+            if error < least:
+                best, least = rival.fitted, error
+    return best
 
 
 def _by_misfit(

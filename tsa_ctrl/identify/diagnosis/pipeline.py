@@ -21,7 +21,7 @@ from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
 from tsa_ctrl.identify.diagnosis.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
-from tsa_ctrl.identify.diagnosis.grouping import Group, compared, groups
+from tsa_ctrl.identify.diagnosis.grouping import Group, better, compared, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
 from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
 from tsa_ctrl.identify.diagnosis.misfit import by_simulation_error, misfit, plain_error
@@ -33,7 +33,7 @@ from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
 from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit, through_reversals
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
-from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, select, without
+from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, replaced, select, without
 from tsa_ctrl.identify.diagnosis.sharpen import sharpened
 from tsa_ctrl.identify.diagnosis.show import details
 from tsa_ctrl.identify.diagnosis.split import Split, split
@@ -118,6 +118,10 @@ def diagnose(
         chosen = dataclasses.replace(chosen, fitted=best)
         structure = misfit(chosen.problem, best, share)
     grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
+    while structure is not None and (found_better := better(chosen.problem, chosen.fitted, grouped)) is not None:
+        chosen = replaced(chosen, found_better)
+        structure = misfit(chosen.problem, chosen.fitted, share)
+        grouped = groups(chosen.problem, chosen.fitted, catalogue, structure)
     unsure = _unsure(chosen, grouped, findings)
     if unsure:
         chosen = dropped(chosen, unsure)

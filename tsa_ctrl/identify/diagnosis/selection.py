@@ -247,6 +247,11 @@ def dropped(selection: Selection, indices: Sequence[int]) -> Selection:
     fitted = selection.fitted
     for index in sorted(indices, reverse=True):
         fitted = without(selection.problem, fitted, index)
+    return replaced(selection, fitted)
+
+
+def replaced(selection: Selection, fitted: Fit) -> Selection:
+    """The selection with these causes, under the same noise model."""
     return dataclasses.replace(selection, fitted=fitted, evidence=_evidence(selection.problem, fitted))
 
 
