@@ -162,7 +162,10 @@ def pair_case(name: str, seed: int, short: bool = False) -> Case:
     for attempt in range(200):
         rng = generator("pair", name, seed, attempt)
         first, second = name.split("+") if name != "any" else _draw_pair(rng)
-        bench = draw_bench(rng, Recipe(**_needs_of_both(first, second), short=short))
+        needs = _needs_of_both(first, second)
+        if "x" in needs and needs["x"][0] >= needs["x"][1]:  # no rig shows both
+            continue
+        bench = draw_bench(rng, Recipe(**needs, short=short))
         ratio = log_uniform(rng, 1.25, 4.0)
         wanted = bench.reading * log_uniform(rng, 0.004, 0.02) * ratio
         effects: dict[str, dict[str, Any]] = {}
