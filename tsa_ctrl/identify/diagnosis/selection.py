@@ -84,8 +84,6 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     screened = scores(problem, fitted, found)
     best = _refined(problem, fitted, screened, found)
     promising = [s for s in best if s.gain > WITHIN * best[0].gain][:FITTED]
-    others = [s for s in best if all(s is not other for other in promising)]
-    promising += [s for s in others if not s.variant.coordinates]  # recalibration may have made up for them
     ranked = []
     for score in promising:
         larger = extended(problem, fitted, score)
@@ -129,9 +127,6 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     """The fit with one effect more, from where the score begins; if that goes astray, from no effect at all."""
     hypothesis = fitted.hypothesis.plus(score.variant)
     found = safely(problem, hypothesis, np.concatenate([fitted.point, score.start]))
-    if not score.variant.coordinates:
-        again = from_the_file(problem, fitted, score.variant)
-        return again if again is not None and (found is None or again.rss < found.rss) else found
     if score.variant.amplitude and (found is None or found.rss > fitted.rss - 0.5 * score.gain):
         start = score.start.copy()
         start[list(score.variant.amplitude)] = np.array(score.variant.starts[0])[list(score.variant.amplitude)]
@@ -153,15 +148,18 @@ def _enters(
         and proof.spread > SPREAD
         and proof.spread * proof.gain > ELSEWHERE * needed
         and proof.size > SMALLEST * noise_rms(problem, found)
-        and _worth(problem, stage.fitted, found) > LEAST_WORTH * problem.noise.rms
+        and _is_worth(problem, stage.fitted, found)
     )
 
 
-def _worth(problem: Problem, smaller: Fit, larger: Fit) -> float:
-    """RMS in N*m at the score rate that the plain error loses: what noise of an input feigns gains next to nothing."""
+def _is_worth(problem: Problem, smaller: Fit, larger: Fit) -> bool:
+    """Whether the plain error loses enough: what noise of an input feigns gains next to nothing.
+
+    Measured by the noise, or by all that is left where a noise model that holds structure exceeds it.
+    """
     reversals = through_reversals(larger)
     before, after = (refit(problem, fitted, reversals=reversals).fitted.rss for fitted in (smaller, larger))
-    return problem.noise.rms * float(np.sqrt(max(before - after, 0.0) / problem.count))
+    return before - after > LEAST_WORTH**2 * min(problem.count, after)
 
 
 def _renoised(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
