@@ -194,10 +194,28 @@ class TestDaemonLog:
         assert len(found) == N - 20
         assert "the first 20 rows" in found.notes[0]
 
-    def test_a_value_missing_in_the_middle_is_an_error(self, tmp_path: Path) -> None:
-        holed = np.where(np.arange(N) == 50, np.nan, 0.5)
-        with pytest.raises(UsageError, match="column tau_m, row 51: found no number"):
-            self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
+    def test_single_values_missing_are_filled_and_said(self, tmp_path: Path) -> None:
+        holed = np.where(np.isin(np.arange(N), (50, 51, 90)), np.nan, np.sin(5.0 * T))
+        found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
+        assert len(found) == N
+        assert "3 cycles" in found.notes[0]
+        assert np.max(np.abs(found["tau_m"] - np.sin(5.0 * T))) < 1e-4
+
+    def test_where_a_device_was_silent_the_longest_stretch_is_used(self, tmp_path: Path) -> None:
+        holed = np.where((T > 0.1) & (T < 0.15), np.nan, 0.5)
+        found = self.recorded(tmp_path / "x.mcap", np.arange(N), tau_m=holed)
+        assert found["t"][0] == pytest.approx(0.15)
+        assert len(found) == N - 150
+        assert "150 rows are left out" in found.notes[0]
+
+    @pytest.mark.parametrize(("until", "kept"), [(0.1, True), (0.3, False)])
+    def test_a_load_cell_that_was_silent_most_of_the_time_is_taken_as_absent(
+        self, tmp_path: Path, until: float, kept: bool
+    ) -> None:
+        found = self.recorded(tmp_path / "x.mcap", np.arange(N), t1=np.where(until > T, np.nan, 40.0))
+        assert ("t1" in found) is kept
+        assert len(found) == (N - 100 if kept else N)
+        assert ("column t1 has a value in only" in found.notes[0]) is not kept
 
     def test_several_axes_want_a_name(self, tmp_path: Path) -> None:
         log = McapFile(tmp_path / "x.mcap", HEADER)

@@ -129,10 +129,37 @@ def test_a_new_slot_holds_nothing() -> None:
     slots.close()
 
 
-def test_a_slot_that_is_being_written_is_not_read() -> None:
+def test_a_writer_stopped_in_the_middle_of_a_write_leaves_the_value_before() -> None:
+    class StoppedError(Exception):
+        pass
+
+    class State:
+        def __index__(self) -> int:  # the last number that is written
+            raise StoppedError
+
     slots = Slots(1)
-    slots.write(0, Reading(1.0, 5.0, 1, 0, LineState.READING))
-    assert slots.fresh(0, 5.0, 0.1) == 1.0
-    slots._map[0:8] = (7).to_bytes(8, "little")
-    assert math.isnan(slots.fresh(0, 5.0, 0.1))
+    for value in (1.0, 2.0):
+        slots.write(0, Reading(value, 5.0, 1, 0, LineState.READING))
+        with pytest.raises(StoppedError):
+            slots.write(0, Reading(9.0, 9.0, 9, 9, State()))  # type: ignore[arg-type]
+        assert slots.fresh(0, 5.0, 0.1) == value
+        assert slots.read(0) == Reading(value, 5.0, 1, 0, LineState.READING)
     slots.close()
+
+
+def test_a_slot_is_read_whole_while_another_process_writes_it() -> None:
+    slots = Slots(1)
+    slots.write(0, Reading(0.0, 0.0, 0, 0, LineState.READING))
+    writer = os.fork()
+    if writer == 0:
+        for number in range(1, 10**9):
+            slots.write(0, Reading(float(number), float(number), number, number, LineState.READING))
+    try:
+        found = [reading for reading in (slots.read(0) for _ in range(20_000)) if reading.count]
+    finally:
+        os.kill(writer, signal.SIGKILL)
+        os.waitpid(writer, 0)
+        slots.close()
+    assert found[-1].count > found[0].count  # without end it is overwritten at times: then there is no reading
+    for reading in found:
+        assert reading.value == reading.time == reading.count == reading.rejected

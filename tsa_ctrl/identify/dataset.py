@@ -30,7 +30,9 @@ MOST_JITTER = 0.20  # of the period; worse is an error
 STANDING = 0.5  # s: slower than one encoder count in it, an angle has no velocity of a certain direction
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST = 10  # rows
-LONGEST_SKIP = 0.020  # s of cycles that the daemon skipped, and says so: filled by straight lines
+LONGEST_SKIP = 0.020  # s without a cycle, or without a value of a device, that a straight line fills
+NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
+LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
 
 
 @dataclass(frozen=True)
@@ -134,20 +136,9 @@ def _dataset(table: Table, name: str, sha256: str) -> Dataset:
         notes.append(f"column {column} is empty and taken as absent")
     if not any(column in columns for column in ("omega_j", "q_j", "omega_m", "q_m")):
         raise UsageError(_missing(table.label, "omega_j or q_j", everything))
-    start = _first_complete(columns) if table.recorded else 0
-    if start:
-        columns = {key: value[start:] for key, value in columns.items()}
-        notes.append(f"the first {start} rows, before every device had reported, are left out")
+    start = 0
     if table.recorded:
-        first, end = _longest_piece(columns["t"])
-        if end - first < len(columns["t"]):
-            missing = len(columns["t"]) - (end - first)
-            columns = {key: value[first:end] for key, value in columns.items()}
-            start += first
-            notes.append(
-                f"the daemon stood still for more than {1e3 * LONGEST_SKIP:g} ms at least once: the longest stretch "
-                f"without is used, {missing} rows are left out"
-            )
+        columns, start = _recorded(columns, notes)
     _check_numbers(table, columns, start)
     columns, period, jitter = _uniform(table, columns, start, notes)
     derivatives: dict[str, Array] = {
@@ -185,11 +176,27 @@ def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
     return f"{label}: column {column} is missing (found: {listed or 'none'}); {advice}"
 
 
-def _first_complete(columns: Mapping[str, Array]) -> int:
-    """Index of the first row in which no signal is missing; 0 where there is none, so that the nan is reported."""
-    present = [np.isfinite(values) for name, values in columns.items() if name in SIGNAL_NAMES]
-    complete = np.logical_and.reduce(present)
-    return int(np.argmax(complete)) if complete.any() else 0
+def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Array], int]:
+    """What of a daemon's own log can be used, where devices were silent or the loop stood still; its first row."""
+    present = {name: np.isfinite(values) for name, values in columns.items() if name in SIGNAL_NAMES}
+    for name in [name for name, good in present.items() if name not in NEEDED and good.mean() < LEAST_PRESENT]:
+        notes.append(f"column {name} has a value in only {present.pop(name).mean():.0%} of the rows: taken as absent")
+        del columns[name]
+    complete = np.logical_and.reduce(list(present.values()))
+    if not complete.any():
+        return columns, 0  # the nan is reported with its row
+    start = int(np.argmax(complete))
+    if start:
+        notes.append(f"the first {start} rows, before every device had reported, are left out")
+    usable = np.flatnonzero(complete)
+    rows = usable[slice(*_longest_piece(columns["t"][usable]))]
+    first, end = int(rows[0]), int(rows[-1]) + 1
+    if end - first < len(complete) - start:
+        notes.append(
+            f"the daemon stood still, or a device was silent, for more than {1e3 * LONGEST_SKIP:g} ms at least once: "
+            f"the longest stretch without is used, {len(complete) - start - (end - first)} rows are left out"
+        )
+    return {name: values[rows] for name, values in columns.items()}, first
 
 
 def stretches(t: Array) -> list[tuple[int, int]]:

@@ -1,7 +1,8 @@
 """The newest value of each serial sensor in shared memory: one writer per slot, read by the loop without a lock.
 
-A slot carries a sequence number that is odd while it is written (a seqlock); the memory has no name and is handed to
-child processes as a descriptor.
+A slot has two places, written in turn, and the number of the last write, which names the place that is whole: a
+writer that is stopped in the middle of a write keeps nobody from the value before. The memory has no name and is handed
+to child processes as a descriptor.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-SIZE = 64  # bytes per slot: a cache line of its own
+SIZE = 128  # bytes per slot: cache lines of its own
 _VALUE = struct.Struct("=ddQQq")  # value, monotonic time in s, values, rejected lines, LineState
-_SEQUENCE = struct.Struct("=Q")
-_TRIES = 3  # a reader that meets a write takes the value of the next cycle
+_WRITES = struct.Struct("=Q")
+_PLACES = (8, 8 + _VALUE.size)  # offsets in the slot: of an even and of an odd number of writes
+_TRIES = 5  # a try is lost only when a whole write ended meanwhile
 
 
 class LineState(IntEnum):
@@ -40,6 +42,7 @@ class Reading:
 
 
 NOTHING = Reading(math.nan, -math.inf, 0, 0, LineState.STARTING)
+_NOTHING = (math.nan, -math.inf, 0, 0, int(LineState.STARTING))
 
 
 class Slots:
@@ -59,32 +62,36 @@ class Slots:
     def write(self, index: int, reading: Reading) -> None:
         """Store a reading; only the one process that owns the slot may."""
         base = index * SIZE
-        sequence = _SEQUENCE.unpack_from(self._map, base)[0]
-        _SEQUENCE.pack_into(self._map, base, sequence + 1)
+        writes = _WRITES.unpack_from(self._map, base)[0] + 1
         _VALUE.pack_into(
-            self._map, base + 8, reading.value, reading.time, reading.count, reading.rejected, reading.state
+            self._map,
+            base + _PLACES[writes & 1],
+            reading.value,
+            reading.time,
+            reading.count,
+            reading.rejected,
+            reading.state,
         )
-        _SEQUENCE.pack_into(self._map, base, sequence + 2)
+        _WRITES.pack_into(self._map, base, writes)
 
     def read(self, index: int) -> Reading:
-        """The newest reading; NOTHING when it was being written each time."""
-        base = index * SIZE
-        for _ in range(_TRIES):
-            before = _SEQUENCE.unpack_from(self._map, base)[0]
-            value, time, count, rejected, state = _VALUE.unpack_from(self._map, base + 8)
-            if before % 2 == 0 and _SEQUENCE.unpack_from(self._map, base)[0] == before:
-                return Reading(value, time, count, rejected, LineState(state))
-        return NOTHING
+        """The newest reading; NOTHING when it was overwritten while it was read, each time."""
+        value, time, count, rejected, state = self._newest(index)
+        return Reading(value, time, count, rejected, LineState(state))
 
     def fresh(self, index: int, now: float, timeout: float) -> float:
         """The newest value if it is at most `timeout` s old at monotonic `now`, else nan; for the loop."""
+        value, time, *_ = self._newest(index)
+        return math.nan if now - time > timeout else value
+
+    def _newest(self, index: int) -> tuple[float, float, int, int, int]:
         base = index * SIZE
-        before = _SEQUENCE.unpack_from(self._map, base)[0]
-        value: float
-        value, time, *_ = _VALUE.unpack_from(self._map, base + 8)
-        if before % 2 or _SEQUENCE.unpack_from(self._map, base)[0] != before or now - time > timeout:
-            return math.nan
-        return value
+        for _ in range(_TRIES):
+            writes = _WRITES.unpack_from(self._map, base)[0]
+            found: tuple[float, float, int, int, int] = _VALUE.unpack_from(self._map, base + _PLACES[writes & 1])
+            if _WRITES.unpack_from(self._map, base)[0] == writes:  # else this place may be in use again
+                return found
+        return _NOTHING
 
     def close(self) -> None:
         self._map.close()

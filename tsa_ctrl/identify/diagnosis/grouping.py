@@ -89,8 +89,8 @@ def _group(
     wide = dataclasses.replace(smaller.hypothesis, wide=True)
     if not np.all(smaller.free[: len(wide.base.coordinates())]):
         fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
-    if name == "pretension_relaxation" and "thermal_friction_drift" not in catalogue:
-        fits.append(("thermal_friction_drift", warmth(problem, fitted, smaller, index)))
+    if name == "pretension_relaxation" and UNSEEN not in catalogue:
+        fits.append((UNSEEN, warmth(problem, fitted, smaller, index)))
     if structure is not None:
         others = [v for other, options in catalogue.items() if other not in fitted.names for v in options]
         fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
@@ -133,7 +133,7 @@ def _by_misfit(
     without_any = plain_error(problem, smaller, reversals)
     for rival in found:
         # A warm-up that was not recorded is made up by `warmth`: no simulation of this log has it.
-        made_up = rival.name == "thermal_friction_drift" and not problem.frame.has("temperature")
+        made_up = rival.name == UNSEEN and not problem.frame.has("temperature")
         covers = rival.excluded and not made_up
         covers = covers and structure.covers(plain_error(problem, rival.fitted, reversals), without_any)
         judged.append(dataclasses.replace(rival, within_misfit=covers))
