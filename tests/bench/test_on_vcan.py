@@ -40,11 +40,18 @@ def test_without_nodes_others_stand_in_and_the_rate_is_run(rig: Rig) -> None:
 
 
 def test_real_nodes_are_measured_and_never_enabled(rig: Rig) -> None:
-    """The plant answers; its drive was off at every cycle; another master is then refused in one line."""
+    """The plant answers; its drive was off at every cycle; a wrong node id, and another master, in one line."""
     rig.plant()
     code, found, err = bench(rig)
     assert code == 0, err
     assert (found["nodes"], len(found["measured"]), found["measured"][0]["enabled"]) == ("real", 1, 0)
+    settings = rig.folder / "controller.toml"
+    text = settings.read_text(encoding="utf-8")
+    settings.write_text(text.replace("node_id = 1 ", "node_id = 17 ", 1), encoding="utf-8")
+    code, found, err = bench(rig)
+    assert (code, found, err.count("\n")) == (1, {}, 1)
+    assert "no answer from drive node 17 (nodes 1, 32, 64 talk)" in err
+    settings.write_text(text, encoding="utf-8")
     rig.run()
     until(lambda: rig.phase("running"), STARTED)
     code, found, err = bench(rig)

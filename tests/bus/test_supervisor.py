@@ -653,6 +653,16 @@ def test_stale_answers_name_the_node_and_what_came_instead(counts: dict[str, int
     assert bench.supervisor.fault.detail == words
 
 
+def test_stale_answers_of_different_nodes_in_turn_say_how_many_cycles_in_all() -> None:
+    bench = enabled()
+    bench.image.nodes[1].misses, bench.image.misses = 1, 3
+    bench.image.fresh = False
+    bench.step(Request.ENABLE)
+    assert bench.supervisor.fault is not None
+    found = "3 cycles in a row without all answers, at the end joint encoder node 32: 1 cycles in a row"
+    assert bench.supervisor.fault.detail == found
+
+
 def test_news_that_are_no_bad_news_do_not_stop() -> None:
     bench = enabled()
     bench.image.events += 1

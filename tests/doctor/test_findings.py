@@ -76,7 +76,7 @@ def test_each_line_of_an_interface_can_say_no(
 def test_somebody_who_sends_what_a_master_sends_fails(can_id: int) -> None:
     bus = FakeBus()
     bus.waiting.extend([(0x181, bytes(8)), (can_id, b"")])
-    check = can_interface.listen(bus, "")
+    check = can_interface.judged(bus, can_interface.listen(bus), "")
     assert check.result is Result.FAIL
     assert f"another master sends 0x{can_id:03X}" in check.found
     assert "tsa stop" in check.fix
@@ -85,7 +85,7 @@ def test_somebody_who_sends_what_a_master_sends_fails(can_id: int) -> None:
 def test_a_bus_with_answers_alone_passes() -> None:
     bus = FakeBus()
     bus.waiting.extend([(0x181, bytes(8)), (0x701, b"\x05")])
-    assert can_interface.listen(bus, "").result is Result.PASS
+    assert can_interface.judged(bus, can_interface.listen(bus), "").result is Result.PASS
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from tsa_ctrl.bus.seam import Bus
 from tsa_ctrl.bus.shut_down import shut_down
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control import realtime
-from tsa_ctrl.doctor.can_interface import answering, listen
+from tsa_ctrl.doctor.can_interface import answering, judged, listen
 from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError
 
@@ -56,7 +56,7 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
     """Measure for `seconds` at each rate that is tried; raises BusError when the bus or its nodes are not fit for it.
 
     With real nodes on the bus nothing is enabled: they are brought up, answer every SYNC with the drives off, and are
-    left as after a run. Without any, on a virtual bus, others stand in, and the loop runs as with torque.
+    left as after a run. On a virtual bus where nobody talks, others stand in, and the loop runs as with torque.
     """
     configuration = _tolerant(configuration)
     bus = open_bus(configuration.file.bus)
@@ -93,7 +93,8 @@ def _patient(configuration: Configuration) -> realtime.RealtimeSettings:
 def _nobody(configuration: Configuration, bus: Bus) -> bool:
     """Whether nodes have to stand in. Raises BusError when another master is there, or a real bus has no nodes."""
     settings = configuration.file.bus
-    heard = listen(bus, "")
+    seen = listen(bus)
+    heard = judged(bus, seen, "")
     if heard.result is Result.FAIL:
         raise BusError(f"{bus.name}: {heard.found}; {heard.fix}")
     drives = [axis.drive.node_id for axis in configuration.file.axes]
@@ -102,9 +103,13 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
         return False
     link = interface.read(settings.channel) if settings.interface == "socketcan" else None
     virtual = settings.interface in IN_ONE_MACHINE or (link is not None and link.kind == "vcan")
-    if there or not virtual:
+    if there or seen or not virtual:
         silent = ", ".join(str(node) for node in drives if node not in there)
-        raise BusError(f"{bus.name}: no answer from drive node {silent}; switch it on, check node id and bit rate")
+        others = sorted({can_id & 0x7F for can_id in seen if can_id & 0x7F})
+        talk = f" (nodes {', '.join(map(str, others))} talk)" if others else ""
+        raise BusError(
+            f"{bus.name}: no answer from drive node {silent}{talk}; switch it on, check node id and bit rate"
+        )
     return True
 
 

@@ -275,7 +275,12 @@ def _code(error_code: int) -> str:
 
 def _stale(image: Image) -> str:
     """Which node is to blame, and what came instead of its answers since the start."""
-    return "; ".join(_missing(health) for health in image.nodes if health.misses) or f"{image.misses} cycles in a row"
+    silent = [health for health in image.nodes if health.misses]
+    in_all = f"{image.misses} cycles in a row"
+    words = "; ".join(_missing(health) for health in silent)
+    if words and max(health.misses for health in silent) < image.misses:
+        return f"{in_all} without all answers, at the end {words}"
+    return words or in_all
 
 
 def _missing(health: NodeHealth) -> str:

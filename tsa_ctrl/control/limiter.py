@@ -35,6 +35,8 @@ class Reason(Enum):
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.limits]: the bounds of one axis' motor torque; `torque` alone has no default."""
+
     torque: Torque  # N*m at the motor, absolute
     rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
     distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit

@@ -21,6 +21,8 @@ STEP = 0.004  # s, the filters run on means over blocks of about this length
 
 
 class OscillationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.oscillation]: from what joint speed on, and for how long, a swing counts; what then remains."""
+
     speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.5  # rad/s RMS of the joint in 1.5-15 Hz
     duration: Annotated[float, Meta(gt=0.0, le=60.0)] = 1.0  # s
     share: Annotated[float, Meta(ge=0.0, lt=1.0)] = 0.5  # 1, what is left of the compensation each time

@@ -27,6 +27,8 @@ SLIP_TIME = 0.01  # s
 
 
 class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[axis.plausibility]: how far measured and commanded torque, joint and motor, may disagree."""
+
     torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
     joint_torque: Torque | None = None  # N*m at the joint; default: half of limits.torque, at the joint
     duration: Duration = 0.1  # s that either must last

@@ -6,7 +6,7 @@ import json
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -104,21 +104,26 @@ def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check
         yield Check("bus", Result.FAIL, str(error), wanted, "mend the lines above, or [bus] interface and channel")
         return
     try:
-        yield listen(bus, wanted)
+        yield judged(bus, listen(bus), wanted)
         for axis in axes:
             yield _round_trip(bus, axis)
     finally:
         bus.close()
 
 
-def listen(bus: Bus, wanted: str) -> Check:
-    """Half a second of who talks: a failed bus or another master fails."""
+def listen(bus: Bus) -> dict[int, int]:
+    """Frames of each identifier that others send within half a second; ends early when the bus fails."""
     seen: dict[int, int] = {}
     end = time.monotonic() + LISTEN_TIME
     while bus.fault is None and (left := end - time.monotonic()) > 0.0:
         frame = bus.recv(left)
         if frame is not None:
             seen[frame[0]] = seen.get(frame[0], 0) + 1
+    return seen
+
+
+def judged(bus: Bus, seen: Mapping[int, int], wanted: str) -> Check:
+    """What `listen` heard: a failed bus or another master fails."""
     found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
     if bus.fault is not None:
         return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "mend wiring and power of the bus")
