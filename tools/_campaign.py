@@ -13,12 +13,12 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from _faults import Fault
-from _verdict import STALL, ZERO, Record, Seen, Verdict, judge, longest_gap, zero_after
+from _verdict import STALL, ZERO, Record, Seen, Verdict, judge, longest_gap, stopped_after, zero_after
 
 from tsa_ctrl.bus.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, TsaError
@@ -90,14 +90,17 @@ class Trial:
     torque_before: float
     told: tuple[str, ...]  # faults, by its status
     counted: tuple[str, ...]
+    stopped: float | None
     repeated: int = 0
 
     def so_far(self) -> Seen:
-        """Before the log is read."""
-        return self.seen(self.told, (*self.told, *self.counted))
+        """Before the log is read; without the excuse that the machine stood still."""
+        return replace(self.seen(self.told, (*self.told, *self.counted)), stopped=None)
 
     def seen(self, faults: tuple[str, ...], notes: tuple[str, ...]) -> Seen:
-        return Seen(self.zero, self.gap, self.phase, faults, notes, self.most, self.came_back, self.torque_before)
+        return Seen(
+            self.zero, self.gap, self.phase, faults, notes, self.most, self.came_back, self.torque_before, self.stopped
+        )
 
 
 @dataclass(frozen=True)
@@ -268,7 +271,6 @@ class Campaign:
 
     def _run_group(self, group: list[Fault], negative: bool) -> None:
         (self.folder / "controller.toml").write_text(self._configuration(-WANTED if negative else WANTED), "utf-8")
-        stall = STALL / (500.0 if self.tolerant else 1000.0)
         for fault in group:
             self.progress(fault.name)
             for attempt in range(ATTEMPTS):
@@ -277,12 +279,17 @@ class Campaign:
                 daemon = self._running()
                 trial = self._try(daemon, fault)
                 trial.repeated = attempt
-                if trial.gap <= stall or judge(fault.expected, trial.so_far(), BOUND, LIMIT).safe:
+                if trial.gap <= self._stall or judge(fault.expected, trial.so_far(), BOUND, LIMIT).safe:
                     break
             self._trials.append(trial)
             if fault.alone:
                 self._end_life()
         self._end_life()
+
+    @property
+    def _stall(self) -> float:
+        """s between two rows of the plant's record in which the machine stood still, for a loop at our rate."""
+        return STALL / (500.0 if self.tolerant else 1000.0)
 
     def _configuration(self, wanted: float) -> str:
         """The shipped file, changed where it must be."""
@@ -364,6 +371,7 @@ class Campaign:
             max(before, default=0.0),
             told,
             tuple(f"{name} PDOs: {number}" for name, number in more.items() if number > 0),
+            stopped_after(rows, injected, self._stall),
         )
 
     def _end_life(self) -> None:
@@ -379,7 +387,9 @@ class Campaign:
         for trial in trials:
             begin, end = trial.injected - start - 0.02, trial.ended - start
             mine = [note for note in notes if begin <= note.t < end]
-            faults = tuple(n.text for n in mine if n.fault or (trial.phase == "ended" and n.text.startswith("ended")))
+            ended = trial.phase == "ended"
+            logged = [note.text for note in mine if note.fault or (ended and note.text.startswith("ended"))]
+            faults = tuple(dict.fromkeys(logged if trial.fault.expected.cause else (*logged, *trial.told)))
             said = [note.text for note in mine] + [text for t, text in told if begin <= t < end]
             seen = trial.seen(faults, (*said, *trial.counted))
             self.results.append(Result(trial, judge(trial.fault.expected, seen, BOUND, LIMIT)))

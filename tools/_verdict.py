@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
+STALLED = "stale PDO|heartbeat lost|0x8130|0x8250"  # what a machine that stood still is stopped for
 STALL = 2.5  # periods between two rows of the record, which has one per ms: the machine stood still or was too slow
 
 
@@ -58,6 +59,14 @@ def zero_after(rows: Sequence[Row], injected: float) -> float | None:
     return None if after is None else after - injected
 
 
+def stopped_after(rows: Sequence[Row], injected: float, stall: float) -> float | None:
+    """s from the first hole of more than `stall` s to torque that is zero for good; None when there is no such stop."""
+    hole = next(
+        (a.clock for a, b in itertools.pairwise(rows) if b.clock - a.clock > stall and b.clock > injected), None
+    )
+    return None if hole is None else zero_after(rows, hole)
+
+
 def longest_gap(rows: Sequence[Row]) -> float:
     """s between two rows; of a plant that could always run it is its record's period."""
     return max((b.clock - a.clock for a, b in itertools.pairwise(rows)), default=float("inf"))
@@ -83,7 +92,8 @@ class Expected:
 class Seen:
     """What happened. `notes`: texts of the log since the injection, faults first; `phase` afterwards, "dead" if killed.
 
-    `after_cause`: whether torque came back once the cause was gone; `most`: largest torque afterwards, N*m.
+    `came_back`: whether torque came back once the cause was gone; `most`: largest torque afterwards, N*m; `stopped`: s
+    from where the machine stood still to torque that is zero for good, None when it did not or the torque went on.
     """
 
     zero: float | None
@@ -94,16 +104,18 @@ class Seen:
     most: float
     came_back: bool
     torque_before: float
+    stopped: float | None = None
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """`wrong` has what makes it unsafe; nothing when it is safe."""
+    """`wrong` has what makes it unsafe; nothing when it is safe. `stalled`: stopped, but by the machine."""
 
     detected: str
     cause_in_log: bool
     latched: bool | None  # None: nothing to latch
     wrong: tuple[str, ...]
+    stalled: bool = False
 
     @property
     def safe(self) -> bool:
@@ -111,7 +123,11 @@ class Verdict:
 
 
 def judge(expected: Expected, seen: Seen, bound: float, limit: float) -> Verdict:
-    """`bound`: s of the configuration until the torque is zero; `limit`: N*m of the limiter."""
+    """`bound`: s of the configuration until the torque is zero; `limit`: N*m of the limiter.
+
+    A loop that stops although the fault takes nothing from it is safe where the machine stood still and that is the
+    cause it names: late answers end the torque, as they must.
+    """
     wrong = []
     if abs(seen.torque_before) <= 2.0 * ZERO:
         wrong.append(f"no torque to lose before it: {seen.torque_before:.3f} N*m")
@@ -132,10 +148,15 @@ def judge(expected: Expected, seen: Seen, bound: float, limit: float) -> Verdict
     told = next((note for note in seen.notes if re.search(expected.said, note)), None) if expected.said else None
     if expected.said and told is None:
         wrong.append(f"nobody says so: {'; '.join(seen.notes) or 'no word'}")
-    if seen.faults:
-        wrong.append(f"stops: {'; '.join(seen.faults)}")
-    if seen.phase != "running":
-        wrong.append(f"the loop is {seen.phase}")
+    stall = next((fault for fault in seen.faults if re.search(STALLED, fault)), None)
+    stalled = stall is not None and seen.stopped is not None and seen.stopped <= bound
+    if not stalled:
+        if seen.faults:
+            wrong.append(f"stops: {'; '.join(seen.faults)}")
+        if seen.phase != "running":
+            wrong.append(f"the loop is {seen.phase}")
     if seen.most > 1.05 * limit:
         wrong.append(f"{seen.most:.2f} N*m are above the limit of {limit:g}")
+    if stalled:
+        return Verdict(f"{stall}", True, True, tuple(wrong), stalled)
     return Verdict(told or "goes on", told is not None, None, tuple(wrong))

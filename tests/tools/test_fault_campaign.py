@@ -96,6 +96,40 @@ def test_a_fault_that_may_stop_the_loop_is_safe_either_way() -> None:
     assert not judge(either, dataclasses.replace(ON, phase="silent"), 0.25, 2.0).safe
 
 
+STALLED = dataclasses.replace(ON, zero=0.9, stopped=0.01, phase="faulted", faults=("stale PDO: drive node 1",))
+
+
+def test_a_loop_that_a_standing_machine_stopped_is_safe_and_told_apart() -> None:
+    found = judge(GOES_ON, STALLED, 0.25, 2.0)
+    assert (found.safe, found.stalled, found.latched, found.detected) == (True, True, True, "stale PDO: drive node 1")
+    assert not judge(GOES_ON, ON, 0.25, 2.0).stalled
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"stopped": None}, "stops: stale PDO"),  # it did not stand still, or the torque went on
+        ({"stopped": 0.26}, "stops: stale PDO"),
+        ({"faults": ("tripped: over-speed",)}, "stops: tripped: over-speed"),
+        ({"faults": ()}, "the loop is faulted"),
+        ({"notes": ()}, "nobody says so"),
+        ({"most": 2.2}, "above the limit"),
+    ],
+)
+def test_a_standing_machine_excuses_nothing_else(change: dict[str, object], words: str) -> None:
+    found = judge(GOES_ON, dataclasses.replace(STALLED, **change), 0.25, 2.0)
+    assert not found.safe
+    assert words in "; ".join(found.wrong)
+
+
+def test_a_stop_is_timed_from_where_the_machine_stood_still() -> None:
+    before, after = rows(0.5, 0.5, 0.5), [Row(1.010, 0.5), Row(1.011, 0.3), Row(1.012, 0.0), Row(1.013, 0.0)]
+    assert verdict.stopped_after([*before, *after], 1.0, 0.0025) == pytest.approx(0.010)
+    assert verdict.stopped_after([*before, *after], 1.0, 0.02) is None
+    assert verdict.stopped_after([*before, *after], 1.011, 0.0025) is None
+    assert verdict.stopped_after([*before, *after[:2]], 1.0, 0.0025) is None
+
+
 def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
     from tsa_ctrl.plant.faults import FAULTS, parse_fault
 
