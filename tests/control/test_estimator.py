@@ -150,6 +150,21 @@ def test_map_follows_bending_by_its_equations() -> None:
     assert estimator.state is EstimateState.ESTIMATED
 
 
+@pytest.mark.parametrize("theta", [1.7, 10.0, 1e6, math.inf])
+def test_map_stops_at_its_bounds_and_says_so(theta: float) -> None:
+    """`theta` times the model file's bending; x and T_p are those of the most that is allowed."""
+    settings = EstimatorSettings(kind="map", rate=10.0, bounds=0.6)
+    estimator, most = ConfigurationMap(MODEL, settings, PERIOD), ConfigurationMap(MODEL, settings, PERIOD)
+    for _ in range(2000):
+        estimator.update(0.0, 0.0, theta * MODEL.bending_angle, 0.0, 0.0, True)
+        most.update(0.0, 0.0, 1.6 * MODEL.bending_angle, 0.0, 0.0, True)
+    assert (estimator.friction_angle, estimator.pretension) == (most.friction_angle, most.pretension)
+    assert estimator.friction_angle == pytest.approx(1.6 * X)
+    assert (estimator.state, most.state) == (EstimateState.INVALID, EstimateState.ESTIMATED)
+    estimator.update(0.0, 0.0, MODEL.bending_angle, 0.0, 0.0, True)
+    assert estimator.state is EstimateState.ESTIMATED
+
+
 def test_map_without_bending_angle_is_invalid_and_frozen() -> None:
     """A missing angle freezes the map and says so."""
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map"), PERIOD)

@@ -50,6 +50,20 @@ def test_no_parameter_takes_what_is_outside(parameters: tuple[Parameter, ...]) -
     assert [parameter.value for parameter in parameters] == before
 
 
+def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, ...]) -> None:
+    """From all to nothing within a quarter of a second, in steps that the torque can follow."""
+    index, limit = next((n, p) for n, p in enumerate(parameters) if p.name == "torque_limit")
+    tuner, before = Tuner(parameters, 1e-3), limit.value
+    tuner.set(index, 0.0)
+    values = []
+    for _ in range(260):
+        tuner.update()
+        values.append(limit.value)
+    assert values[0] > 0.99 * before
+    assert values[200] > 0.0
+    assert values[-1] == 0.0
+
+
 def test_limits_can_be_lowered_never_raised(parameters: tuple[Parameter, ...]) -> None:
     """The upper bound of both is what the file says."""
     by_name = {parameter.name: parameter for parameter in parameters}

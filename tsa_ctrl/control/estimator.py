@@ -26,7 +26,7 @@ class EstimateState(Enum):
     FIXED = 0
     UNESTIMATED = 1  # too little excitation so far; the outputs are nominal
     ESTIMATED = 2
-    INVALID = 3  # the data contradict the model, or want a parameter beyond its bounds; the outputs return to nominal
+    INVALID = 3  # the data contradict the model, or want a parameter beyond its bounds; see the kinds for the outputs
 
 
 class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -35,7 +35,8 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     kind: Literal["fixed", "map", "sensor", "motor"] = "fixed"
     use: bool = False  # whether the law uses the estimate; it is logged in any case ("map" is always used)
     attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
-    bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1
+    bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
+    # of kind "map": how much more the sheath may be bent than in the model file
     rate: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.2  # 1/s of nominal: fastest change of either parameter
     memory: Seconds = 4.0  # s of admitted motion after which old data count little
     least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower is not admitted
@@ -76,13 +77,18 @@ class Fixed:
 
 
 class ConfigurationMap:
-    """x and T_p from the bending angle Theta; invalid, and frozen, while Theta is missing."""
+    """x and T_p from the bending angle Theta.
+
+    Invalid, and frozen, while Theta is missing; invalid, and held there, while it is beyond 1 + bounds times the model
+    file's. A sheath may be as straight as it likes: less friction than there is must not be kept up.
+    """
 
     use = True
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         self._mu = model.friction_coefficient
         self._theta = model.bending_angle
+        self._most_theta = (1.0 + settings.bounds) * model.bending_angle
         self._pretension = model.pretension
         self._slope = pretension_slope(model)
         self._angle_step = settings.rate * model.friction_angle * period
@@ -101,6 +107,8 @@ class ConfigurationMap:
             self.state = EstimateState.INVALID
             return
         self.state = EstimateState.ESTIMATED
+        if theta > self._most_theta:
+            theta, self.state = self._most_theta, EstimateState.INVALID
         pretension = self._pretension + self._slope * (theta - self._theta)
         self.friction_angle = toward(self.friction_angle, self._mu * theta, self._angle_step)
         self.pretension = toward(self.pretension, pretension if pretension > 0.0 else 0.0, self._pretension_step)

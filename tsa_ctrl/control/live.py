@@ -57,7 +57,16 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
         p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed at which sigma is 1", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
         p("back_off", "1", 0.0, 1.0, 0.5, "of the oscillation monitor; 1 restores", axis.monitor, "back_off"),
-        p("torque_limit", "N*m", 0.0, limiter.torque, inf, "absolute, at the motor", limiter, "torque"),
+        p(
+            "torque_limit",
+            "N*m",
+            0.0,
+            limiter.torque,
+            4.0 * limiter.torque,
+            "absolute, at the motor",
+            limiter,
+            "torque",
+        ),
         p("rate_limit", "N*m/s", 1.0, limiter.rate, inf, "of the motor torque", limiter, "rate"),
     )
 
