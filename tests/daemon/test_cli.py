@@ -60,6 +60,27 @@ def test_set_negative_value_is_no_option(serving: Serving) -> None:
     assert "out of bounds; allowed is 0 to 1.2" in str(result.exception)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("0.5", "--against", "1.3"), "compensation 1.3 1 is out of bounds; allowed is 0 to 1.2"),
+        (("nan", "--against", "0.9"), "out of bounds"),
+        (("0.5", "--against", "0.5"), "A and B are the same"),
+        (("0.5", "--against", "0.9", "--with", "compensation=0.1,0.2"), "name each parameter once"),
+        (("0.5", "--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),
+        (("0.5", "--against", "0.9", "--with", "pretension=40,50"), "cannot be set"),
+        (("0.5", "--with", "slew=60,90"), "give --against, too"),
+    ],
+)
+def test_a_comparison_that_cannot_be_made_is_refused(serving: Serving, arguments: tuple[str, ...], words: str) -> None:
+    """In one line; what is out of bounds before anything was set."""
+    with loop_taking(serving) as taken:
+        result = call(serving, "set", "compensation", *arguments)
+    assert isinstance(result.exception, UsageError)
+    assert words in str(result.exception)
+    assert {command.value for command in taken} <= {0.5, 0.95}  # set, then put back
+
+
 def test_set_recover(serving: Serving) -> None:
     """`tsa set recover 1` asks for a new start; any other value is refused."""
     with loop_taking(serving) as taken:
@@ -97,6 +118,19 @@ def test_page_keys_move_the_chosen_parameter(serving: Serving) -> None:
     status["axes"][0]["parameters"]["compensation"]["value"] = 1.2
     page.take(status)
     assert page.key("+") == Set("knee.compensation", 1.2)
+
+
+@pytest.mark.parametrize(("low", "high", "value"), [(1.0, 10_000.0, 120.0), (0.002, 10.0, 0.05)])
+def test_a_key_moves_a_parameter_of_many_decades_by_a_share(
+    serving: Serving, low: float, high: float, value: float
+) -> None:
+    """A fiftieth of the range of slew and direction_zone would be several times what they are."""
+    status = json.loads(call(serving, "status", "--json").output)
+    status["axes"][0]["parameters"] = {"slew": {"value": value, "low": low, "high": high, "unit": "1"}}
+    page = Page()
+    page.take(status)
+    assert page.key("+") == Set("knee.slew", pytest.approx(1.1 * value))
+    assert page.key("-") == Set("knee.slew", pytest.approx(0.9 * value))
 
 
 def test_sparkline_spans_the_extremes() -> None:

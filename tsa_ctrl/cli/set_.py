@@ -50,6 +50,8 @@ def command(
             sets = {"a": {name: value}, "b": {name: against}}
             for text in more:
                 other, a, b = _pair(text)
+                if other in sets["a"]:
+                    raise UsageError(f"--with {text}: {other} has two values already; name each parameter once")
                 sets["a"][other], sets["b"][other] = a, b
             _compare(client, sets, blocks, block_seconds, as_json)
             return
@@ -79,6 +81,7 @@ def _compare(
     from tsa_ctrl.tune.live_blocks import LiveBlocks
 
     live = LiveBlocks(client, sets, block_seconds)
+    live.check()
     try:
         found = alternate(
             blocks,

@@ -25,6 +25,8 @@ from tsa_ctrl.ipc.protocol import Set, Status
 PERIOD = 0.1  # s between two looks
 HISTORY = 60  # values in a sparkline
 STEP = 0.02  # of a parameter's range per key press
+DECADES = 1000.0  # between the bounds of a parameter that is moved by a share of its value instead
+SHARE = 0.1
 STALE = 0.5  # s without news from the loop
 BARS = " ▁▂▃▄▅▆▇█"
 SHOWN = (
@@ -75,8 +77,9 @@ class Page:
         if key not in "+-" or not known:
             return None
         axis, name, figures = known[self._chosen]
-        step = STEP * (figures["high"] - figures["low"]) * (1.0 if key == "+" else -1.0)
-        return Set(f"{axis}.{name}", min(max(figures["value"] + step, figures["low"]), figures["high"]))
+        low, high, value = figures["low"], figures["high"], figures["value"]
+        step = SHARE * value if 0.0 < low * DECADES <= high else STEP * (high - low)
+        return Set(f"{axis}.{name}", min(max(value + (step if key == "+" else -step), low), high))
 
     def render(self) -> RenderableType:
         status = self._status

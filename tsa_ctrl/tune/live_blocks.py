@@ -14,7 +14,7 @@ from tsa_ctrl.ipc.client import Client
 POLL = 0.02  # s between looks at the status, which the loop publishes at 50 Hz
 SETTLE = 1.0  # s after a change that do not count: parameters move smoothly, and friction has to turn once
 FEWEST = 20  # different samples of a block
-SLOWEST = 5.0  # s for a parameter to arrive
+SLOWEST = 12.0  # s for a parameter to arrive; the slowest takes 8 from bound to bound
 
 
 class LiveBlocks:
@@ -28,8 +28,26 @@ class LiveBlocks:
         self._before: dict[str, float] = {}
         self.axis = ""
 
+    def check(self) -> None:
+        """Refuse values out of bounds, and sets that are the same, before anything moves; raises UsageError."""
+        if self._sets["a"] == self._sets["b"]:
+            raise UsageError("A and B are the same; give two different values to compare")
+        axes = self._client.ask(protocol.Status())["axes"]
+        for parameter in self._sets["a"]:
+            where, _, name = parameter.rpartition(".")
+            for axis in axes:
+                known = axis["parameters"].get(name)
+                if where not in ("", axis["name"]) or known is None or known["low"] is None:
+                    continue  # the daemon says why it refuses
+                for values in self._sets.values():
+                    if not known["low"] <= values[parameter] <= known["high"]:
+                        raise UsageError(
+                            f"{parameter} {values[parameter]:g} {known['unit']} is out of bounds; allowed is "
+                            f"{known['low']:g} to {known['high']:g} {known['unit']}"
+                        )
+
     def apply(self, name: str) -> None:
-        """Set one of the two sets, and wait until the parameters have arrived and settled; raises UsageError."""
+        """Set one of the two sets, and wait until it has arrived and settled; raises UsageError, BusError."""
         for parameter, value in self._sets[name].items():
             answer = self._client.ask(protocol.Set(parameter, value))
             self._before.setdefault(parameter, float(answer["before"]))
@@ -39,6 +57,8 @@ class LiveBlocks:
         end = time.monotonic() + SLOWEST
         while not self._arrived(name) and time.monotonic() < end:
             time.sleep(POLL)
+        if not self._arrived(name):
+            raise BusError(f"axis '{self.axis}': {name.upper()} has not arrived within {SLOWEST:g} s; see `tsa status`")
         time.sleep(SETTLE)
 
     def measure(self) -> float:
