@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import shutil
@@ -13,9 +14,15 @@ import pytest
 
 from tests.identify import tendon_logs
 from tsa_ctrl.cli import main
+from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.setpoint import SetPointSettings, waveform
 from tsa_ctrl.identify.diagnosis.result import Experiment
+from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_tendon_sheath
+from tsa_ctrl.tune import report
+from tsa_ctrl.tune.page import parameter_rows
+from tsa_ctrl.tune.ringing import Turn
+from tsa_ctrl.tune.session import Plan, Session
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 COMMENT = "# measured with a calliper\n"
@@ -117,6 +124,34 @@ def test_undo_puts_the_file_before_back(folder: Path, capsys: pytest.CaptureFixt
     assert "put back from actuator.toml.~1~" in capsys.readouterr().out
     assert (folder / "actuator.toml").read_text() == nominal
     assert tsa("controller.toml", "--undo") == 2
+
+
+def test_another_slew_goes_into_the_controllers_file_and_back_with_the_model(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = files(folder)
+    session = Session(Path("controller.toml"), None, Plan())
+    turn = Turn(120.0, 85.6, Quantity(97.5, 97.0, 98.0, "Hz"), 0.066, 0.050)
+    outcome = dataclasses.replace(session.from_logs(["a.csv"]), turn=turn)
+    assert "+slew = 85.6" in session.difference(outcome)
+    law = report.to_dict(outcome, "knee", None, None)["law"]
+    assert (law["slew"]["before"], law["slew"]["value"], law["ringing"]["value"]) == (120.0, 85.6, 97.5)
+    assert ("slew of the friction term", "120", "85.6", "85.16 to 86.04", "N*m/s") in parameter_rows(outcome)
+    assert set(session.write(outcome)) == {Path("actuator.toml"), Path("controller.toml")}
+    assert load_configuration(folder / "controller.toml").file.axes[0].law.slew == 85.6
+
+    edited = (folder / "controller.toml").read_text() + "# mine\n"
+    tuned = (folder / "controller.toml").read_bytes()
+    (folder / "controller.toml").write_text(edited)
+    assert tsa("controller.toml", "--undo") == 2
+    assert "was edited since the tuning" in capsys.readouterr().err
+    assert (folder / "controller.toml").read_text() == edited
+    assert (folder / "actuator.toml").read_bytes() != before["actuator.toml"]
+
+    (folder / "controller.toml").write_bytes(tuned)
+    assert tsa("controller.toml", "--undo") == 0
+    assert "controller.toml: put back from controller.toml.~1~" in capsys.readouterr().out
+    assert files(folder) == before
 
 
 def test_undo_goes_with_nothing_else(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

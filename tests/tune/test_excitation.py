@@ -57,7 +57,10 @@ def test_a_file_within_what_is_allowed_is_played_as_it_is(tmp_path: Path) -> Non
     assert playing(design(CARRIED, 0.2, BOUNDS, 20.0, 8.0), wave).excitation.peak == wave.peak
 
 
-@pytest.mark.parametrize("text", ["t,tau_j_des\n0,0\n10,0\n", "t,tau_j_des\n0,0\n1,0.2\n", "t,torque\n0,1\n9,2\n"])
+@pytest.mark.parametrize(
+    "text",
+    ["t,tau_j_des\n0,0\n10,0\n", "t,tau_j_des\n0,0\n1,0.2\n", "t,torque\n0,1\n9,2\n", "t,tau_j_des\n0,1\n1e9,2\n"],
+)
 def test_a_file_that_cannot_excite_is_refused(text: str, tmp_path: Path) -> None:
     (tmp_path / "experiment.csv").write_text(text)
     with pytest.raises(UsageError, match=r"experiment\.csv"):

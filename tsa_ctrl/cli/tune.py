@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 )
 @click.option("--yes", is_flag=True, help="Write the new file without asking.")
 @click.option("--dry-run", is_flag=True, help="Checks and plan; with --from-log the estimate, too. Nothing is written.")
-@click.option("--undo", is_flag=True, help="Put back the model file that the last tuning replaced.")
+@click.option("--undo", is_flag=True, help="Put back the files that the last tuning replaced.")
 @click.option(
     "--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing, writes only with --yes."
 )
@@ -101,7 +101,8 @@ def command(
         raise click.UsageError("--undo does nothing else than to put the file before back; give it alone")
     if undo:
         kept = session.undo()
-        _tell(as_json, {"schema": 1, "undone": str(session.path)}, f"{session.path}: put back from {kept.name}")
+        text = "\n".join(f"{path}: put back from {old.name}" for path, old in kept.items())
+        _tell(as_json, {"schema": 1, "undone": str(session.path), "files": [str(path) for path in kept]}, text)
         return
     if dry_run and not logs:
         _tell(as_json, session.plan_dict(), session.plan_text())
@@ -126,9 +127,11 @@ def _tune(session: Session, logs: tuple[str, ...], out: Path | None, yes: bool, 
         if not dry_run and _wanted(session, outcome, yes, as_json):
             written = session.write(outcome)
         if as_json:
-            click.echo(json.dumps(report.to_dict(outcome, session.axis.name, session.page, written), allow_nan=False))
+            kept = None if written is None else written[session.path]
+            click.echo(json.dumps(report.to_dict(outcome, session.axis.name, session.page, kept), allow_nan=False))
         elif written is not None:
-            click.echo(f"written: {session.path}; the file before is {written.name} (back with --undo)")
+            for path, before in written.items():
+                click.echo(f"written: {path}; the file before is {before.name} (back with --undo)")
         else:
             click.echo(f"{session.path} is as it was")
 
@@ -154,7 +157,8 @@ def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> boo
     if as_json or not sys.stdin.isatty():
         click.echo("not written: no --yes, and nobody to ask", err=True)
         return False
-    return click.confirm(f"write {session.path}?", default=False, err=True)
+    names = " and ".join(str(path) for path in session.changes(outcome))
+    return click.confirm(f"write {names}?", default=False, err=True)
 
 
 @contextlib.contextmanager

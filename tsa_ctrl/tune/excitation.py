@@ -24,6 +24,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 FloatArray = NDArray[np.float64]
 
 RATE = 200.0  # Hz of the set-point file; the controller interpolates
+LONGEST = 600.0  # s of a set-point file
 RAMP = 1.0  # s in which the torque grows and fades
 PROBE_FREQUENCIES = (0.45, 0.8)  # Hz
 PROBE_SHARES = (0.2, 0.5, 0.9)  # of the most torque, one after the other until the joint moves
@@ -31,6 +32,7 @@ FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sen
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
 VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside what was learned from
 DOMAIN_SHARE = 0.7  # of 2 T_p r_M: nominal parameters may be 20 % off, and both tendons must pull
+REVERSALS_SECONDS = 6.0
 MOVING = 0.05  # rad/s RMS; slower is called standing
 MOVED_BY_TORQUE = 0.3  # share of the velocity's variance that the torque explains
 HEADROOM = 0.7  # of the speed and travel that are left when a probe's response is scaled up
@@ -80,6 +82,7 @@ class Design:
 
     excitation: Waveform
     verification: Waveform
+    reversals: Waveform  # short, for what happens after reversals
     reasons: tuple[str, ...]
 
 
@@ -115,14 +118,14 @@ def multi_sine(frequencies: tuple[float, ...], peak: float, seconds: float) -> W
 def from_file(path: Path) -> Waveform:
     """The joint torque of a set-point file (columns t in s, tau_j_des in N*m), ramped at both ends.
 
-    Raises UsageError for a file that cannot be played, is shorter than both ramps or holds no torque.
+    Raises UsageError for a file that cannot be played, is shorter than both ramps or too long, or holds no torque.
     """
     columns = read_waypoints(path, ("tau_j_des",)).columns
     given = from_zero(columns["t"])
-    if given[-1] < 4.0 * RAMP or not np.any(columns["tau_j_des"]):
+    if not 4.0 * RAMP <= given[-1] <= LONGEST or not np.any(columns["tau_j_des"]):
         raise UsageError(
-            f"{path}: {given[-1]:.3g} s of at most {np.abs(columns['tau_j_des']).max():.3g} N*m; give at least "
-            f"{4.0 * RAMP:g} s with torque"
+            f"{path}: {given[-1]:.3g} s of at most {np.abs(columns['tau_j_des']).max():.3g} N*m; give "
+            f"{4.0 * RAMP:g} to {LONGEST:g} s with torque"
         )
     t = np.arange(0.0, given[-1], 1.0 / RATE)
     wave = np.interp(t, given, columns["tau_j_des"])
@@ -200,6 +203,7 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
     return Design(
         multi_sine(frequencies, torque, seconds),
         multi_sine(others, VERIFICATION_SHARE * torque, verification_seconds),
+        multi_sine(frequencies, VERIFICATION_SHARE * torque, REVERSALS_SECONDS),
         tuple(reasons),
     )
 

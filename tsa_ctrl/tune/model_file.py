@@ -1,9 +1,13 @@
-"""The model file's way: what would change as a diff, the old one kept beside it, and back again."""
+"""The files' way: what would change as a diff, the old ones kept beside them, and back again.
+
+A tuning keeps all files that it replaces under one number, `NAME.~N~`, above those of all files that it may replace.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tsa_ctrl import settings
@@ -16,32 +20,55 @@ def diff(path: Path, text: str) -> str:
     return "".join(difflib.unified_diff(before, text.splitlines(keepends=True), path.name, f"{path.name} (new)"))
 
 
-def backups(path: Path) -> list[Path]:
-    """Files that were replaced, `NAME.~N~`, oldest first."""
+def backups(path: Path) -> dict[int, Path]:
+    """Files that were replaced, `NAME.~N~` by N, oldest first."""
     pattern = re.compile(re.escape(path.name) + r"\.~(\d+)~")
-    found = [(int(match[1]), other) for other in path.parent.iterdir() if (match := pattern.fullmatch(other.name))]
-    return [other for _, other in sorted(found)]
+    found = {int(match[1]): other for other in path.parent.iterdir() if (match := pattern.fullmatch(other.name))}
+    return dict(sorted(found.items()))
 
 
-def replace(path: Path, text: str) -> Path:
-    """Write `text` to `path`, by renaming; returns where the file that was there is kept, the next `NAME.~N~`."""
-    old = backups(path)
-    number = int(old[-1].name.rpartition(".~")[2][:-1]) + 1 if old else 1
-    kept = path.with_name(f"{path.name}.~{number}~")
-    settings.write_text(kept, path.read_text(encoding="utf-8"))
+def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path, Path]:
+    """Write each text to its path, by renaming; returns where the files that were there are kept.
+
+    Their number is above all that these paths and those `beside` have. When one cannot be written, none is.
+    """
+    number = 1 + max((n for path in (*texts, *beside) for n in backups(path)), default=0)
+    kept = {path: path.with_name(f"{path.name}.~{number}~") for path in texts}
+    before = {path: path.read_text(encoding="utf-8") for path in texts}
+    written = []
     try:
-        settings.write_text(path, text)
+        for path, text in texts.items():
+            settings.write_text(kept[path], before[path])
+            settings.write_text(path, text)
+            written.append(path)
     except BaseException:
-        kept.unlink()
+        for path in written:
+            settings.write_text(path, before[path])
+        for other in kept.values():
+            other.unlink(missing_ok=True)
         raise
     return kept
 
 
-def undo(path: Path) -> Path:
-    """Put the newest kept file back in place and return where it was kept; raises UsageError when there is none."""
+def last(path: Path, *others: Path) -> dict[Path, Path]:
+    """The newest kept file of `path`, and what was kept of the others with it; raises UsageError when there is none."""
     old = backups(path)
     if not old:
         raise UsageError(f"{path}: nothing to undo, no {path.name}.~N~ is beside it")
-    settings.write_text(path, old[-1].read_text(encoding="utf-8"))
-    old[-1].unlink()
-    return old[-1]
+    number = max(old)
+    found = {path: old[number]}
+    for other in others:
+        kept = backups(other)
+        if number in kept and max(kept) > number:
+            raise UsageError(f"{other}: was replaced again since, see {kept[max(kept)].name}; undo that first")
+        if number in kept:
+            found[other] = kept[number]
+    return found
+
+
+def undo(kept: Mapping[Path, Path]) -> None:
+    """Put kept files back in place."""
+    for path, old in kept.items():
+        settings.write_text(path, old.read_text(encoding="utf-8"))
+    for old in kept.values():
+        old.unlink()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,12 @@ from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
 from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Design, Waveform, design, playing, probe, response
+from tsa_ctrl.tune.lag import EFFECT
+from tsa_ctrl.tune.ringing import Turn, ringing, slew_without_ringing, turn_of
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 
 PROBE_SECONDS = 6.0
+SAME_SLEW = 0.02  # relative; nearer to the one that is there is not worth a change
 Progress = Callable[[str, float], None]  # what is being done, share of the whole that is done
 
 
@@ -24,6 +28,8 @@ class Settings:
     seconds: float  # of the excitation
     verification_seconds: float
     compensation: float  # share of the friction term in the verification, as the loop would use it
+    slew: float  # N*m/s of the friction term at the motor, as the controller's file has it
+    most_slew: float  # N*m/s, what the limiter lets through
     certified_gain: bool
     forms: bool
     extended: bool
@@ -45,7 +51,7 @@ class Verification:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Everything that was found; `text` is the new model file."""
+    """Everything that was found; `text` is the new model file, `turn` another slew for the controller's."""
 
     nominal: TendonSheath
     estimate: Estimate
@@ -53,6 +59,7 @@ class Outcome:
     design: Design | None  # None when the logs were given
     verification: Verification | None
     text: str
+    turn: Turn | None = None
 
     @property
     def better(self) -> bool:
@@ -98,13 +105,33 @@ class Procedure:
         text = new_file(self._path, found, excited.pieces, "tune")
         new = self._folder / f"new-{self._path.name}"
         new.write_text(text, encoding="utf-8")
+        found, turn = self._turn(designed.reversals, found, new)
+        slew = None if turn is None else turn.slew
         factor, motion = self._settings.compensation, designed.verification
         verification = Verification(
             without=self._play("without", self._path, 0.0, motion),
             before=self._play("before", self._path, factor, motion),
-            after=self._play("after", new, factor, motion),
+            after=self._play("after", new, factor, motion, slew),
         )
-        return Outcome(self._model, found, excited.pieces, designed, verification, text)
+        return Outcome(self._model, found, excited.pieces, designed, verification, text, turn)
+
+    def _turn(self, motion: Waveform, found: Estimate, new: Path) -> tuple[Estimate, Turn | None]:
+        """Where friction turns at once: another slew, if the motor rings and that one does better; and a note."""
+        settings = self._settings
+        if EFFECT not in found.model.effects or settings.compensation == 0.0:
+            return found, None
+        self._total += 2.0 * motion.seconds
+        turn = turn_of(found.model, settings.compensation)
+        first = self._play("turn-1", new, settings.compensation, motion)
+        rings = ringing(first.pieces, found.model, turn / settings.slew)
+        slew = settings.slew if rings is None else slew_without_ringing(turn, rings.value, settings.most_slew)
+        if rings is None or abs(slew - settings.slew) < SAME_SLEW * settings.slew:
+            self._total -= motion.seconds
+            return found, None
+        second = self._play("turn-2", new, settings.compensation, motion, slew)
+        tried = Turn(settings.slew, slew, rings, first.rms, second.rms)
+        noted = dataclasses.replace(found, notes=(*found.notes, tried.note))
+        return noted, tried if tried.better else None
 
     def _design(self) -> Design:
         """Little torque first, more until the joint moves."""
@@ -117,14 +144,14 @@ class Procedure:
         designed = design(found, wave.peak, self._bounds, settings.seconds, settings.verification_seconds)
         return designed if settings.excitation is None else playing(designed, settings.excitation)
 
-    def _play(self, name: str, model: Path, compensation: float, waveform: Waveform) -> Run:
+    def _play(self, name: str, model: Path, compensation: float, waveform: Waveform, slew: float | None = None) -> Run:
         seconds, begin = waveform.seconds, self._done
 
         def tick(share: float) -> None:
             self._say(name, min(1.0, (begin + share * seconds) / self._total))
 
         tick(0.0)
-        played = self._runner.play(name, model, compensation, waveform, tick)
+        played = self._runner.play(name, model, compensation, waveform, tick, slew)
         self._done += seconds
         return played
 

@@ -33,7 +33,7 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
 
 
 def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None) -> dict[str, Any]:
-    """JSON-ready: null for unknown; `written` is where the file before was kept, null when nothing was written."""
+    """JSON-ready: null for unknown; `written` is where the model file before was kept, null when nothing was."""
     found, verified = outcome.estimate, outcome.verification
     rms = reduction = None
     if verified is not None:
@@ -54,6 +54,7 @@ def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None
         "effects": list(found.effects),
         "parameters": {name: quantity.to_dict() for name, quantity in found.parameters.items()},
         "calibration": found.calibration.to_dict(),
+        "law": None if outcome.turn is None else outcome.turn.to_dict(),
         "verification": {"rms": rms, "reduction_percent": reduction} if verified is not None else None,
         "design": list(outcome.design.reasons) if outcome.design is not None else None,
         "notes": list(found.notes),

@@ -70,13 +70,19 @@ class RigRunner:
             (folder / "drives").symlink_to(drives.resolve(), target_is_directory=True)
 
     def play(
-        self, name: str, model: Path, compensation: float, waveform: Waveform, tick: Callable[[float], None]
+        self,
+        name: str,
+        model: Path,
+        compensation: float,
+        waveform: Waveform,
+        tick: Callable[[float], None],
+        slew: float | None = None,
     ) -> Run:
-        """Play once and read the log; raises BusError when daemon or rig fail."""
+        """Play once, with the file's slew or this one (N*m/s), and read the log; raises BusError when the run fails."""
         table = np.column_stack([waveform.t, waveform.tau_j_des])
         setpoint = self._folder / f"{name}.csv"
         np.savetxt(setpoint, table, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
-        text = self._controller(name, model, compensation, setpoint)
+        text = self._controller(name, model, compensation, setpoint, slew)
         (self._folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
         summary = daemon(self._folder, name, waveform.seconds, tick)
         if summary["log"] is None or summary["failed"]:
@@ -84,7 +90,7 @@ class RigRunner:
         log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds)
 
-    def _controller(self, name: str, model: Path, compensation: float, setpoint: Path) -> str:
+    def _controller(self, name: str, model: Path, compensation: float, setpoint: Path, slew: float | None) -> str:
         """The user's file with this axis alone, this model and set-point, and limits no wider than those given."""
         data = tomllib.loads(self._configuration.text)
         keep = {self._axis.name, *self._axis.bending.gains}
@@ -97,6 +103,8 @@ class RigRunner:
                 axis["model"] = str(model.resolve())
                 axis["setpoint"] = {"kind": "file", "file": str(setpoint.resolve())}
                 axis["law"] = {**axis.get("law", {}), "compensation": compensation}
+                if slew is not None:
+                    axis["law"]["slew"] = slew
             else:
                 axis["model"] = str((self._configuration.folder / axis["model"]).resolve())
                 axis["setpoint"] = {"kind": "constant"}

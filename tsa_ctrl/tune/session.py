@@ -18,7 +18,15 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.tune import model_file
-from tsa_ctrl.tune.excitation import FREQUENCIES, OTHER_FREQUENCIES, Bounds, from_file, most_torque
+from tsa_ctrl.tune.controller_file import differ_in_slew_alone, with_slew
+from tsa_ctrl.tune.excitation import (
+    FREQUENCIES,
+    OTHER_FREQUENCIES,
+    REVERSALS_SECONDS,
+    Bounds,
+    from_file,
+    most_torque,
+)
 from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
@@ -57,6 +65,8 @@ class Session:
             seconds=plan.seconds if played is None else played.seconds,
             verification_seconds=plan.verification_seconds,
             compensation=self.axis.law.compensation,
+            slew=self.axis.law.slew,
+            most_slew=self.axis.limits.rate,
             certified_gain=plan.certified_gain,
             forms=plan.forms,
             extended=plan.extended,
@@ -101,9 +111,23 @@ class Session:
                 )
         return Bounds(most if plan.torque is None else plan.torque, speed, travel)
 
-    def undo(self) -> Path:
-        """Put the model file back that the last tuning replaced; raises UsageError when there is none."""
-        return model_file.undo(self.path)
+    def undo(self) -> dict[Path, Path]:
+        """Put the files back that the last tuning replaced, and return where they were kept.
+
+        Raises UsageError when there are none, or when the controller's was edited since.
+        """
+        controller = self._configuration.path
+        kept = model_file.last(self.path, controller)
+        if controller in kept:
+            before = kept[controller].read_text(encoding="utf-8")
+            if not differ_in_slew_alone(before, self._configuration.text, self.axis.name):
+                raise UsageError(
+                    f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] slew to that of "
+                    f"{kept[controller].name}, remove that file, and undo again"
+                )
+        with _uninterrupted():
+            model_file.undo(kept)
+        return kept
 
     def plan_dict(self) -> dict[str, Any]:
         """What would be done, JSON-ready."""
@@ -120,6 +144,7 @@ class Session:
             "seconds": {
                 "probe": PROBE_SECONDS,
                 "excitation": settings.seconds,
+                "reversals": 2.0 * REVERSALS_SECONDS,
                 "verification": 3.0 * settings.verification_seconds,
             },
             "compensation": settings.compensation,
@@ -138,11 +163,12 @@ class Session:
                 f"limits: {bounds.torque:.3g} N*m at the joint, {bounds.speed:g} rad/s, travel {travel}",
                 f"1. probe, {PROBE_SECONDS:g} s with a fifth of the torque: does the joint move, and by what",
                 f"2. excitation, {settings.seconds:.4g} s {wave}, without compensation",
-                "3. estimate of friction angle and pretension",
+                "3. estimate of friction angle and pretension; where friction turns at once, "
+                f"2 x {REVERSALS_SECONDS:g} s: does the motor ring after reversals, and with which slew it does not",
                 f"4. verification, 3 x {settings.verification_seconds:g} s at "
                 f"{', '.join(f'{f:g}' for f in OTHER_FREQUENCIES)} Hz: without compensation, with the given and with "
                 f"the new file at {settings.compensation:g} of the friction term",
-                "5. a diff of the model file, and a question",
+                "5. a diff of the model file and, for another slew, of the controller's; and a question",
                 "dry run: nothing was moved, nothing written",
             )
         )
@@ -187,9 +213,17 @@ class Session:
         """The estimate from logs that exist; raises UsageError."""
         return from_logs(self.path, self._model, [load_log(log) for log in logs], self._settings)
 
+    def changes(self, outcome: Outcome) -> dict[Path, str]:
+        """The files to be written and their new texts: the model's and, for another slew, the controller's."""
+        texts = {self.path: outcome.text}
+        if outcome.turn is not None:
+            configuration = self._configuration
+            texts[configuration.path] = with_slew(configuration.text, self.axis.name, outcome.turn.slew)
+        return texts
+
     def difference(self, outcome: Outcome) -> str:
-        """Diff of the model file."""
-        return model_file.diff(self.path, outcome.text)
+        """Diff of the files."""
+        return "".join(model_file.diff(path, text) for path, text in self.changes(outcome).items())
 
     def worth_writing(self, outcome: Outcome) -> bool:
         """Whether the new file did better, and the loop can use it."""
@@ -210,10 +244,16 @@ class Session:
         self._folder.rename(self._final)
         self.page = self._final / "report.html"
 
-    def write(self, outcome: Outcome) -> Path:
-        """Write the model file; returns where the one before is kept. A signal waits until both are done."""
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-        try:
-            return model_file.replace(self.path, outcome.text)
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    def write(self, outcome: Outcome) -> dict[Path, Path]:
+        """Write the files; returns where those before are kept. A signal waits until all is done."""
+        with _uninterrupted():
+            return model_file.replace(self.changes(outcome), beside=(self._configuration.path,))
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
