@@ -80,7 +80,7 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     bending: BendingSettings = BendingSettings()
     oscillation: OscillationSettings = OscillationSettings()
     plausibility: PlausibilitySettings = PlausibilitySettings()
-    serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions
+    serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions, bending
 
 
 class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -231,7 +231,11 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     if (estimator.kind == "map") != (bending.source != "fixed"):
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
-            'kind "map" needs the source "command" or "joints", and no other kind uses them'
+            'kind "map" needs the source "command", "joints" or "sensor", and no other kind uses them'
+        )
+    if (bending.source == "sensor") != any(sensor.quantity == "theta" for sensor in axis.serial):
+        raise UsageError(
+            f'{where}: bending.source "sensor" and an [[axis.serial]] of theta belong together; give both or neither'
         )
     if estimator.kind != "fixed" and model.bending_angle == 0.0:
         raise UsageError(

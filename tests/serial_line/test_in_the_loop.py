@@ -12,6 +12,7 @@ import pytest
 from tests.daemon.machine import Machine
 from tests.serial_line.lines import Line, wait_for
 from tsa_ctrl.config import load_configuration
+from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.errors import UsageError
@@ -85,6 +86,37 @@ def test_the_log_and_the_estimator_take_the_serial_values(machine: Machine) -> N
     assert set(records["t1"]) == {40.0}
     assert all(math.isnan(value) for value in records["t3"])
     assert set(seen) == {0.25}
+
+
+MAP = (('# kind = "fixed"  ', 'kind = "map"  '), ('# source = "fixed"  ', 'source = "sensor"  '))
+THETA = "Sensors on serial lines that send"  # where the example speaks of them
+
+
+def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Path) -> None:
+    port = sensor("theta", "/dev/nothing", "scale = 0.0174532925")
+    machine = Machine(tmp_path, *MAP, (f"# {THETA}", f"{port}\n# {THETA}"))
+    try:
+        model, says = machine.axis.model, [1.2]
+        machine.axis.instruments.connect({"theta": lambda now: says[0] * model.bending_angle})
+        machine.drive.at_sync[2000] = lambda: says.__setitem__(0, math.nan)
+        machine.run(seconds=2.5)
+        records, lost = machine.records(), 2000
+        assert records["theta"][lost - 50] == pytest.approx(1.2 * model.bending_angle)
+        assert math.isnan(records["theta"][lost + 50])
+        for row in (lost - 50, lost + 50):
+            assert records["friction_angle"][row] == pytest.approx(1.2 * model.friction_angle)
+        states = [records["estimate_state"][row] for row in (lost - 50, lost + 50)]
+        assert states == [EstimateState.ESTIMATED.value, EstimateState.INVALID.value]
+    finally:
+        machine.close()
+
+
+@pytest.mark.parametrize(("source", "serial"), [("sensor", ""), ("command", sensor("theta", "/dev/a"))])
+def test_a_measured_bending_and_its_sensor_belong_together(tmp_path: Path, source: str, serial: str) -> None:
+    path = controller(tmp_path, serial, estimator="map")
+    path.write_text(path.read_text().replace('# source = "fixed" ', f'source = "{source}" ', 1))
+    with pytest.raises(UsageError, match="belong together"):
+        load_configuration(path)
 
 
 def test_without_serial_sensors_the_bus_says_the_joint_torque(machine: Machine) -> None:

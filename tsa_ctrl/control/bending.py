@@ -1,4 +1,4 @@
-"""The sheath's bending angle Theta while the loop runs: fixed, commanded, or a linear map of joint angles.
+"""The sheath's bending angle Theta while the loop runs: fixed, commanded, measured, or a linear map of joint angles.
 
 Theta = offset + sum over axes of gain_i q_i        (rad; a sheath that crosses several joints has several gains)
 """
@@ -18,7 +18,7 @@ Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
 class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[axis.bending]."""
 
-    source: Literal["fixed", "command", "joints"] = "fixed"
+    source: Literal["fixed", "command", "joints", "sensor"] = "fixed"
     offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
     gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name
 
@@ -28,8 +28,9 @@ class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
                 f'source "{self.source}" with {len(self.gains)} gains; '
                 'gains (rad/rad by axis name) belong to source "joints", which needs at least one'
             )
-        if self.source == "fixed" and self.offset is not None:
-            raise ValueError('source "fixed" takes bending_angle from the model file; remove offset, or change source')
+        if self.source in ("fixed", "sensor") and self.offset is not None:
+            whence = "the model file" if self.source == "fixed" else "its sensor"
+            raise ValueError(f'source "{self.source}" takes the angle from {whence}; remove offset, or change source')
 
 
 class Bending:
@@ -37,19 +38,25 @@ class Bending:
 
     def __init__(self, settings: BendingSettings, nominal: float) -> None:
         """`nominal` is the model file's bending angle, rad."""
+        self.settable = settings.source in ("command", "joints")
         self.fixed = settings.source == "fixed"
         self.commanded = nominal if settings.offset is None else settings.offset
         self._terms: tuple[tuple[float, Callable[[], float]], ...] = ()
+        self._measured: Callable[[], float] | None = None
 
     def connect(self, terms: tuple[tuple[float, Callable[[], float]], ...]) -> None:
         """Give the gains and what reads the joint angle of each (rad)."""
         self._terms = terms
 
+    def measure(self, read: Callable[[], float]) -> None:
+        """Take the angle (rad) from a sensor; nan while it says nothing."""
+        self._measured = read
+
     def update(self) -> float:
-        """Theta now, rad, never below 0; nan when it is not known: fixed by the model, or a joint angle is missing."""
+        """Theta now, rad, never below 0; nan when it is not known: fixed by the model, or a measurement is missing."""
         if self.fixed:
             return math.nan
-        theta = self.commanded
+        theta = self.commanded if self._measured is None else self._measured()
         for gain, angle in self._terms:
             theta += gain * angle()
         return theta if theta >= 0.0 or theta != theta else 0.0

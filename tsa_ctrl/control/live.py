@@ -45,7 +45,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     angles = (0.0, angle) if fixed else _NONE
     tensions = (0.0, pretension) if fixed else _NONE
     use = (0.0, 1.0) if isinstance(estimator, Recursive) else _NONE
-    bends = _NONE if axis.bending.fixed else (0.0, 100.0)
+    bends = (0.0, 100.0) if axis.bending.settable else _NONE
     p, inf = Parameter, math.inf
     return (
         p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),

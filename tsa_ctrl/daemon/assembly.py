@@ -69,6 +69,8 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     for settings, axis in zip(file.axes, axes, strict=True):
         gains = settings.bending.gains
         axis.bending.connect(tuple((gain, _joint_angle(by_name[name])) for name, gain in gains.items()))
+        if settings.bending.source == "sensor":
+            axis.bending.measure(_measured_bending(axis))
     return tuple(axes)
 
 
@@ -91,6 +93,10 @@ def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> 
 
 def _joint_angle(axis: ControlAxis) -> Callable[[], float]:
     return lambda: axis.joint()[0]
+
+
+def _measured_bending(axis: ControlAxis) -> Callable[[], float]:
+    return lambda: axis.instruments.theta
 
 
 def estimator_of(settings: AxisSettings, model: TendonSheath, period: float) -> Estimator:
