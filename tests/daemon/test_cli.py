@@ -64,10 +64,10 @@ def test_set_negative_value_is_no_option(serving: Serving) -> None:
     ("arguments", "words"),
     [
         (("0.5", "--against", "1.3"), "compensation 1.3 1 is out of bounds; allowed is 0 to 1.2"),
-        (("nan", "--against", "0.9"), "out of bounds"),
         (("0.5", "--against", "0.5"), "A and B are the same"),
         (("0.5", "--against", "0.9", "--with", "compensation=0.1,0.2"), "name each parameter once"),
         (("0.5", "--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),
+        (("0.5", "--against", "0.9", "--with", "slew=60,nan"), "write NAME=A,B"),
         (("0.5", "--against", "0.9", "--with", "pretension=40,50"), "cannot be set"),
         (("0.5", "--with", "slew=60,90"), "give --against, too"),
     ],
@@ -79,6 +79,13 @@ def test_a_comparison_that_cannot_be_made_is_refused(serving: Serving, arguments
     assert isinstance(result.exception, UsageError)
     assert words in str(result.exception)
     assert {command.value for command in taken} <= {0.5, 0.95}  # set, then put back
+
+
+@pytest.mark.parametrize("arguments", [("nan",), ("inf",), ("0.5", "--against", "nan")])
+def test_what_is_no_number_is_said_to_be_none(serving: Serving, arguments: tuple[str, ...]) -> None:
+    result = call(serving, "set", "compensation", *arguments)
+    assert result.exit_code == 2
+    assert "is not a finite number" in result.output
 
 
 def test_set_recover(serving: Serving) -> None:

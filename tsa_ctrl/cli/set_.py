@@ -18,8 +18,10 @@ from tsa_ctrl.ipc.client import Client
     epilog="Example: tsa set knee.compensation 0.9",
 )
 @click.argument("name")
-@click.argument("value", type=float)
-@click.option("--against", type=float, help="Compare VALUE (A) with this one (B) in alternating blocks, then put back.")
+@click.argument("value", type=Finite())
+@click.option(
+    "--against", type=Finite(), help="Compare VALUE (A) with this one (B) in alternating blocks, then put back."
+)
 @click.option("--with", "more", multiple=True, metavar="NAME=A,B", help="A further parameter of the two sets compared.")
 @click.option("--blocks", default=12, show_default=True, type=click.IntRange(6, 1000), help="Of a comparison.")
 @click.option("--block-seconds", default=4.0, show_default=True, type=Finite(1.0, 3600.0), help="Of each.")
@@ -68,8 +70,8 @@ def command(
 def _pair(text: str) -> tuple[str, float, float]:
     name, _, values = text.partition("=")
     try:
-        a, b = (float(value) for value in values.split(","))
-    except ValueError:
+        a, b = (Finite().convert(value, None, None) for value in values.split(","))
+    except (ValueError, click.BadParameter):
         raise UsageError(f"--with: found '{text}'; write NAME=A,B, for example slew=60,90") from None
     return name, a, b
 
