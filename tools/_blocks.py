@@ -29,6 +29,7 @@ class Samples:
         self.cycle: list[float] = []
         self.lateness: list[float] = []
         self.lost = 0
+        self.worst: list[float] = []  # p99 of the lateness in each block
 
     def figures(self) -> dict[str, float | int]:
         found: dict[str, float | int] = {"cycles": len(self.lateness), "lost": self.lost}
@@ -36,6 +37,8 @@ class Samples:
             if values:
                 parts = statistics.quantiles(values, n=100)
                 found |= {f"{name}_p50": parts[49], f"{name}_p99": parts[98]}
+        if self.worst:
+            found["lateness_p99_median"] = statistics.median(self.worst)
         return found
 
 
@@ -43,6 +46,7 @@ def block(samples: Samples, cycles: int, period: int, way: ways.Way) -> None:
     """Run a block of cycles at absolute deadlines."""
     deadline = time.monotonic_ns() + 2 * period
     clock, wait, cycle = time.monotonic_ns, way.wait, way.cycle
+    first = len(samples.lateness)
     for number in range(round(cycles * (1.0 + WARM_UP))):
         wait(deadline)
         woke = clock()
@@ -56,6 +60,7 @@ def block(samples: Samples, cycles: int, period: int, way: ways.Way) -> None:
             else:
                 samples.cycle.append((done - woke) * 1e-3)
         deadline += period * max(1, (clock() - deadline) // period + 1)
+    samples.worst.append(statistics.quantiles(samples.lateness[first:], n=100)[98])
 
 
 @contextlib.contextmanager

@@ -16,7 +16,7 @@ FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")
 SYNC, ID_MASK = 0x080, 0xC00007FF
 PRIORITY = 70  # below the loop, above everything else
-BEATS = 20  # SYNCs between heartbeats
+BEATS = 20  # SYNCs between the heartbeats of a node; the nodes take turns, as their clocks run apart
 ENABLED = 0x1237  # statusword: operation enabled, follows the command
 STATUSWORDS = {0x0F: ENABLED, 0x07: 0x1233, 0x06: 0x1231}  # by controlword, else switch on disabled
 DISABLED = 0x1250
@@ -68,9 +68,8 @@ def main(interface: str, axes: int, walk: bool) -> None:
         for answer in pair[syncs % 2]:  # the motor trembles by a count: what does not move at all is frozen
             send(answer)
         syncs += 1
-        if syncs % BEATS == 1:
-            for beat in beats:
-                send(beat)
+        for beat in beats[syncs % BEATS :: BEATS]:
+            send(beat)
 
 
 if __name__ == "__main__":

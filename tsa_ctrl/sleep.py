@@ -1,20 +1,28 @@
-"""Sleep to an absolute time of the monotonic clock (Linux: clock_nanosleep(2), TIMER_ABSTIME); what waking up costs."""
+"""Sleep to an absolute time of the monotonic clock (Linux: clock_nanosleep(2), TIMER_ABSTIME); what waking up costs; a
+timer that was set before (timerfd_create(2))."""
 
 from __future__ import annotations
 
 import ctypes
+import os
 import time
 
 CLOCK_MONOTONIC = 1  # linux/time.h
-TIMER_ABSTIME = 1
-_sleep = ctypes.CDLL(None).clock_nanosleep
+TIMER_ABSTIME = TFD_TIMER_ABSTIME = 1
+_libc = ctypes.CDLL(None, use_errno=True)
+_sleep, _create, _set = _libc.clock_nanosleep, _libc.timerfd_create, _libc.timerfd_settime
 
 
 class _Timespec(ctypes.Structure):
     _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
 
 
+class _Timerspec(ctypes.Structure):  # struct itimerspec
+    _fields_ = (("interval", _Timespec), ("value", _Timespec))
+
+
 _sleep.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.POINTER(_Timespec), ctypes.c_void_p)
+_set.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.POINTER(_Timerspec), ctypes.c_void_p)
 
 
 def sleep_until(deadline: int) -> None:
@@ -23,6 +31,30 @@ def sleep_until(deadline: int) -> None:
     while _sleep(CLOCK_MONOTONIC, TIMER_ABSTIME, request, None) != 0:
         if time.monotonic_ns() >= deadline:
             return
+
+
+class Alarm:
+    """A descriptor `fd` that becomes readable at a time given beforehand, so that waiting for it sets no timer.
+
+    Raises OSError where the kernel gives none.
+    """
+
+    def __init__(self) -> None:
+        self.fd: int = _create(CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
+        if self.fd < 0:
+            number = ctypes.get_errno()
+            raise OSError(number, os.strerror(number))
+        self._request = _Timerspec()
+
+    def set(self, deadline: int) -> None:
+        """Readable from `deadline` (ns of CLOCK_MONOTONIC, above 0) on, and not before."""
+        value = self._request.value
+        value.seconds, value.nanoseconds = divmod(deadline, 1_000_000_000)
+        _set(self.fd, TFD_TIMER_ABSTIME, self._request, None)
+
+    def close(self) -> None:
+        """Give the descriptor back; once."""
+        os.close(self.fd)
 
 
 class Lead:

@@ -36,6 +36,7 @@ class FakeBus:
         self.accepted: set[int] | None = None
         self.full = False
         self.bell: int | None = None
+        self.expected: float | None = None
         self._answer = answer
 
     def send(self, can_id: int, data: bytes) -> bool:
@@ -61,6 +62,9 @@ class FakeBus:
 
     def listen_for(self, can_id: int) -> None:
         self.bell = can_id
+
+    def expect(self, until: float) -> None:
+        self.expected = until
 
     def answers(self, timeout: float, most: int) -> list[Frame]:
         frame = self.recv(timeout)

@@ -225,6 +225,17 @@ def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() 
     assert rig.axes[0].image.nodes[0].late == 1
 
 
+def test_how_long_answers_are_waited_for_is_said_before_the_sleep() -> None:
+    """As long as in the cycle before; nobody knows before the first."""
+    rig, bus, _ = one_axis_rig()
+    start = rig.wait(bus.clock.now + 0.001)
+    assert bus.expected is None
+    rig.sync(start)
+    rig.collect(start + 0.0006)
+    rig.wait(start + 0.001)
+    assert bus.expected == pytest.approx(start + 0.0016, abs=1e-9)
+
+
 def test_silent_node_is_not_listened_for() -> None:
     rig, bus, nodes = one_axis_rig()
     nodes.silent = {0x281}

@@ -102,6 +102,28 @@ def test_the_last_answer_is_waited_for_and_brings_the_others(pair: tuple[SocketC
 
 
 @pytest.mark.vcan
+def test_a_timer_set_before_ends_the_wait_for_answers_once(pair: tuple[SocketCan, SocketCan]) -> None:
+    first, second = pair
+    second.expect(time.monotonic() - 1.0)  # before it listens for one: of no effect
+    second.listen_for(0x1C0)
+    until = time.monotonic() + 0.05
+    second.expect(until)
+    assert second.answers(600.0, 9) == []
+    assert until <= time.monotonic() < until + 300.0
+    first.send(0x1C0, b"")
+    second.expect(time.monotonic() + 600.0)  # an answer comes before it
+    assert second.answers(1200.0, 9) == [(0x1C0, b"")]
+    second.gather(0.0, 9)
+    second.expect(time.monotonic() - 1.0)
+    assert second.answers(600.0, 9) == []  # over already
+    second.expect(time.monotonic() + 600.0)
+    assert second.answers(0.01, 9) == []  # the time-out holds, too
+    start = time.monotonic()
+    assert second.answers(0.02, 9) == []  # set for one wait only
+    assert time.monotonic() - start >= 0.02
+
+
+@pytest.mark.vcan
 def test_kernel_keeps_other_identifiers_out(pair: tuple[SocketCan, SocketCan]) -> None:
     first, second = pair
     second.accept([0x181, 0x701])

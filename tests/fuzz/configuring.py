@@ -75,6 +75,9 @@ class SpoiledBus:
     def listen_for(self, can_id: int) -> None:
         self._bus.listen_for(can_id)
 
+    def expect(self, until: float) -> None:
+        self._bus.expect(until)
+
     def answers(self, timeout: float, most: int) -> Sequence[Frame]:
         return self._bus.answers(timeout, most)
 

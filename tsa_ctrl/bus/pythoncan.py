@@ -85,6 +85,9 @@ class PythonCan:
     def listen_for(self, can_id: int) -> None:
         """No bus of python-can can wait for one identifier: `answers` waits for any."""
 
+    def expect(self, until: float) -> None:
+        """Nor can it wait for a timer of ours beside its frames."""
+
     def answers(self, timeout: float, most: int) -> list[Frame]:
         frame = self.recv(timeout)
         return [] if frame is None else [frame]

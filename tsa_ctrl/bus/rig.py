@@ -76,6 +76,7 @@ class Rig:
         self._flooded_now = False
         self._emptied = False
         self._lead = Lead(wake_early)
+        self._patience = 0.0  # s that the last cycle would have waited for answers
         self._last = 0  # identifier of the answer that comes last
         self._later = 0  # ... and how often in a row another came after it
 
@@ -95,9 +96,12 @@ class Rig:
 
         In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC: an
         old answer would have to arrive within the microseconds between the two to be believed, once. It is up before
-        the time by what waking has cost lately, and keeps taking what comes until then. Returns the time.
+        the time by what waking has cost lately, and keeps taking what comes until then. Before it sleeps it sets the
+        timer that ends the wait for the next answers. Returns the time.
         """
         lead = self._lead.value
+        if self._patience > 0.0:
+            self.bus.expect(until + self._patience)
         now = self._empty(until - lead)
         self._lead.learn(now - until + lead)
         while now < until:
@@ -133,9 +137,10 @@ class Rig:
         cycle's arithmetic, and takes the processor from nodes that share it.
         """
         answers, bus = self._answers, self.bus
+        self._patience = deadline - self._synced
         pending = 0 if self._flooded_now else self._expected
         if pending:
-            frames = bus.answers(deadline - self._synced, pending)
+            frames = bus.answers(self._patience, pending)
             taken, rounds, over = 0, 0, False
             while True:
                 for can_id, data in frames:

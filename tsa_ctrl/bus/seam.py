@@ -66,6 +66,13 @@ class Bus(Protocol):
         """
         ...
 
+    def expect(self, until: float) -> None:
+        """Said before the sleep: the next `answers` need not wait longer than `until` (monotonic s).
+
+        A timer that is set then costs the cycle nothing; `timeout` holds all the same, give or take the kernel's tick.
+        """
+        ...
+
     def accept(self, can_ids: Iterable[int] | None) -> None:
         """Receive these identifiers (and error frames) only; None receives all."""
         ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import socket
@@ -12,7 +13,7 @@ from select import select
 from tsa_ctrl.bus.batch import FRAME, Batch
 from tsa_ctrl.bus.seam import BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.sleep import sleep_until
+from tsa_ctrl.sleep import Alarm, sleep_until
 
 _pack, _unpack = FRAME.pack, FRAME.unpack
 FILTER = struct.Struct("=II")  # struct can_filter: can_id, can_mask
@@ -23,6 +24,7 @@ _MAX_FILTERS = 512  # CAN_RAW_FILTER_MAX
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
 _TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
+_TICK = 0.01  # s: a time-out that much later than what is to come before makes the kernel set no timer
 _FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
 
 _NOTHING: list[int] = []
@@ -66,6 +68,8 @@ class SocketCan:
         self._bell: socket.socket | None = None  # hears one identifier only: the last answer of a cycle
         self._heard: Batch | None = None
         self._bells = self._readers
+        self._alarm: Alarm | None = None  # readable when a cycle need not wait any longer, if it is set
+        self._alarmed = False
 
     def _open(self, channel: str, send_queue: int) -> None:
         raw = self._socket
@@ -125,9 +129,21 @@ class SocketCan:
             self._bell.bind((self.name,))
             self._heard = Batch(self._bell)
             self._bells = [self._bell.fileno()]
+            with contextlib.suppress(OSError):
+                self._alarm = Alarm()
+                self._bells_and_alarm = [*self._bells, self._alarm.fd]
+
+    def expect(self, until: float) -> None:
+        if self._alarm is not None:
+            self._alarm.set(max(1, round(until * 1e9)))
+            self._alarmed = True
 
     def answers(self, timeout: float, most: int) -> list[Frame]:
-        select(self._bells, _NOTHING, _NOTHING, max(0.0, timeout))
+        if self._alarmed:
+            self._alarmed = False
+            select(self._bells_and_alarm, _NOTHING, _NOTHING, max(0.0, timeout) + _TICK)
+        else:
+            select(self._bells, _NOTHING, _NOTHING, max(0.0, timeout))
         return self._take(most)
 
     def _take(self, most: int) -> list[Frame]:
@@ -162,3 +178,6 @@ class SocketCan:
         self._socket.close()
         if self._bell is not None:
             self._bell.close()
+        if self._alarm is not None:
+            self._alarm.close()
+            self._alarm = None
