@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import select
+import subprocess
+import termios
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 
-from tests.daemon.serving import Serving
+from tests.daemon.serving import PATIENCE, Serving
 from tests.daemon.test_server import loop_taking
 from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 from tsa_ctrl.ipc.page import Page, sparkline
 from tsa_ctrl.ipc.protocol import Set
+from tsa_ctrl.processes import tsa
 
 
 @pytest.fixture
@@ -138,6 +145,36 @@ def test_a_key_moves_a_parameter_of_many_decades_by_a_share(
     page.take(status)
     assert page.key("+") == Set("knee.slew", pytest.approx(1.1 * value))
     assert page.key("-") == Set("knee.slew", pytest.approx(0.9 * value))
+
+
+def test_the_live_page_takes_keys_and_gives_the_terminal_back(serving: Serving) -> None:
+    """On a pseudo-terminal: the page comes, + moves the parameter, q leaves, and echo is as it was."""
+    master, slave = pty.openpty()
+    before = termios.tcgetattr(slave)
+    shown = b""
+    with loop_taking(serving) as taken:
+        command = tsa("status", "--socket", serving.path)
+        process = subprocess.Popen(command, stdin=slave, stdout=slave, env={**os.environ, "TERM": "xterm"})
+        for words, key in ((b"q: leave", b"+"), (b"compensation: 0.95 -> 0.974 1", b"q")):
+            while words not in shown:
+                readable, _, _ = select.select([master], [], [], PATIENCE)
+                assert readable, shown
+                shown += os.read(master, 65536)
+            os.write(master, key)
+        drained = threading.Thread(target=_drain, args=(master, process), daemon=True)
+        drained.start()
+        assert process.wait(PATIENCE) == 0
+        drained.join()
+    assert taken == [Command(0, 0, pytest.approx(0.974))]  # type: ignore[arg-type]
+    assert termios.tcgetattr(slave) == before
+    os.close(master)
+    os.close(slave)
+
+
+def _drain(master: int, process: subprocess.Popen[bytes]) -> None:
+    while process.poll() is None:
+        if select.select([master], [], [], 0.05)[0]:
+            os.read(master, 65536)
 
 
 def test_sparkline_spans_the_extremes() -> None:
