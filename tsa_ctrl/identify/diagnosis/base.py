@@ -85,14 +85,14 @@ class TendonBase:
         return np.zeros(len(self.coordinates()))
 
     def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
-        model = self.given
-        for coordinate, value in zip(self.coordinates(), values, strict=True):
+        model = self.given.with_effects({**self.given.effects, **effects}) if effects else self.given
+        for coordinate, value in zip(self.coordinates(), values, strict=True):  # T_ref stays at the file's pretension
             factor = math.exp(float(value))
             if coordinate.name == "friction_angle":
                 model = model.recalibrated(friction_angle=model.friction_angle * factor)
             else:
                 model = model.recalibrated(pretension=model.pretension * factor)
-        return model.with_effects({**self.given.effects, **effects}) if effects else model
+        return model
 
     def direction_weight(self, model: Model, signals: Signals) -> Array:
         return _half_difference(dataclasses.replace(model, effects={}), signals)

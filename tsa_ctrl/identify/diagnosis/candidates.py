@@ -7,6 +7,7 @@ linear where amplitude and phase are not.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,6 +44,7 @@ class Variant:
     parameters: Parameters
     label: str = ""
     untold: tuple[str, ...] = ()  # parameters that no log of this base model tells
+    bold: tuple[tuple[float, ...], ...] = ()  # starts at full strength, of effects that are far from linear in it
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,8 @@ def _thermal(s: Scales, _: Frame) -> list[Variant]:
 
 
 def _tension(s: Scales, _: Frame) -> list[Variant]:
-    return [_linear("tension_dependent_friction", "exponent", 1.0, 0.0, 1.0)]
+    linear = _linear("tension_dependent_friction", "exponent", 1.0, 0.0, 1.0)
+    return [dataclasses.replace(linear, bold=((0.4,), (0.8,)))]
 
 
 def _asymmetry(s: Scales, _: Frame) -> list[Variant]:

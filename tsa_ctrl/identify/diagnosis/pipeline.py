@@ -33,7 +33,7 @@ from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
 from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit, through_reversals
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
-from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, replaced, select, without
+from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, one_more, replaced, select, without
 from tsa_ctrl.identify.diagnosis.sharpen import sharpened
 from tsa_ctrl.identify.diagnosis.show import details
 from tsa_ctrl.identify.diagnosis.split import Split, split
@@ -107,12 +107,16 @@ def diagnose(
     blind = _blind(problem, base) if plain and not chosen.fitted.names else ""  # what is hidden may hide its friction
     if blind:
         return _insufficient(model, found, blind, not_testable)
-    base = fit(chosen.problem, base.hypothesis, base.point)
     say("what is left")
     findings = _left(chosen, parts.frame, rng)
-    share = max((finding.share for finding in findings if finding.found), default=0.0)
-    say("what cannot be told apart")
+    share = _share(findings)
     structure = misfit(chosen.problem, chosen.fitted, share)
+    while structure is not None and (more := one_more(chosen, catalogue)) is not None:
+        chosen, findings = more, _left(more, parts.frame, rng)
+        share = _share(findings)
+        structure = misfit(chosen.problem, chosen.fitted, share)
+    base = fit(chosen.problem, base.hypothesis, base.point)
+    say("what cannot be told apart")
     if structure is not None:
         best = by_simulation_error(chosen.problem, chosen.fitted, catalogue)
         chosen = dataclasses.replace(chosen, fitted=best)
@@ -260,6 +264,11 @@ def _left(chosen: Selection, frame: Frame, rng: np.random.Generator) -> list[Fin
     rest = frame.target - predicted
     findings.append(changes.drift(_known(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
     return findings
+
+
+def _share(findings: Sequence[Finding]) -> float:
+    """Of the mean square of what is left, that is structure."""
+    return max((finding.share for finding in findings if finding.found), default=0.0)
 
 
 def _unsure(chosen: Selection, grouped: Sequence[Group], findings: Sequence[Finding]) -> list[int]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from tsa_ctrl.identify.diagnosis.nuisance import nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.profile import refined
-from tsa_ctrl.identify.diagnosis.refit import refit, through_reversals
+from tsa_ctrl.identify.diagnosis.refit import on_plain_error, refit, through_reversals
 from tsa_ctrl.identify.diagnosis.screen import Response, Score, best_by_effect, responses, scores
 
 Catalogue = Mapping[str, tuple[Variant, ...]]
@@ -30,6 +31,7 @@ ELSEWHERE = 2.0  # times the threshold, that the gain outside the best block mus
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
 LEAST_WORTH = 0.4  # of the noise RMS at the score rate, that the plain error must lose
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
+LEFT = 1.1  # of the number of samples, above which the sum of squares (white units) holds more than noise
 SMALLEST_GAIN = 0.008  # of the number of samples
 
 
@@ -38,7 +40,7 @@ class Stage:
     """One step of the selection: what could be added to `fitted`, best first, and the threshold it must pass."""
 
     fitted: Fit
-    ranked: tuple[tuple[Score, Fit], ...]
+    ranked: tuple[Fit, ...]
     screened: tuple[Score, ...]
     found: tuple[Response, ...]
     threshold: float
@@ -69,7 +71,8 @@ def select(
         stages.append(stage)
         if len(fitted.names) >= MOST_CAUSES:
             break
-        entry = next((found for score, found in stage.ranked if _enters(problem, stage, score, found, noise_rms)), None)
+        tried = chain(stage.ranked, _hidden(problem, fitted, catalogue))
+        entry = next((found for found in tried if _enters(problem, stage, found, noise_rms)), None)
         if entry is None:
             break
         problem, fitted = _renoised(problem, entry, catalogue)
@@ -84,22 +87,30 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     screened = scores(problem, fitted, found)
     best = _refined(problem, fitted, screened, found)
     promising = [s for s in best if s.gain > WITHIN * best[0].gain][:FITTED]
-    ranked = []
-    for score in promising:
-        larger = extended(problem, fitted, score)
-        if larger is not None:
-            ranked.append((score, larger))
-    ranked.sort(key=lambda pair: pair[1].rss + PER_COORDINATE * len(pair[1].point))
+    extensions = [extended(problem, fitted, score) for score in promising]
+    if fitted.rss > LEFT * problem.count:
+        extensions += [from_the_file(problem, fitted, v, start) for v in variants for start in v.bold]
+    ranked = [found for found in extensions if found is not None and found.rss < fitted.rss]
+    ranked.sort(key=lambda found: found.rss + PER_COORDINATE * len(found.point))
     return Stage(fitted, tuple(ranked), tuple(best), tuple(found), family_threshold(rng, screened))
 
 
-def from_the_file(problem: Problem, fitted: Fit, variant: Variant) -> Fit | None:
-    """`fitted` with an effect more that has no parameter and acts through the base model's numbers, from the file's.
+def _hidden(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
+    """Effects without a parameter that recalibration may have made up for: tried when nothing else enters."""
+    if fitted.rss > LEFT * problem.count:
+        variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
+        found = [from_the_file(problem, fitted, v) for v in variants if not v.coordinates]
+        yield from sorted((each for each in found if each is not None), key=lambda each: each.rss)
+
+
+def from_the_file(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float] = ()) -> Fit | None:
+    """`fitted` with an effect more, from full strength `start` and from the base model's numbers in the file.
 
     Where recalibration has made up for such an effect, it changes nothing any more: a high pretension hides slack.
     """
     base = fitted.hypothesis.base.start()
-    return safely(problem, fitted.hypothesis.plus(variant), np.concatenate([base, fitted.point[len(base) :]]))
+    begin = np.concatenate([base, fitted.point[len(base) :], np.array(start)])
+    return safely(problem, fitted.hypothesis.plus(variant), begin)
 
 
 def _refined(
@@ -136,20 +147,37 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     return found
 
 
-def _enters(
-    problem: Problem, stage: Stage, score: Score, found: Fit, noise_rms: Callable[[Problem, Fit], float]
-) -> bool:
+def _enters(problem: Problem, stage: Stage, found: Fit, noise_rms: Callable[[Problem, Fit], float]) -> bool:
     proof = evidence(problem, stage.fitted, found)
     needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
     return (
         proof.gain > needed
         and proof.block_t > BLOCK_T
         and proof.kept > KEPT
-        and proof.spread > SPREAD
+        and (proof.spread > SPREAD or not found.hypothesis.variants[-1].coordinates)  # nothing to fit a burst with
         and proof.spread * proof.gain > ELSEWHERE * needed
         and proof.size > SMALLEST * noise_rms(problem, found)
         and _is_worth(problem, stage.fitted, found)
     )
+
+
+def one_more(selection: Selection, catalogue: Catalogue) -> Selection | None:
+    """The causes with one more that takes more off the simulation error than it leaves; None where none does.
+
+    For what is mostly structure, which colours the noise that whitens until it hides whatever is as slow.
+    """
+    problem, fitted = selection.problem, selection.fitted
+    if len(fitted.names) >= MOST_CAUSES:
+        return None
+    plain = on_plain_error(problem, through_reversals(fitted))
+    present = fit(plain, fitted.hypothesis, fitted.point)
+    for larger in rivals(plain, present, catalogue, fitted.names, FITTED):
+        proof = evidence(plain, present, larger)
+        holds = proof.block_t > BLOCK_T and proof.kept > KEPT and proof.spread > SPREAD
+        if holds and proof.gain > larger.rss:
+            problem, fitted = _renoised(problem, larger, catalogue)
+            return replaced(dataclasses.replace(selection, problem=problem), fitted)
+    return None
 
 
 def _is_worth(problem: Problem, smaller: Fit, larger: Fit) -> bool:

@@ -110,6 +110,6 @@ def _ranking(chosen: Selection, grouped: Sequence[Group]) -> tuple[Ranked, ...]:
     }
     count = chosen.problem.count
     best: dict[str, float] = {score.variant.effect: score.gain for score in stage.screened}
-    best |= {found.names[-1]: stage.fitted.rss - found.rss for _, found in stage.ranked}
+    best |= {found.names[-1]: stage.fitted.rss - found.rss for found in stage.ranked}
     ordered = sorted(best.items(), key=lambda pair: -pair[1])
     return tuple(Ranked(name, max(gain, 0.0) / count, member.get(name, -1)) for name, gain in ordered)
