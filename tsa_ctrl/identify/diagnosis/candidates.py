@@ -26,6 +26,7 @@ INF = math.inf
 
 NOISE_TO_SPEED = 4.0  # a speed scale below so many times the velocity noise is not resolved
 MOST_CYCLES = 40  # of torque ripple per motor turn that are looked for
+FEW_SAMPLES = 1.5  # a lag or delay so short hides among the moments of unknown direction
 LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
 
 
@@ -287,14 +288,18 @@ def _delay(s: Scales, _: Frame) -> list[Variant]:
     unit = 0.01  # s
     coordinate = Coordinate("delay", 0.0, 0.2 / unit, 0.02)
     starts = tuple((v / unit,) for v in _geometric(0.003, 0.1, 8))
-    return [Variant("transport_delay", (coordinate,), starts, (), lambda u: {"delay": float(u[0]) * unit})]
+    bold = ((FEW_SAMPLES * s.period / unit,),)
+    return [Variant("transport_delay", (coordinate,), starts, (), lambda u: {"delay": float(u[0]) * unit}, bold=bold)]
 
 
 def _lag(s: Scales, _: Frame) -> list[Variant]:
     unit = 0.01  # s
     coordinate = Coordinate("time_constant", 0.0, 0.3 / unit, max(0.3, 1.5 * s.period / unit))
     starts = tuple((v / unit,) for v in _geometric(0.004, 0.15, 9))
-    return [Variant("velocity_lag", (coordinate,), starts, (), lambda u: {"time_constant": float(u[0]) * unit})]
+    bold = ((FEW_SAMPLES * s.period / unit,),)
+    return [
+        Variant("velocity_lag", (coordinate,), starts, (), lambda u: {"time_constant": float(u[0]) * unit}, bold=bold)
+    ]
 
 
 def _gravity(s: Scales, _: Frame) -> list[Variant]:

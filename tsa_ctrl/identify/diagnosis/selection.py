@@ -12,7 +12,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.candidates import Variant
 from tsa_ctrl.identify.diagnosis.confirm import Evidence, evidence, family_threshold
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit, safely
-from tsa_ctrl.identify.diagnosis.nuisance import nuisance
+from tsa_ctrl.identify.diagnosis.nuisance import Nuisance, nuisance
 from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.profile import refined
@@ -21,6 +21,7 @@ from tsa_ctrl.identify.diagnosis.screen import Response, Score, best_by_effect, 
 
 Catalogue = Mapping[str, tuple[Variant, ...]]
 
+MOVING = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
 MOST_CAUSES = 4
 FITTED = 5  # best candidates of one stage that are fitted in full
 WITHIN = 0.25  # of the best gain: candidates below are not fitted
@@ -31,7 +32,7 @@ ELSEWHERE = 2.0  # times the threshold, that the gain outside the best block mus
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
 LEAST_WORTH = 0.4  # of the noise RMS at the score rate, that the plain error must lose
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
-LEFT = 1.1  # of the number of samples, above which the sum of squares (white units) holds more than noise
+LEFT = 1.05  # of the number of samples, above which the sum of squares (white units) holds more than noise
 SMALLEST_GAIN = 0.008  # of the number of samples
 
 
@@ -89,7 +90,9 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     promising = [s for s in best if s.gain > WITHIN * best[0].gain][:FITTED]
     extensions = [extended(problem, fitted, score) for score in promising]
     if fitted.rss > LEFT * problem.count:
-        extensions += [from_the_file(problem, fitted, v, start) for v in variants for start in v.bold]
+        for variant in variants:
+            tried = _moved if variant.effect in MOVING else from_the_file
+            extensions += [tried(problem, fitted, variant, start) for start in variant.bold]
     ranked = [found for found in extensions if found is not None and found.rss < fitted.rss]
     ranked.sort(key=lambda found: found.rss + PER_COORDINATE * len(found.point))
     return Stage(fitted, tuple(ranked), tuple(best), tuple(found), family_threshold(rng, screened))
@@ -111,6 +114,22 @@ def from_the_file(problem: Problem, fitted: Fit, variant: Variant, start: Sequen
     base = fitted.hypothesis.base.start()
     begin = np.concatenate([base, fitted.point[len(base) :], np.array(start)])
     return safely(problem, fitted.hypothesis.plus(variant), begin)
+
+
+def _moved(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float]) -> Fit | None:
+    """`fitted` with a lag or a delay more, under moments of unknown direction that move with the reversals.
+
+    As many as before, so that the sums of squares compare; where they stay they hide a lateness of a sample or two.
+    """
+    hypothesis, point = fitted.hypothesis.plus(variant), np.concatenate([fitted.point, np.array(start)])
+    found = None
+    for _ in range(2):
+        columns = nuisance(problem.frame, problem.base, hypothesis.model(point))
+        found = safely(dataclasses.replace(problem, nuisance=columns), hypothesis, point)
+        if found is None:
+            return None
+        point = found.point
+    return found
 
 
 def _refined(
@@ -148,6 +167,17 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
 
 
 def _enters(problem: Problem, stage: Stage, found: Fit, noise_rms: Callable[[Problem, Fit], float]) -> bool:
+    if _holds_up(problem, stage, found, noise_rms):
+        return True
+    if stage.fitted.names or found.names[-1] not in MOVING:
+        return False
+    # Few reversals show a lateness of a sample or two beside moments that are free; all do when they are not.
+    bare = dataclasses.replace(problem, nuisance=Nuisance(problem.nuisance.smooth))
+    smaller, larger = (fit(bare, each.hypothesis, each.point) for each in (stage.fitted, found))
+    return _holds_up(bare, dataclasses.replace(stage, fitted=smaller), larger, noise_rms)
+
+
+def _holds_up(problem: Problem, stage: Stage, found: Fit, noise_rms: Callable[[Problem, Fit], float]) -> bool:
     proof = evidence(problem, stage.fitted, found)
     needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
     return (
@@ -185,7 +215,7 @@ def _is_worth(problem: Problem, smaller: Fit, larger: Fit) -> bool:
 
     Measured by the noise, or by all that is left where a noise model that holds structure exceeds it.
     """
-    reversals = through_reversals(larger)
+    reversals = through_reversals(larger) or not problem.nuisance.moments
     before, after = (refit(problem, fitted, reversals=reversals).fitted.rss for fitted in (smaller, larger))
     return before - after > LEAST_WORTH**2 * min(problem.count, after)
 
