@@ -71,6 +71,24 @@ def test_a_hidden_effect_is_named(name: str, seed: int) -> None:
     assert result.gain > 0.5
 
 
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("tendon_slack", 7005),  # all but a tenth of what it does is in one block
+        ("tension_dependent_friction", 7008),  # far from linear, and recalibration takes up much of it
+        ("transport_delay", 9004),  # of a sample or two, which free moments of reversals hide
+    ],
+)
+def test_an_effect_that_is_hard_to_see_is_named_alone(name: str, seed: int) -> None:
+    result = diagnosed("single", name, seed)
+    assert [(cause.effect, cause.alternatives) for cause in result.causes] == [(name, ())], result.sentence
+
+
+def test_a_second_cause_is_named_where_structure_has_coloured_the_noise() -> None:
+    result = diagnosed("pair", "any", 7005)
+    assert {cause.effect for cause in result.causes} == {"presliding_hysteresis", "torque_offset"}, result.sentence
+
+
 def simple_log(**changed: np.ndarray) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(0)
     omega = np.cos(2.0 * np.pi * 0.4 * T)
