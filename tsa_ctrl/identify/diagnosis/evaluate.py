@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.identify.diagnosis.extend import without
 from tsa_ctrl.identify.diagnosis.fit import Fit
 from tsa_ctrl.identify.diagnosis.prepare import Frame
 from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
 from tsa_ctrl.identify.diagnosis.refit import refit
-from tsa_ctrl.identify.diagnosis.selection import without
 from tsa_ctrl.identify.diagnosis.split import Split
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model

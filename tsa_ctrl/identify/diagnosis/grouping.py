@@ -16,12 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.candidates import Variant
+from tsa_ctrl.identify.diagnosis.extend import from_the_file, rivals, without
 from tsa_ctrl.identify.diagnosis.features import angle
 from tsa_ctrl.identify.diagnosis.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.misfit import Misfit, plain_error
 from tsa_ctrl.identify.diagnosis.problem import Problem
 from tsa_ctrl.identify.diagnosis.refit import through_reversals
-from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE, from_the_file, rivals, without
+from tsa_ctrl.identify.diagnosis.selection import PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.warmth import warmth
 
 PARAMETER_ERROR = "parameter_error"

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.entry import BLOCK_T, SMALLEST, SMALLEST_GAIN
 from tsa_ctrl.identify.diagnosis.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.screen import Score
-from tsa_ctrl.identify.diagnosis.selection import BLOCK_T, SMALLEST, SMALLEST_GAIN
 from tsa_ctrl.model.functions import Array
 
 POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9

@@ -20,6 +20,7 @@ from tsa_ctrl.identify.diagnosis.base import Base, RigidBase, TendonBase
 from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
 from tsa_ctrl.identify.diagnosis.experiment import advice, first_motion
+from tsa_ctrl.identify.diagnosis.extend import Catalogue, without
 from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.grouping import Group, better, compared, groups
 from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
@@ -33,7 +34,7 @@ from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
 from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit, through_reversals
 from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.screen import responses, scores
-from tsa_ctrl.identify.diagnosis.selection import Catalogue, Selection, dropped, one_more, replaced, select, without
+from tsa_ctrl.identify.diagnosis.selection import Selection, dropped, one_more, replaced, select
 from tsa_ctrl.identify.diagnosis.sharpen import sharpened
 from tsa_ctrl.identify.diagnosis.show import details
 from tsa_ctrl.identify.diagnosis.split import Split, split
