@@ -60,10 +60,12 @@ def zero_after(rows: Sequence[Row], injected: float) -> float | None:
 
 
 def stopped_after(rows: Sequence[Row], injected: float, stall: float) -> float | None:
-    """s from the first hole of more than `stall` s to torque that is zero for good; None when there is no such stop."""
-    hole = next(
-        (a.clock for a, b in itertools.pairwise(rows) if b.clock - a.clock > stall and b.clock > injected), None
-    )
+    """s from the last hole of more than `stall` s with torque to torque zero for good; None without such a stop."""
+    torque = [row.clock for row in rows if row.clock >= injected and abs(row.torque) > ZERO]
+    if not torque:
+        return None
+    holes = [a.clock for a, b in itertools.pairwise(rows) if b.clock - a.clock > stall and injected < b.clock]
+    hole = max((clock for clock in holes if clock <= torque[-1]), default=None)
     return None if hole is None else zero_after(rows, hole)
 
 

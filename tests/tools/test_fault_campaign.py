@@ -128,6 +128,9 @@ def test_a_stop_is_timed_from_where_the_machine_stood_still() -> None:
     assert verdict.stopped_after([*before, *after], 1.0, 0.02) is None
     assert verdict.stopped_after([*before, *after], 1.011, 0.0025) is None
     assert verdict.stopped_after([*before, *after[:2]], 1.0, 0.0025) is None
+    earlier, later = Row(0.9, 0.5), Row(1.5, 0.0)  # of two holes with torque the last; none of those without
+    assert verdict.stopped_after([earlier, *before, *after, later], 0.8, 0.0025) == pytest.approx(0.010)
+    assert verdict.stopped_after([Row(1.0, 0.0), Row(1.1, 0.0)], 1.0, 0.0025) is None
 
 
 def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
