@@ -123,6 +123,13 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
     return figure
 
 
+def _span(values: Array) -> tuple[float, float]:
+    """Where all but a hundredth of them are, and a margin: single samples at reversals would hide the rest."""
+    low, high = (float(value) for value in np.quantile(values, [0.005, 0.995]))
+    margin = 0.15 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
 def _residual(result: Diagnosis, details: Details) -> Figure:
     error = _joined(details, lambda c: c.measured - c.recalibrated)
     left = _joined(details, lambda c: c.measured - c.extended)
@@ -139,6 +146,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
     rows = (len(signals) + 1) // 2
     figure, axes = _figure(rows, 2, 2.7 * rows + 0.4)
     step = max(1, len(error) // DOTS)
+    span = _span(1e3 * error)
     for each, (name, signal) in zip(axes, signals, strict=False):
         each.plot(signal[::step], 1e3 * error[::step], ".", ms=1.5, color="lightgrey")
         for sign, colour in ((1.0, "tab:green"), (-1.0, "tab:purple")):
@@ -151,6 +159,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
             )
             if result.causes:
                 each.plot(*_binned(signal[there], 1e3 * left[there]), color=colour, lw=1.2, ls="--", label="extended")
+        each.set_ylim(span)
         each.set_xlabel(name)
         each.set_ylabel("error (mN·m)")
     for each in axes[len(signals) :]:
