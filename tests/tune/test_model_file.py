@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -77,6 +79,24 @@ def test_another_models_tuning_does_not_take_the_controller_back(tmp_path: Path,
 def test_nothing_to_undo_is_one_line(file: Path) -> None:
     with pytest.raises(UsageError, match="nothing to undo"):
         last(file)
+
+
+def test_ctrl_c_waits_until_both_files_are_written(
+    file: Path, controller: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = settings.write_text
+
+    def interrupted(path: Path, text: str) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        write(path, text)
+
+    monkeypatch.setattr(settings, "write_text", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replace({file: "a = 2\n", controller: "rate = 500\n"})
+    assert (file.read_text(), controller.read_text()) == ("a = 2\n", "rate = 500\n")
+    with pytest.raises(KeyboardInterrupt):
+        undo(last(file, controller))
+    assert (file.read_text(), controller.read_text()) == (MODEL, CONTROLLER)
 
 
 @pytest.mark.parametrize("broken", ["actuator.toml", "controller.toml", "controller.toml.~1~"])

@@ -1,13 +1,16 @@
 """The files' way: what would change as a diff, the old ones kept beside them, and back again.
 
 A tuning keeps all files that it replaces under one number, `NAME.~N~`, above those of all files that it may replace.
+A signal waits until all of them are written.
 """
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+import signal
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tsa_ctrl import settings
@@ -27,6 +30,16 @@ def backups(path: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@_uninterrupted()
 def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path, Path]:
     """Write each text to its path, by renaming; returns where the files that were there are kept.
 
@@ -66,6 +79,7 @@ def last(path: Path, *others: Path) -> dict[Path, Path]:
     return found
 
 
+@_uninterrupted()
 def undo(kept: Mapping[Path, Path]) -> None:
     """Put kept files back in place."""
     for path, old in kept.items():

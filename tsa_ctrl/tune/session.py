@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-import signal
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -125,8 +124,7 @@ class Session:
                     f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] slew to that of "
                     f"{kept[controller].name}, remove that file, and undo again"
                 )
-        with _uninterrupted():
-            model_file.undo(kept)
+        model_file.undo(kept)
         return kept
 
     def plan_dict(self) -> dict[str, Any]:
@@ -245,15 +243,5 @@ class Session:
         self.page = self._final / "report.html"
 
     def write(self, outcome: Outcome) -> dict[Path, Path]:
-        """Write the files; returns where those before are kept. A signal waits until all is done."""
-        with _uninterrupted():
-            return model_file.replace(self.changes(outcome), beside=(self._configuration.path,))
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        """Write the files; returns where those before are kept."""
+        return model_file.replace(self.changes(outcome), beside=(self._configuration.path,))
