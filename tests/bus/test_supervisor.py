@@ -653,6 +653,17 @@ def test_stale_answers_name_the_node_and_what_came_instead(counts: dict[str, int
     assert bench.supervisor.fault.detail == words
 
 
+def test_stale_answers_of_one_node_all_the_time_are_its_own() -> None:
+    bench = enabled()
+    bench.image.nodes[0].misses, bench.image.nodes[1].misses, bench.image.misses = 3, 1, 3
+    bench.image.fresh = False
+    bench.step(Request.ENABLE)
+    assert bench.supervisor.fault is not None
+    assert bench.supervisor.fault.detail == (
+        "drive node 1: 3 cycles in a row; joint encoder node 32: 1 cycles in a row"
+    )
+
+
 def test_stale_answers_of_different_nodes_in_turn_say_how_many_cycles_in_all() -> None:
     bench = enabled()
     bench.image.nodes[1].misses, bench.image.misses = 1, 3
