@@ -24,6 +24,7 @@ FIRST_SPAN = 2.0  # steps of the coordinate, to either side
 DOUBLINGS = 6  # of the span
 HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end
 DRAWS = 400
+MOST_LOST = 1.1  # of the sum of squares that the model shipped may lose to a sharper value
 UNEVEN = 0.5  # of a grid step: jumps of single samples make a profile no smoother
 
 
@@ -96,13 +97,19 @@ def _lowest(grid: Array, profiles: Array) -> Array:
 
 
 def _moved(problem: Problem, found: Fit, index: int, value: float) -> Fit:
-    """The fit with one coordinate put at `value`, the others following by one step."""
+    """The fit with one coordinate put at `value`, the others following by one step; as it was if that is no fit."""
     point = found.point.copy()
     point[index] = value
-    moved = dataclasses.replace(found, point=point, residual=_residual(problem, found, point))
+    alone = _at(problem, found, point)
     others = found.free & (np.arange(len(point)) != index)
-    columns = gradients(problem, moved)[:, others]
-    point[others] += np.linalg.lstsq(columns, moved.residual, rcond=1e-8)[0]
-    point = np.clip(point, found.hypothesis.low, found.hypothesis.high)
+    columns = gradients(problem, alone)[:, others]
+    point = point.copy()
+    point[others] += np.linalg.lstsq(columns, alone.residual, rcond=1e-8)[0]
+    followed = _at(problem, found, np.clip(point, found.hypothesis.low, found.hypothesis.high))
+    best = min(alone, followed, key=lambda each: each.rss)
+    return best if best.rss < MOST_LOST * found.rss else found
+
+
+def _at(problem: Problem, found: Fit, point: Array) -> Fit:
     residual = _residual(problem, found, point)
     return dataclasses.replace(found, point=point, residual=residual, rss=float(residual @ residual))
