@@ -27,6 +27,20 @@ def rig_and_log(profile: str, seed: int = 3) -> tuple[tendon_logs.Rig, TendonShe
 @pytest.mark.parametrize(
     ("profile", "form"), [("joint_end", Form.GIVEN), ("uniform", Form.UNIFORM), ("motor_end", Form.MOTOR_END)]
 )
+def test_short_errors_that_all_forms_share_do_not_hide_the_form(profile: str, form: Form) -> None:
+    """Ten bursts of 60 ms, as after a machine that stood still."""
+    _, model, log = rig_and_log(profile)
+    columns = {name: log[name].copy() for name in log.columns}
+    rng = np.random.default_rng(8)
+    for first in rng.integers(0, len(log) - 12, 10):
+        columns["tau_j"][first : first + 12] += rng.choice([-1.0, 1.0])
+    found = estimate([Dataset.from_arrays(columns, "bursts.csv")], model, certified_gain=False, forms=True)
+    assert found.form is form
+
+
+@pytest.mark.parametrize(
+    ("profile", "form"), [("joint_end", Form.GIVEN), ("uniform", Form.UNIFORM), ("motor_end", Form.MOTOR_END)]
+)
 def test_the_form_that_made_the_data_is_kept(profile: str, form: Form) -> None:
     _, model, log = rig_and_log(profile)
     assert estimate([log], model, certified_gain=False, forms=True).form is form

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
 
 CLEARLY_BETTER = 0.9  # of the error of what is there; another form must be below
+KEPT = 0.95  # of the samples count when forms are compared
 LEAST_GAIN = 0.5  # 1, share of what can be gained on held-out data that an extension must gain
 PERIOD = 1e-3  # s, of the controller that must be able to use an extension; any will do
 EXCLUDES_COUPLING = frozenset({"tendon_slack", "sheath_asymmetry", "tension_dependent_friction", "elongation_coupling"})
@@ -100,10 +101,14 @@ def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool,
 
 
 def sliding_error(logs: Sequence[Dataset], model: TendonSheath) -> float:
-    """Error of the prediction but its mean (N*m) where the joint surely slides; at reversals all forms err alike."""
+    """RMS error of the prediction but its median (N*m) where the joint surely slides, without the worst samples.
+
+    At reversals all forms err alike, and so they do after a machine stood still.
+    """
     prepared = prepare(logs, model, {})
-    errors = [(predict(model, log.signals) - log.tau_j)[log.mask] for log in prepared]
-    return float(np.std(np.concatenate(errors)))
+    errors = np.concatenate([(predict(model, log.signals) - log.tau_j)[log.mask] for log in prepared])
+    errors = np.abs(errors - np.median(errors))
+    return float(np.sqrt(np.mean(np.square(errors[errors <= np.quantile(errors, KEPT)]))))
 
 
 def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) -> Estimate:
