@@ -66,7 +66,10 @@ FAULTS: tuple[Fault, ...] = (
         "motor turns the wrong way", _stops("joint torque sensor|moved apart", LIE, SWING), "reversed_sign", watch=LIE
     ),
     Fault("tendon that pulls tears", _stops("over-speed|moved apart"), "torn_tendon value=1", watch=0.8),
-    Fault("error frame: error passive", _goes_on("the bus still carries frames", "error frame"), "error_frame value=4"),
+    Fault(  # the loop tells such counts once a second
+        "error frame: error passive", _goes_on("the bus still carries frames", "error frame"),
+        "error_frame value=4", watch=1.2,
+    ),
     Fault(
         "TPDOs 3 ms late", Expected("stale PDO", LIE, "if at all", "as old as after a tolerated loss"),
         "late_tpdo value=0.003 duration=0.4", watch=LIE,
