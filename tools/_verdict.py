@@ -10,7 +10,7 @@ from pathlib import Path
 
 ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
 STALLED = "stale PDO|heartbeat lost|0x8130|0x8250"  # what a machine that stood still is stopped for
-STALL = 2.5  # periods between two rows of the record, which has one per ms: the machine stood still or was too slow
+STALL = 1.6  # periods between two rows of the record, one per ms: later than a cycle waits (60 %), answers are lost
 
 
 @dataclass(frozen=True)
