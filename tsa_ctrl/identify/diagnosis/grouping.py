@@ -92,9 +92,8 @@ def _group(
         fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
     if name == "pretension_relaxation" and UNSEEN not in catalogue:
         fits.append((UNSEEN, warmth(problem, fitted, smaller, index)))
-    if structure is not None:
-        others = [v for other, options in catalogue.items() if other not in fitted.names for v in options]
-        fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
+    others = [v for other, options in catalogue.items() if other not in fitted.names for v in options]
+    fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
     tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)
@@ -106,7 +105,10 @@ def _group(
     ]
     if structure is not None:
         found = _by_misfit(problem, found, structure, smaller, through_reversals(fitted))
-    return Group(name, tuple(sorted(found, key=lambda rival: rival.worse)))
+    best: dict[str, Rival] = {}  # of each name
+    for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
+        best.setdefault(rival.name, rival)
+    return Group(name, tuple(sorted(best.values(), key=lambda rival: rival.worse)))
 
 
 def better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
@@ -129,7 +131,7 @@ def better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | Non
 def _by_misfit(
     problem: Problem, found: Sequence[Rival], structure: Misfit, smaller: Fit, reversals: bool
 ) -> list[Rival]:
-    """The same, with what the simulation error says of those that noise would exclude; one of each name."""
+    """The same, with what the simulation error says of those that noise would exclude."""
     judged = []
     without_any = plain_error(problem, smaller, reversals)
     for rival in found:
@@ -138,10 +140,7 @@ def _by_misfit(
         covers = rival.excluded and not made_up
         covers = covers and structure.covers(plain_error(problem, rival.fitted, reversals), without_any)
         judged.append(dataclasses.replace(rival, within_misfit=covers))
-    best: dict[str, Rival] = {}
-    for rival in sorted(judged, key=lambda rival: (rival.excluded, rival.worse)):
-        best.setdefault(rival.name, rival)
-    return list(best.values())
+    return judged
 
 
 def _vanished(rival: Fit) -> bool:
