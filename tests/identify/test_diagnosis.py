@@ -1,4 +1,4 @@
-"""Hidden effects must be found, and nothing where nothing is; the logs come from tests.hidden, not from the package."""
+"""Hidden effects must be found, and nothing where nothing is; the logs come from tests.blind, not from the package."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.blind import case
 from tests.dashboard.chromium import chromium
-from tests.hidden import case
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.result import Verdict

@@ -1,12 +1,12 @@
 """Measured-like logs with hidden effects, built without the package under test.
 
-from tests.hidden import case
+from tests.blind import case
 c = case("single", "stribeck_friction", seed=3)
 c.logs[0].columns["tau_j"], c.model, c.truth.effects
 """
 
-if __name__ != "tests.hidden":  # compiled functions are kept under this name
-    raise ImportError("import this package as tests.hidden, from the project's folder")
+if __name__ != "tests.blind":  # compiled functions are kept under this name
+    raise ImportError("import this package as tests.blind, from the project's folder")
 
 from .cases import Case, Truth
 from .families import FAMILIES, case, make_cases
