@@ -99,3 +99,32 @@ def test_unknown_shell_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pyte
         main(["--install-completion"])
     assert ended.value.code == 2
     assert "no completion for shell 'tcsh'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", LISTED)
+def test_help_and_completion_load_nothing_that_is_slow_to_load(verb: str) -> None:
+    heavy = ("numba", "scipy", "matplotlib", "canopen", "can", "numpy", "mcap", "tomlkit", "rich.console", "starlette")
+    code = (
+        f"import sys, importlib; from tsa_ctrl.cli import module_of; importlib.import_module(module_of({verb!r})); "
+        f"print([name for name in {heavy!r} if name in sys.modules])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(("line", "first"), [([], "Usage: tsa [OPTIONS]"), (["drive"], "Usage: tsa drive [OPTIONS]")])
+def test_a_command_without_its_verb_shows_the_help_as_it_is_formatted(
+    line: list[str], first: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(line)
+    said = capsys.readouterr().err.splitlines()
+    assert ended.value.code == 2
+    assert said[0].startswith(first)
+    assert len(said) > 5
+
+
+def test_a_verb_that_is_nearly_one_is_suggested(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["stat"])
+    assert "did you mean 'status'?" in capsys.readouterr().err

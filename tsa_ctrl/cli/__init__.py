@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
 import os
@@ -52,6 +53,15 @@ class LazyGroup(click.Group):
         assert isinstance(command, click.Command)
         return command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click, which looks for what was meant among the commands that are loaded: none."""
+        near = difflib.get_close_matches(args[0], self.list_commands(ctx), n=1)
+        if args[0] not in self.list_commands(ctx) and near and not ctx.resilient_parsing:
+            ctx.fail(f"No such command '{args[0]}'; did you mean '{near[0]}'?")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         verbs = [(verb, VERBS[verb]) for verb in self.list_commands(ctx)]
         if verbs:
@@ -81,6 +91,9 @@ def main(argv: list[str] | None = None) -> Any:
     except click.exceptions.Abort:
         print("tsa: interrupted", file=sys.stderr)
         sys.exit(1)
+    except click.exceptions.NoArgsIsHelpError as error:  # its message is the whole help
+        print(error.format_message(), file=sys.stderr)
+        sys.exit(2)
     except click.ClickException as error:
         where = error.ctx.command_path if isinstance(error, click.UsageError) and error.ctx else "tsa"
         hint = f" (see '{where} --help')" if isinstance(error, click.UsageError) else ""

@@ -9,13 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import Progress
-from rich.table import Table
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.config import load_configuration
 
 if TYPE_CHECKING:
     from tsa_ctrl.bench.cycles import Measured, Times
@@ -34,6 +29,11 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
     drives on the bus they are brought up and answer, but are never enabled. On a virtual bus without nodes a process
     stands in for them, and the rate that was found is run to confirm it.
     """
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from tsa_ctrl.config import load_configuration
+
     configuration = load_configuration(controller)
     from tsa_ctrl.bench.run import bench  # the loop and all it needs, not loaded for a mistake in the file
 
@@ -50,6 +50,10 @@ def command(controller: Path, seconds: float, margin: float, as_json: bool) -> i
 
 
 def _show(found: Found) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
     console = Console()
     nodes = "a process stands in for the nodes" if found.simulated else "the nodes answer, their drives off"
     console.print(f"{found.bus}: {nodes}; {found.rights}", markup=False, highlight=False)

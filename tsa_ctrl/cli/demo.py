@@ -6,20 +6,16 @@ import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import BusChoice, choose
-from tsa_ctrl.demo.motion import from_file, gait
-from tsa_ctrl.demo.outcome import Outcome
-from tsa_ctrl.demo.run import demo
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.untaken import untaken
+
+if TYPE_CHECKING:
+    from tsa_ctrl.demo.bus_choice import BusChoice
+    from tsa_ctrl.demo.outcome import Outcome
 
 SECONDS = 11.0
 FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
@@ -66,6 +62,11 @@ def command(
         return
     if hidden:
         raise UsageError("demo: --hidden belongs to --full; give both")
+    from tsa_ctrl.demo import rig  # the plant, the loop and the pictures: not loaded for a question
+    from tsa_ctrl.demo.bus_choice import choose
+    from tsa_ctrl.demo.motion import from_file, gait
+    from tsa_ctrl.demo.run import demo
+
     seconds = SECONDS if seconds is None else seconds
     play = gait() if setpoint is None else from_file(setpoint, rig.MOST_TORQUE)
     chosen = choose(bus)
@@ -81,6 +82,9 @@ def command(
 @contextlib.contextmanager
 def _progress(bus: BusChoice) -> Iterator[Callable[[str, float], None]]:
     """What is being done and its share of the whole, on stderr where that is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -91,6 +95,7 @@ def _progress(bus: BusChoice) -> Iterator[Callable[[str, float], None]]:
 def _full_circle(
     seed: int, names: tuple[str, ...], seconds: float, rate: float, bus: str | None, out: Path | None, as_json: bool
 ) -> None:
+    from tsa_ctrl.demo.bus_choice import choose
     from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
     from tsa_ctrl.demo.circle_report import show
     from tsa_ctrl.demo.hidden import draw
@@ -107,6 +112,8 @@ def _full_circle(
 
 
 def _folder(out: Path | None) -> Path:
+    from tsa_ctrl.untaken import untaken
+
     if out is None:
         out = untaken(Path("out"), "demo")
     try:
@@ -117,6 +124,9 @@ def _folder(out: Path | None) -> Path:
 
 
 def _show(outcome: Outcome) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     data = outcome.to_dict()
     table = Table("joint torque", "RMS (N·m)", title=f"demo on {outcome.bus}", title_justify="left")
     table.add_row("wanted", f"{data['rms']['wanted']:.4f}")

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.dataset import load_log
-from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
-from tsa_ctrl.identify.diagnosis.report import PAGE
-from tsa_ctrl.identify.diagnosis.words import spoken
-from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.parameters import load_model
+
+if TYPE_CHECKING:
+    from tsa_ctrl.identify.diagnosis import Diagnosis
+    from tsa_ctrl.identify.quantity import Quantity
 
 EXAMPLES = """\b
 Examples:
@@ -63,6 +59,13 @@ def command(
         raise UsageError(
             f"{'--jobs' if jobs else '--scheduler'}: is for a folder of logs; leave it out, or give a folder"
         )
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from tsa_ctrl.identify.dataset import load_log
+    from tsa_ctrl.identify.diagnosis import diagnose
+    from tsa_ctrl.model.parameters import load_model
+
     given = load_model(model)
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
@@ -83,6 +86,12 @@ def command(
 
 
 def _show(result: Diagnosis, out: Path) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from tsa_ctrl.identify.diagnosis.report import PAGE
+    from tsa_ctrl.identify.diagnosis.words import spoken
+
     console = Console()
     console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
     if result.causes:

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.config import check_drives, load_configuration
-from tsa_ctrl.control.realtime import RealtimeSettings
-from tsa_ctrl.doctor import can_interface, machine
-from tsa_ctrl.doctor.check import Check, Result
 
-COLOURS = {Result.PASS: "green", Result.WARN: "yellow", Result.FAIL: "red"}
+if TYPE_CHECKING:
+    from tsa_ctrl.doctor.check import Check
+
+COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 
 
 @click.command("doctor", epilog="Example: tsa doctor config/controller.toml")
@@ -28,6 +25,11 @@ def command(controller: Path | None, seconds: float, as_json: bool) -> int:
 
     With a CONTROLLER.toml its rate, rights and bus are checked; without one the machine alone at 1 kHz.
     """
+    from tsa_ctrl.config import check_drives, load_configuration
+    from tsa_ctrl.control.realtime import RealtimeSettings
+    from tsa_ctrl.doctor import can_interface, machine
+    from tsa_ctrl.doctor.check import Result
+
     configuration = None if controller is None else load_configuration(controller)
     found: list[Check] = []
     if configuration is None:
@@ -45,10 +47,14 @@ def command(controller: Path | None, seconds: float, as_json: bool) -> int:
 
 
 def _show(found: list[Check]) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
     console = Console()
     table = Table("check", "result", "found", "wanted")
     for check in found:
-        result = f"[{COLOURS[check.result]}]{check.result.value}[/]"
+        result = f"[{COLOURS[check.result.value]}]{check.result.value}[/]"
         table.add_row(escape(check.name), result, escape(check.found), escape(check.wanted))
     console.print(table)
     for check in found:

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import click
 
-from tsa_ctrl.plant import process
-from tsa_ctrl.plant.channel import ask
-
 
 @click.command(
     name="plant",
@@ -25,11 +22,15 @@ def command(
     if line is not None:
         if control is None:
             raise click.UsageError("--ask needs --control SOCKET, the one that the plant was started with")
+        from tsa_ctrl.plant.channel import ask
+
         answer = ask(control, line)
         click.echo(answer, err=answer.startswith("error"))
         return 2 if answer.startswith("error") else 0
     if configuration is None:
         raise click.UsageError("Missing argument 'PLANT.toml'.")
+    from tsa_ctrl.plant import process  # compiled code, not loaded for a question
+
     if check:
         plant = process.check(configuration)
         click.echo(f"{configuration}: valid, {len(plant.axis)} axis" + ("" if len(plant.axis) == 1 else "es"))

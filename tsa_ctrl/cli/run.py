@@ -6,12 +6,14 @@ import json
 import math
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.config import Configuration, check_drives, load_configuration
+
+if TYPE_CHECKING:
+    from tsa_ctrl.config import Configuration
 
 
 @click.command(
@@ -25,11 +27,15 @@ from tsa_ctrl.config import Configuration, check_drives, load_configuration
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
 def command(controller: Path, check: bool, seconds: float | None, reset_faults: bool, as_json: bool) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
+    from tsa_ctrl.config import check_drives, load_configuration
+
     configuration = load_configuration(controller)
     if check:
         check_drives(configuration)
         click.echo(_checked(configuration))
         return 0
+    from rich.console import Console
+
     from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
 
     summary = run(

@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import click
-import numpy as np
 
 
 @click.command(
@@ -72,6 +71,8 @@ def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path |
 
 def _shown(value: float) -> str:
     """Four decimals, or three digits where that would hide a small value; never an exponent."""
+    import numpy as np
+
     return (
         f"{value:.4f}" if value >= 0.01 else np.format_float_positional(value, precision=3, fractional=False, trim="0")
     )

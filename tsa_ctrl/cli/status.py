@@ -6,7 +6,6 @@ import json
 import sys
 
 import click
-from rich.console import Console
 
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
@@ -21,6 +20,8 @@ from tsa_ctrl.ipc.client import Client
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
 def command(as_json: bool, once: bool, path: str) -> None:
     """Show what a running daemon does: a live page on a terminal, else once."""
+    from rich.console import Console
+
     from tsa_ctrl.ipc.page import Page, watch  # rich's layouts are not needed for --json
 
     with Client(path) as client:

@@ -8,11 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-from rich.console import Console
-from rich.table import Table
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -35,6 +32,7 @@ def command(controller: Path, torque: float | None, record: Path | None, yes: bo
     A process apart from the loop listens on the bus and takes the time until the drive reports no torque. Leaves a
     dated record. Exit code 1 when a drive takes longer than [safety] zero_torque_within.
     """
+    from tsa_ctrl.config import load_configuration
     from tsa_ctrl.safety.verify import check_folder, save, trial_torque, verify
 
     configuration = load_configuration(controller)
@@ -61,6 +59,9 @@ def _confirm(torque: float, axes: int) -> None:
 
 
 def _show(found: Verification) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     from tsa_ctrl.safety.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
