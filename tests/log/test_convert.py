@@ -129,7 +129,7 @@ def test_a_place_that_cannot_be_used_is_one_line(log: Path, tmp_path: Path, out:
 def test_a_log_is_not_converted_onto_itself(tmp_path: Path) -> None:
     path = tmp_path / "x.csv"
     path.write_text("t,tau_m\n0,1\n")
-    with pytest.raises(UsageError, match="is the log itself"):
+    with pytest.raises(UsageError, match="which is read"):
         convert(path, path)
     assert path.read_text() == "t,tau_m\n0,1\n"
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -52,8 +53,11 @@ def command(
     from tsa_ctrl.identify.calibrate import calibrate
     from tsa_ctrl.identify.dataset import load_log
     from tsa_ctrl.identify.provenance import provenance
+    from tsa_ctrl.log.table import split_axis
     from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 
+    if out is not None:
+        outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
     nominal = load_tendon_sheath(model)
     datasets = [load_log(path) for path in logs]
     result = calibrate(
@@ -64,13 +68,17 @@ def command(
         hold_out=hold_out,
         split="fit" if split == "fit" else "keep",
     )
+    kept = None
     if out is not None:
+        kept = outputs.keep(out)
         source = provenance("calibrate", datasets, model, result.quantities, split=result.split)
         save_model(result.model, out, template=model, provenance=source)
     if as_json:
         click.echo(result.to_json())
     else:
-        _show(result, nominal.friction_angle, nominal.pretension, out)
+        _show(result, nominal.friction_angle, nominal.pretension)
+        if out is not None:
+            click.echo(outputs.kept_words(out, kept))
 
 
 def _change(text: str) -> tuple[str, float]:
@@ -84,7 +92,7 @@ def _change(text: str) -> tuple[str, float]:
         raise UsageError(f"--tensioner: found '{text}'; write LOG=NEWTON, for example high.csv=+20") from None
 
 
-def _show(result: Calibration, friction_angle: float, pretension: float, out: Path | None) -> None:
+def _show(result: Calibration, friction_angle: float, pretension: float) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -113,5 +121,3 @@ def _show(result: Calibration, friction_angle: float, pretension: float, out: Pa
     refused = ", ".join(result.refused) or "nothing"
     console.print(f"admitted {result.admitted_seconds:.1f} s; refused: {refused}")
     console.print(f"RMS error on held-out data: {result.rms_before:.4g} N*m before, {result.rms_after:.4g} N*m after")
-    if out is not None:
-        console.print(f"written: {out}", soft_wrap=True)

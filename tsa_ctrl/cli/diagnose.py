@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,12 +65,15 @@ def command(
 
     from tsa_ctrl.identify.dataset import load_log
     from tsa_ctrl.identify.diagnosis import diagnose
+    from tsa_ctrl.identify.diagnosis.report import JSON, MODEL
     from tsa_ctrl.model.parameters import load_model
 
     given = load_model(model)
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    hidden = not console.is_terminal
+    bar = Progress(*columns, console=console, transient=True, disable=hidden)
+    with outputs.sole_writer(out), bar as progress:
         task = progress.add_task("reading logs", total=None)
 
         def say(stage: str) -> None:
@@ -78,6 +82,8 @@ def command(
         datasets = [load_log(path) for path in logs]
         result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
         say("report")
+        for name in (JSON, MODEL):
+            outputs.keep(out / name)
         result.write(out, model)
     if as_json:
         click.echo(result.to_json(), nl=False)

@@ -123,7 +123,7 @@ def command() -> None:
 @click.option("--out", type=click.Path(path_type=Path), help="File to write; default: stdout.")
 def dump_command(out: Path | None, **options: Any) -> None:
     """Read the objects and write them as TOML."""
-    from tsa_ctrl import settings
+    from tsa_ctrl import outputs, settings
     from tsa_ctrl.bus.backup import dump, entries_of
 
     target = find_target(**options)
@@ -132,6 +132,7 @@ def dump_command(out: Path | None, **options: Any) -> None:
     if out is None:
         click.echo(backup.text(), nl=False)
         return
+    outputs.keep(out)
     settings.write_text(out, backup.text())
     click.echo(f"{out}: {len(backup.object)} objects of node {target.node_id}")
 

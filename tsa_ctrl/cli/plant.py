@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
+
+from tsa_ctrl import outputs
 
 
 @click.command(
@@ -35,5 +39,8 @@ def command(
         plant = process.check(configuration)
         click.echo(f"{configuration}: valid, {len(plant.axis)} axis" + ("" if len(plant.axis) == 1 else "es"))
         return None
+    if record is not None:
+        outputs.refuse_inputs(Path(record), [Path(configuration)], "--record")
+        outputs.keep(Path(record))
     process.run(configuration, record, control)
     return None

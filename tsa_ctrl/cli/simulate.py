@@ -7,6 +7,9 @@ from pathlib import Path
 
 import click
 
+from tsa_ctrl import outputs
+from tsa_ctrl.errors import UsageError
+
 
 @click.command(
     "simulate",
@@ -28,11 +31,18 @@ def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path |
     """
     from tsa_ctrl.identify.dataset import load_log
     from tsa_ctrl.identify.simulate import labels, simulate_all, write_csv
+    from tsa_ctrl.log.table import split_axis
     from tsa_ctrl.model.parameters import load_model
 
+    for option, path in (("--out", out), ("--picture", picture)):
+        if path is not None:
+            outputs.refuse_inputs(path, [split_axis(log)[0], *map(Path, models)], option)
+    if out is not None and out == picture:
+        raise UsageError(f"--picture {picture}: is --out, too; choose another file")
     loaded = [load_model(path) for path in models]
     dataset = load_log(log)
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
+    kept = {path: outputs.keep(path) for path in (out, picture) if path is not None}
     if out is not None:
         write_csv(out, dataset, simulations)
     if picture is not None:
@@ -59,9 +69,8 @@ def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path |
                 f"note: {simulation.beyond_slack:.1%} of the samples lie beyond abs(tau_m) = 2 T_p r_M, where one "
                 f"tendon is slack, {remedy} ({simulation.name})"
             )
-    for path in (out, picture):
-        if path is not None:
-            click.echo(f"written: {path}")
+    for path, before in kept.items():
+        click.echo(outputs.kept_words(path, before))
     for simulation in simulations:
         if simulation.rms is None:
             click.echo(f"predicted only: the log has no {simulation.quantity} ({simulation.name})")

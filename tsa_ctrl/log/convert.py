@@ -11,6 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.csv_out import Codes, CsvFile, coded
 from tsa_ctrl.log.reader import LogFile
@@ -61,8 +62,7 @@ def convert(log: str | Path, out: Path, progress: Progress = lambda share: None)
     done = 0
     for source in sources:
         path = _path(file, out, source.axis if len(sources) > 1 or _is_folder(out) else None)
-        if path.exists() and path.samefile(file):
-            raise UsageError(f"{path}: is the log itself; choose another file for --out")
+        outputs.refuse_inputs(path, [file])
         beside = path.with_name(f".{path.name}.part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -71,7 +71,7 @@ def convert(log: str | Path, out: Path, progress: Progress = lambda share: None)
                     sink.write(block)
                     done += len(block)
                     progress(done / total)
-            beside.replace(path)
+            outputs.move_into(beside, path)
         except OSError as error:
             raise UsageError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from None
         finally:

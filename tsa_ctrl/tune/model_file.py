@@ -8,26 +8,19 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import re
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.outputs import backups
 
 
 def diff(path: Path, text: str) -> str:
     """Unified diff from the file to `text`."""
     before = path.read_text(encoding="utf-8").splitlines(keepends=True)
     return "".join(difflib.unified_diff(before, text.splitlines(keepends=True), path.name, f"{path.name} (new)"))
-
-
-def backups(path: Path) -> dict[int, Path]:
-    """Files that were replaced, `NAME.~N~` by N, oldest first."""
-    pattern = re.compile(re.escape(path.name) + r"\.~(\d+)~")
-    found = {int(match[1]): other for other in path.parent.iterdir() if (match := pattern.fullmatch(other.name))}
-    return dict(sorted(found.items()))
 
 
 @contextlib.contextmanager

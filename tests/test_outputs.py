@@ -1,0 +1,107 @@
+"""What is read is never written over; what is written over is kept; two commands never write one folder."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from tsa_ctrl import outputs
+from tsa_ctrl.cli import main
+from tsa_ctrl.errors import UsageError
+
+
+def row(i: int) -> str:
+    way, load = (1.0, -1.0)[i % 200 >= 100], math.sin(0.013 * i)
+    return f"{i / 100:.2f},{0.5 * load + 0.3 * way:.6f},{0.4 * load:.6f},{way}\n"
+
+
+LOG = "t,tau_m,tau_j,omega_j\n" + "".join(row(i) for i in range(4000))
+MODEL = """[actuator]
+motor_pulley_radius = 0.02
+joint_pulley_radius = 0.025
+[tendon]
+axial_stiffness = 60e3
+unstrained_length = 1.2
+diameter = 0.6e-3
+[sheath]
+friction_coefficient = 0.1
+bending_angle = 2.6
+contact_offset = 0.4e-3
+[pretension]
+value = 45.0
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    (tmp_path / "keep.csv").write_text(LOG)
+    (tmp_path / "a.toml").write_text(MODEL)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "calibrate keep.csv --model a.toml --out keep.csv",
+        "calibrate keep.csv --model a.toml --out link.csv",
+        "simulate keep.csv --model a.toml --out keep.csv",
+        "simulate keep.csv --model a.toml --picture keep.csv",
+        "simulate keep.csv --model a.toml --out a.toml",
+        "log convert keep.csv --out keep.csv",
+    ],
+)
+def test_no_verb_writes_over_what_it_reads(
+    line: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(files)
+    (files / "link.csv").symlink_to("keep.csv")
+    with pytest.raises(SystemExit) as ended:
+        main(line.split())
+    said = capsys.readouterr()
+    assert (ended.value.code, said.out, said.err.count("\n")) == (2, "", 1)
+    assert "which is read" in said.err
+    assert ((files / "keep.csv").read_text(), (files / "a.toml").read_text()) == (LOG, MODEL)
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["calibrate keep.csv --model a.toml --out old.toml", "simulate keep.csv --model a.toml --out old.toml"],
+)
+def test_what_is_replaced_is_kept_beside_and_said(
+    line: str, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(files)
+    (files / "old.toml").write_text("precious")
+    with pytest.raises(SystemExit) as ended:
+        main(line.split())
+    assert ended.value.code == 0
+    assert (files / "old.toml.~1~").read_text() == "precious"
+    assert "the file before is old.toml.~1~" in capsys.readouterr().out
+
+
+def test_each_replaced_file_gets_a_number_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    for text in ("first", "second"):
+        path.write_text(text)
+        outputs.keep(path)
+    assert [kept.read_text() for kept in outputs.backups(path).values()] == ["first", "second"]
+
+
+def test_a_file_that_cannot_be_kept_is_said_and_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("here")
+    monkeypatch.setattr("shutil.copy2", lambda *_: (_ for _ in ()).throw(PermissionError(13, "Permission denied")))
+    with pytest.raises(UsageError, match="cannot be kept"):
+        outputs.keep(path)
+
+
+def test_a_second_writer_of_a_folder_is_told_so(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    first = outputs.sole_writer(folder)
+    with first, pytest.raises(UsageError, match="another command is writing there"), outputs.sole_writer(folder):
+        pass
+    with outputs.sole_writer(folder):
+        pass
+    assert list(folder.iterdir()) == []

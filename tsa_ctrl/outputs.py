@@ -1,0 +1,87 @@
+"""What a verb may write over: never what it reads; what else was there is kept beside it as `NAME.~N~`."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import shutil
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from tsa_ctrl.errors import UsageError
+
+LOCK = ".tsa.lock"  # in a folder that is being written
+
+
+def refuse_inputs(out: Path, inputs: Iterable[Path], option: str = "--out") -> None:
+    """Raise UsageError when `out` is one of the files that are read, by whatever name or link."""
+    for path in inputs:
+        with contextlib.suppress(OSError, ValueError):
+            if out.exists() and out.samefile(path):
+                raise UsageError(f"{option} {out}: is {path}, which is read; choose another file")
+
+
+def backups(path: Path) -> dict[int, Path]:
+    """Files that were replaced, `NAME.~N~` by N, oldest first."""
+    pattern = re.compile(re.escape(path.name) + r"\.~(\d+)~")
+    found = {int(match[1]): other for other in path.parent.iterdir() if (match := pattern.fullmatch(other.name))}
+    return dict(sorted(found.items()))
+
+
+def keep(path: Path) -> Path | None:
+    """Copy a file that is about to be replaced to the next free `NAME.~N~`; None where there is no such file.
+
+    Raises UsageError when it cannot be kept: then it is not replaced either.
+    """
+    if not path.is_file():
+        return None
+    try:
+        kept = path.with_name(f"{path.name}.~{1 + max(backups(path), default=0)}~")
+        shutil.copy2(path, kept)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be kept beside itself ({error.strerror}); choose another place") from None
+    return kept
+
+
+def move_into(beside: Path, path: Path) -> Path | None:
+    """Rename a file that was written beside to `path`; returns where what was there is kept. Raises OSError."""
+    kept = keep(path)
+    try:
+        beside.replace(path)
+    except BaseException:
+        if kept is not None:
+            kept.unlink(missing_ok=True)
+        raise
+    return kept
+
+
+def kept_words(path: Path, kept: Path | None) -> str:
+    """`written: FILE`, and where the file before is."""
+    return f"written: {path}" + ("" if kept is None else f" (the file before is {kept.name})")
+
+
+@contextlib.contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Hold a folder, made if need be, while its files are written; raises UsageError when another process holds it.
+
+    The lock is the kernel's and ends with the process, however it ends.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise UsageError(
+                f"{folder}: another command is writing there; wait for it, or choose another --out"
+            ) from None
+        yield
+        with contextlib.suppress(OSError):
+            (folder / LOCK).unlink()
+    finally:
+        os.close(handle)
