@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from tsa_ctrl.errors import BusError, UsageError
 
 _MODE_TIMEOUT = 1.0  # s, until 0x6061 shows the mode written to 0x6060
 _OFF_TIMEOUT = 1.0  # s, until a drive found enabled is off
+_POLL = 0.01  # s, between two looks at an object that will change
 _RATED_TOLERANCE = 0.005  # relative, of 0x6076 against the configuration
 
 _IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER)
@@ -99,7 +99,7 @@ def switch_off(session: Session, node: Node) -> None:
     if cia402.decode(session.read(node_id, objects.STATUSWORD)) not in on:
         return
     session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
-    if not _poll(lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in on, _OFF_TIMEOUT):
+    if not _poll(session, lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in on, _OFF_TIMEOUT):
         raise BusError(f"{node.name}: is enabled and does not switch off; cut its power")
 
 
@@ -113,7 +113,7 @@ def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
     found = f"error 0x{code:04X} ({emcy.text(code)})"
     session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
     session.write(node_id, objects.CONTROLWORD, Controlword.FAULT_RESET)
-    if not _poll(lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in faulty, _OFF_TIMEOUT):
+    if not _poll(session, lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in faulty, _OFF_TIMEOUT):
         raise BusError(f"{node.name}: {found} is still there and cannot be reset; remove its cause, and start again")
     session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
     report.notes.append(f"was in fault: {found}; reset as asked")
@@ -188,7 +188,7 @@ def confirm_mode(session: Session, node: Node) -> None:
     """0x6061 displays cyclic synchronous torque; raises BusError."""
     node_id = node.settings.node_id
     wanted = Mode.CYCLIC_SYNC_TORQUE
-    if not _poll(lambda: session.read(node_id, objects.MODE_DISPLAY) == wanted, _MODE_TIMEOUT):
+    if not _poll(session, lambda: session.read(node_id, objects.MODE_DISPLAY) == wanted, _MODE_TIMEOUT):
         found = session.read(node_id, objects.MODE_DISPLAY)
         raise BusError(
             f"{node.name}: mode of operation display is {found}, wanted is 10 (cyclic synchronous torque); "
@@ -219,10 +219,10 @@ def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> Non
     report.notes.append("has no watchdog: it would go on when this computer dies")
 
 
-def _poll(reached: Callable[[], bool], timeout: float) -> bool:
-    end = time.monotonic() + timeout
+def _poll(session: Session, reached: Callable[[], bool], timeout: float) -> bool:
+    end = session.clock() + timeout
     while not reached():
-        if time.monotonic() > end:
+        if session.clock() > end:
             return False
-        time.sleep(0.01)
+        session.wait(_POLL)
     return True

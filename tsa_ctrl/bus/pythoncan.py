@@ -1,8 +1,4 @@
-"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) behind the seam, and the seam behind python-can.
-
-`PythonCan` serves adapters without SocketCAN. `SeamBus` is the other way round: it lets canopen (SDO, NMT, EMCY)
-configure the drives over the very bus that the loop uses afterwards.
-"""
+"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) behind the seam: adapters without SocketCAN."""
 
 from __future__ import annotations
 
@@ -14,7 +10,7 @@ from collections.abc import Iterable, Mapping
 
 import can
 
-from tsa_ctrl.bus.seam import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Bus, BusFault, Counters, Frame
+from tsa_ctrl.bus.seam import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
 
 Option = str | int | float | bool
@@ -22,7 +18,6 @@ Option = str | int | float | bool
 _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
 _FLUSH_LIMIT = 100_000  # frames
 _ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
-_FAILED_PAUSE = 0.01  # s, as nothing is waited for on a bus that has failed
 _MAX_ECHOES = 64  # frames sent whose echo may be on its way
 
 
@@ -48,6 +43,9 @@ class PythonCan:
             ) from None
         if interface == "udp_multicast":
             _hear_own_group_only(self._bus.fileno())
+
+    def clock(self) -> float:
+        return time.monotonic()
 
     def send(self, can_id: int, data: bytes) -> bool:
         message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, check=False)
@@ -140,34 +138,3 @@ def _hear_own_group_only(descriptor: int) -> None:
             same.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
         else:
             same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-
-
-class SeamBus(can.BusABC):  # type: ignore[misc]  # python-can is not followed by mypy
-    """python-can's face of a `Bus`; closing it leaves the bus open."""
-
-    def __init__(self, bus: Bus) -> None:
-        self._seam = bus
-        self.channel_info = bus.name
-        super().__init__(channel=bus.name)
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        if not self._seam.send(msg.arbitration_id, bytes(msg.data)):
-            raise can.CanOperationError(f"{self._seam.name}: frame dropped")
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        frame = self._seam.recv(0.1 if timeout is None else timeout)
-        if frame is None:
-            if self._seam.fault is not None:  # which the session looks at: an exception here would end in a traceback
-                time.sleep(_FAILED_PAUSE)
-            return None, False
-        can_id, data = frame
-        message = can.Message(
-            timestamp=time.time(),
-            arbitration_id=can_id & 0x1FFFFFFF,
-            is_extended_id=bool(can_id & EXTENDED_FLAG),
-            is_remote_frame=bool(can_id & REMOTE_FLAG),
-            is_error_frame=bool(can_id & ERROR_FLAG),
-            data=data,
-            check=False,
-        )
-        return message, False

@@ -8,7 +8,6 @@ neither is believed.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -32,9 +31,9 @@ _NO_DATA = b""
 class Rig:
     """All axes of one bus.
 
-    `axes` and `profiles` belong together one by one; `clock` is monotonic, in s; `wake_early` is the most (s) that
-    `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what the last one
-    said), `flooded` (cycles whose answers could not be told from old ones).
+    `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
+    the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what
+    the last one said), `flooded` (cycles whose answers could not be told from old ones).
     """
 
     def __init__(
@@ -43,9 +42,10 @@ class Rig:
         settings: BusSettings,
         axes: Sequence[AxisNodes],
         profiles: Sequence[DriveProfile],
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] | None = None,
         wake_early: float = 0.0,
     ) -> None:
+        clock = clock or bus.clock
         self.bus = bus
         self.axes = tuple(Axis(nodes, profile, bus, clock) for nodes, profile in zip(axes, profiles, strict=True))
         self.error_frames = 0

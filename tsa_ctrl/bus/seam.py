@@ -43,6 +43,10 @@ class Bus(Protocol):
     counters: Counters
     fault: BusFault | None
 
+    def clock(self) -> float:
+        """The time that this bus lives in, s, monotonic: CLOCK_MONOTONIC unless the bus is simulated with its nodes."""
+        ...
+
     def send(self, can_id: int, data: bytes) -> bool:
         """Send one frame; False when it was dropped (queue full, interface down), which is counted."""
         ...

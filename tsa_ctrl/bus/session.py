@@ -1,14 +1,13 @@
 """A configuration session: SDO, NMT and heartbeats through canopen, on the bus that the loop uses afterwards.
 
-canopen runs a thread of its own, as does our heartbeat; both have ended when the session is closed, before the loop
-starts.
+Everything happens in the caller's thread and in the bus' own time: while an answer is waited for, frames are taken and
+our heartbeat is sent. canopen's thread of its own is never started.
 """
 
 from __future__ import annotations
 
 import logging
-import threading
-import time
+import math
 from collections.abc import Callable, Iterable
 from types import TracebackType
 
@@ -20,8 +19,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from tsa_ctrl.bus import cia301
 from tsa_ctrl.bus.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.objects import Object
-from tsa_ctrl.bus.pythoncan import SeamBus
-from tsa_ctrl.bus.seam import Bus
+from tsa_ctrl.bus.seam import Bus, Frame
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.errors import BusError
 
@@ -31,7 +29,9 @@ _ANSWER_TIMEOUT = 0.5  # s, for one SDO answer
 _ATTEMPTS = 3  # SDO reads and writes are repeated, as the configuration of a drive is idempotent
 _ANSWER_LENGTH = 8  # bytes of every SDO frame
 _LISTENING = 0.1  # s, for another master before anything is sent
-_POLL = 0.005  # s
+_PAUSE = 0.005  # s, after a frame that could not be sent
+_MOST_WAITING = 512  # frames taken before a request
+_HIGHEST = 0x7FF  # identifier of 11 bits; more has flags: error frames, remote requests
 
 # Both libraries report to the root logger what is told here in one line by an exception.
 for _name in ("canopen", "can"):
@@ -46,6 +46,39 @@ class SdoRefusedError(BusError):
         self.code = code
 
 
+class _Network(canopen.Network):  # type: ignore[misc]  # canopen is not followed by mypy
+    """canopen's network over a `Bus`; what is received is handed to `notify` by the session."""
+
+    def __init__(self, bus: Bus) -> None:
+        super().__init__()
+        self._seam = bus
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        if not self._seam.send(can_id, bytes(data)):
+            raise can.CanOperationError(f"{self._seam.name}: frame dropped")
+
+
+class _Client(SdoClient):  # type: ignore[misc]
+    """canopen's SDO client, which waits by `wait(seconds, reached)` instead of for a thread."""
+
+    RESPONSE_TIMEOUT = 0.0
+
+    def __init__(self, node_id: int, network: _Network, wait: Callable[[float, Callable[[], bool]], bool]) -> None:
+        super().__init__(cia301.SDO_REQUEST + node_id, cia301.SDO_ANSWER + node_id, canopen.ObjectDictionary())
+        self.network = network
+        self._wait = wait
+        network.subscribe(cia301.SDO_ANSWER + node_id, self._take)
+
+    def _take(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """Answers of a wrong length are no answers: canopen would unpack them all the same."""
+        if len(data) == _ANSWER_LENGTH:
+            self.on_response(can_id, data, timestamp)
+
+    def read_response(self) -> bytes:
+        self._wait(_ANSWER_TIMEOUT, lambda: not self.responses.empty())
+        return bytes(super().read_response())
+
+
 class Session:
     """Use as a context manager. Raises BusError when another master is heard, or the bus fails.
 
@@ -56,14 +89,13 @@ class Session:
     def __init__(self, bus: Bus, settings: BusSettings, heartbeat: bool = True) -> None:
         self._bus = bus
         self._settings = settings
-        self._network = canopen.Network(SeamBus(bus))
-        self._network.NOTIFIER_CYCLE = 0.02  # s, how soon its thread notices that it shall end
-        self._clients: dict[int, SdoClient] = {}
+        self._network = _Network(bus)
+        self._clients: dict[int, _Client] = {}
         self._states: dict[int, list[int]] = {}  # NMT states heard of each node, in order
         self._heard: set[int] = set()
         self._masters: set[int] = set()
-        self._stop = threading.Event()
-        self._heartbeat = threading.Thread(target=self._send_heartbeats, name="heartbeat") if heartbeat else None
+        self._heartbeat = heartbeat
+        self._next_heartbeat = -math.inf
 
     def __enter__(self) -> Session:
         self._bus.accept(None)
@@ -74,30 +106,53 @@ class Session:
         for node_id in range(1, 128):
             if node_id != self._settings.host_node_id:
                 self._network.subscribe(cia301.HEARTBEAT + node_id, self._on_heartbeat)
-        self._network.connect()
-        try:
-            time.sleep(_LISTENING)
-            if self._masters:
-                heard = ", ".join(f"0x{can_id:03X}" for can_id in sorted(self._masters))
-                raise BusError(
-                    f"{self._bus.name}: another master is active (heard its frames {heard}); "
-                    "stop the other program, or give this one another bus"
-                )
-        except BaseException:
-            self._network.disconnect()
-            raise
-        if self._heartbeat is not None:
-            self._heartbeat.start()
+        heartbeat, self._heartbeat = self._heartbeat, False
+        self.wait(_LISTENING)
+        if self._masters:
+            heard = ", ".join(f"0x{can_id:03X}" for can_id in sorted(self._masters))
+            raise BusError(
+                f"{self._bus.name}: another master is active (heard its frames {heard}); "
+                "stop the other program, or give this one another bus"
+            )
+        self._heartbeat = heartbeat
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._network.disconnect()
-        if self._heartbeat is not None:
-            self._stop.set()
-            self._heartbeat.join()
+        if self._heartbeat:
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
+
+    def clock(self) -> float:
+        """The bus' time, s, monotonic."""
+        return self._bus.clock()
+
+    def wait(self, seconds: float, reached: Callable[[], bool] = lambda: False) -> bool:
+        """Take frames and send our heartbeat until `reached`, at most `seconds`; at once False when the bus fails."""
+        end = self._bus.clock() + seconds
+        while not reached():
+            now = self._bus.clock()
+            self._beat(now)
+            due = min(end, self._next_heartbeat) if self._heartbeat else end
+            frame = self._bus.recv(max(0.0, due - now))
+            if frame is not None:
+                self._take(frame, now)
+            elif self._bus.fault is not None:
+                return False
+            if now >= end:
+                return reached()
+        return True
+
+    def _catch_up(self) -> None:
+        """Take what waits already: an answer that came too late is none to the next request."""
+        now = self._bus.clock()
+        for frame in self._bus.gather(0.0, _MOST_WAITING):
+            self._take(frame, now)
+
+    def _take(self, frame: Frame, now: float) -> None:
+        can_id, data = frame
+        if can_id <= _HIGHEST:
+            self._network.notify(can_id, bytearray(data), now)
 
     @property
     def heard(self) -> set[int]:
@@ -143,9 +198,10 @@ class Session:
                 return None
             raise
 
-    def _transfer(self, node_id: int, entry: Object, action: Callable[[SdoClient], bytes]) -> bytes:
+    def _transfer(self, node_id: int, entry: Object, action: Callable[[_Client], bytes]) -> bytes:
         client = self._client(node_id)
         for _ in range(_ATTEMPTS):
+            self._catch_up()
             try:
                 return action(client)
             except SdoAbortedError as error:
@@ -157,7 +213,7 @@ class Session:
             except SdoCommunicationError:
                 pass
             except (can.CanError, OSError):  # a frame was dropped, or the bus failed
-                time.sleep(_POLL)
+                self.wait(_PAUSE)
             if self._bus.fault is not None:
                 raise self._failed()
         raise BusError(
@@ -169,24 +225,18 @@ class Session:
         reason = "frames cannot be sent" if self._bus.fault is None else self._bus.fault.value
         return BusError(f"{self._bus.name}: {reason}; check adapter, cable and interface, and start again")
 
-    def _client(self, node_id: int) -> SdoClient:
+    def _client(self, node_id: int) -> _Client:
         if node_id not in self._clients:
-            client = SdoClient(cia301.SDO_REQUEST + node_id, cia301.SDO_ANSWER + node_id, canopen.ObjectDictionary())
-            client.RESPONSE_TIMEOUT = _ANSWER_TIMEOUT
-            client.network = self._network
-            self._network.subscribe(cia301.SDO_ANSWER + node_id, _well_formed(client.on_response))
-            self._clients[node_id] = client
+            self._clients[node_id] = _Client(node_id, self._network, self.wait)
         return self._clients[node_id]
 
     def _wait(self, nodes: set[int], reached: Callable[[list[int]], bool], timeout: float) -> set[int]:
-        end = time.monotonic() + timeout
-        while True:
-            missing = {node_id for node_id in nodes if not reached(self._states[node_id])}
-            if not missing or time.monotonic() > end:
-                return missing
-            if self._bus.fault is not None:
-                raise self._failed()
-            time.sleep(_POLL)
+        def missing() -> set[int]:
+            return {node_id for node_id in nodes if not reached(self._states[node_id])}
+
+        if not self.wait(timeout, lambda: not missing()) and self._bus.fault is not None:
+            raise self._failed()
+        return missing()
 
     def _on_heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
         state = cia301.heartbeat_state(bytes(data))
@@ -198,13 +248,8 @@ class Session:
     def _on_master(self, can_id: int, data: bytearray, timestamp: float) -> None:
         self._masters.add(can_id)
 
-    def _send_heartbeats(self) -> None:
-        """Ends with the session: a heartbeat that outlives its master would keep the drives from stopping."""
-        data = cia301.heartbeat(NmtState.OPERATIONAL)
-        while not self._stop.wait(self._settings.host_heartbeat_period):
-            self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, data)
-
-
-def _well_formed(take: Callable[[int, bytearray, float], None]) -> Callable[[int, bytearray, float], None]:
-    """Answers of a wrong length are no answers: canopen would unpack them all the same."""
-    return lambda can_id, data, timestamp: take(can_id, data, timestamp) if len(data) == _ANSWER_LENGTH else None
+    def _beat(self, now: float) -> None:
+        """Our heartbeat, when it is due: it ends with the session, for it must not outlive its master."""
+        if self._heartbeat and now >= self._next_heartbeat:
+            self._next_heartbeat = now + self._settings.host_heartbeat_period
+            self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))

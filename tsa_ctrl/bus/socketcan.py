@@ -7,6 +7,7 @@ import errno
 import fcntl
 import socket
 import struct
+import time
 from collections.abc import Iterable
 from select import select
 
@@ -91,6 +92,9 @@ class SocketCan:
                 f"ip link set {channel} up type can bitrate 1000000"
             )
         raw.setblocking(False)
+
+    def clock(self) -> float:
+        return time.monotonic()
 
     def send(self, can_id: int, data: bytes) -> bool:
         try:
