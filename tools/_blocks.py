@@ -13,7 +13,7 @@ from pathlib import Path
 
 import _ways as ways
 
-from tsa_ctrl.control import realtime
+from tsa_ctrl.system import realtime
 
 WARM_UP = 0.2  # share of a block that is not counted
 SETTLE = 0.02  # s after a block

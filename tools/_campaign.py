@@ -20,7 +20,7 @@ from typing import Any
 from _faults import Fault
 from _verdict import STALL, ZERO, Record, Seen, Verdict, judge, longest_gap, stopped_after, zero_after
 
-from tsa_ctrl.bus.socketcan import SocketCan
+from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, TsaError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Recover, Status

@@ -16,7 +16,7 @@ from _blocks import measure, responder
 from _effects import EFFECTS, STACK
 from _rig import controller_text
 
-from tsa_ctrl.bus.socketcan import SocketCan
+from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle

@@ -16,10 +16,10 @@ from typing import Any
 import canopen
 from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
 
-from tsa_ctrl.bus.pythoncan import PythonCan
-from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.seam import Bus
-from tsa_ctrl.bus.socketcan import SocketCan
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
@@ -27,7 +27,7 @@ from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.children import Children
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.sleep import sleep_until
+from tsa_ctrl.system.sleep import sleep_until
 
 FRAME = struct.Struct("=IB3x8s")
 FILTER = struct.Struct("=II")

@@ -14,7 +14,7 @@ import time
 
 import numpy as np
 
-from tsa_ctrl.sleep import sleep_until
+from tsa_ctrl.system.sleep import sleep_until
 
 PRIORITY = 95
 CHECK = 400  # sleeps between looks at stdin

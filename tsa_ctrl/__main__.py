@@ -1,7 +1,7 @@
 """`python -m tsa_ctrl` is `tsa`."""
 
 from tsa_ctrl.cli import main
-from tsa_ctrl.parent import follow
+from tsa_ctrl.system.parent import follow
 
 if __name__ == "__main__":
     follow()

@@ -11,25 +11,25 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl import settings
-from tsa_ctrl.bus import budget
-from tsa_ctrl.bus.budget import Load
-from tsa_ctrl.bus.plan import drive_plan
-from tsa_ctrl.bus.profile import DriveProfile, load_profile
-from tsa_ctrl.bus.scale import drive_scale
+from tsa_ctrl.bus.drive import budget
+from tsa_ctrl.bus.drive.budget import Load
+from tsa_ctrl.bus.drive.plan import drive_plan
+from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
+from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import BendingSettings
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
-from tsa_ctrl.control.limiter import LimiterSettings
-from tsa_ctrl.control.oscillation import OscillationSettings
-from tsa_ctrl.control.plausibility import PlausibilitySettings
-from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
-from tsa_ctrl.serial_line import settings as serial_line
-from tsa_ctrl.serial_line.settings import SerialSensorSettings
+from tsa_ctrl.safety.limiter import LimiterSettings
+from tsa_ctrl.safety.oscillation import OscillationSettings
+from tsa_ctrl.safety.plausibility import PlausibilitySettings
+from tsa_ctrl.sensors import settings as serial
+from tsa_ctrl.sensors.settings import SerialSensorSettings
+from tsa_ctrl.system.realtime import RealtimeSettings
 
 MARGIN = 0.05  # s, beyond the longest time-out: to notice, to tell the drive, for its torque to fall
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
@@ -258,7 +258,7 @@ def _check_serial(where: str, axis: AxisSettings) -> None:
     ports: set[str] = set()
     for sensor in axis.serial:
         here = f"{where}: serial {sensor.quantity}"
-        serial_line.check(sensor, here)
+        serial.check(sensor, here)
         if sensor.quantity in seen:
             raise UsageError(f"{here}: {sensor.quantity} already has a sensor; keep one of them")
         if sensor.port in ports:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import canopen
 from canopen.objectdictionary import ODRecord, ODVariable
 
-from tsa_ctrl.bus.pythoncan import PythonCan
+from tsa_ctrl.bus.wire.python_can import PythonCan
 
 U8, U16, U32, I8, I16, I32 = 0x05, 0x06, 0x07, 0x02, 0x03, 0x04
 _channels = itertools.count()

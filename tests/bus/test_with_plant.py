@@ -11,13 +11,14 @@ from pathlib import Path
 import pytest
 
 from tests.bus.nodes import axis_nodes
-from tsa_ctrl.bus.bring_up import bring_up, prove
-from tsa_ctrl.bus.connect import open_bus
-from tsa_ctrl.bus.profile import DriveProfile
-from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.live.prove import prove
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import BusSettings, SupervisionSettings
-from tsa_ctrl.bus.shut_down import shut_down
-from tsa_ctrl.bus.supervisor import Cause, Phase, Request, Supervisor
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.safety.supervisor import Cause, Phase, Request, Supervisor
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil]
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from tests.daemon.machine import Machine
-from tsa_ctrl.bus.supervisor import Phase, Request
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.limiter import Reason
+from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.safety.supervisor import Phase, Request
 
 PARTS = ("set_point", "estimator", "law", "monitor", "plausibility")
 

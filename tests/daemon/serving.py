@@ -11,11 +11,11 @@ from pathlib import Path
 import msgspec
 
 from tsa_ctrl.control.estimator import EstimateState
-from tsa_ctrl.control.limiter import Reason
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, Mailbox
 from tsa_ctrl.ipc.protocol import Description, Range
 from tsa_ctrl.ipc.server import READY
+from tsa_ctrl.safety.limiter import Reason
 
 PATIENCE = 20.0  # s
 

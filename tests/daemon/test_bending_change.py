@@ -16,7 +16,7 @@ from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import save_model
-from tsa_ctrl.processes import daemon, plant
+from tsa_ctrl.system.processes import daemon, plant
 
 RATE = 400.0  # Hz, of two axes
 SECONDS = 16.0

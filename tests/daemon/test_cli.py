@@ -22,7 +22,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 from tsa_ctrl.ipc.page import Page, sparkline
 from tsa_ctrl.ipc.protocol import Set
-from tsa_ctrl.processes import tsa
+from tsa_ctrl.system.processes import tsa
 
 
 @pytest.fixture

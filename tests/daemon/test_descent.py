@@ -10,7 +10,7 @@ import pytest
 
 from tests.bus.fake import FakeClock
 from tests.daemon.machine import ENABLED, Drive, Machine
-from tsa_ctrl.bus.seam import Frame
+from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.daemon.descent import descend
 
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.daemon.test_notify import Manager
 from tests.daemon.test_vcan import STARTED, Rig, columns, ended, until
+from tests.system.test_notify import Manager
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tsa_ctrl.control.timing import BINS, coarse, count, distribution
 from tsa_ctrl.daemon.events import MOST, Event, Events
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.ipc.mailbox import TEXT
+from tsa_ctrl.system.histogram import BINS, coarse, count, distribution
 
 
 def summary() -> Summary:

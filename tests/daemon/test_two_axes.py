@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.daemon.machine import ENABLED, Drive, Machine
-from tsa_ctrl.bus.seam import Frame
+from tsa_ctrl.bus.wire.seam import Frame
 
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
 RATE = ("rate = 1000.0", "rate = 500.0")

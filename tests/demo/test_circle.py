@@ -16,7 +16,7 @@ from tsa_ctrl.demo.hidden import EFFECTS, OFF, draw, motion
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.plant.process import check as check_plant
-from tsa_ctrl.processes import tsa
+from tsa_ctrl.system.processes import tsa
 
 
 def test_the_seed_draws_the_effect_its_size_and_the_errors_of_the_nominal_file() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.cli import main
-from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.doctor import can_interface, machine
 from tsa_ctrl.doctor.check import Check, Result, judge
+from tsa_ctrl.system.realtime import RealtimeSettings
 
 CONFIG = Path(__file__).parents[2] / "config" / "controller.toml"
 

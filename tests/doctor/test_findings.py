@@ -11,9 +11,9 @@ import pytest
 
 from tests.bus.fake import FakeBus
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.control.realtime import RealtimeSettings
 from tsa_ctrl.doctor import can_interface, machine
 from tsa_ctrl.doctor.check import Check, Result
+from tsa_ctrl.system.realtime import RealtimeSettings
 
 LINK: dict[str, Any] = {  # of `ip -details -statistics -json link show dev can0`, a good one
     "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"],

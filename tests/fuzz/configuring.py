@@ -11,11 +11,11 @@ from tests.bus.local_nodes import bench
 from tests.bus.nodes import axis_nodes
 from tests.fuzz.frames import any_frame, spoil
 from tests.fuzz.part import Holdings, Part
-from tsa_ctrl.bus import bring_up as module
-from tsa_ctrl.bus import checks, session
-from tsa_ctrl.bus.profile import DriveProfile
-from tsa_ctrl.bus.seam import Bus, BusFault, Counters, Frame
+from tsa_ctrl.bus.drive import bring_up as module
+from tsa_ctrl.bus.drive import checks, session
+from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.seam import Bus, BusFault, Counters, Frame
 from tsa_ctrl.errors import TsaError
 
 QUICK = (  # time-outs, s: nobody here is slow

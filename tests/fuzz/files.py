@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tests.conftest import ROOT
 from tests.fuzz.part import Holdings, Part
-from tsa_ctrl.bus.profile import load_profile
+from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import load_model

@@ -10,9 +10,9 @@ import pytest
 
 from tests.fuzz import configuring, files, master, nodes, requests
 from tests.fuzz.part import Part
-from tsa_ctrl.bus.supervisor import Supervisor
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import load_model
+from tsa_ctrl.safety.supervisor import Supervisor
 
 DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part, inputs, what must have happened
     (master.run, 60_000, ("cycles with torque", "faults")),

@@ -10,18 +10,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.seam import Bus
-from tsa_ctrl.bus.supervisor import Request
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
-from tsa_ctrl.control.realtime import freeze_garbage
 from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.safety.supervisor import Request
+from tsa_ctrl.system.realtime import freeze_garbage
 
 WARM_UP = 0.2  # share of the cycles that is not counted
 LEAST = 50  # cycles

@@ -18,13 +18,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 
-from tsa_ctrl.bus import cia301, pdo
-from tsa_ctrl.bus.cia402 import Controlword, Mode
-from tsa_ctrl.bus.connect import open_bus
-from tsa_ctrl.bus.seam import Bus, Frame
+from tsa_ctrl.bus.canopen import cia301, pdo
+from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.parent import terminal_blocked
+from tsa_ctrl.system.parent import terminal_blocked
 
 PRIORITY = 70  # below the loop, above everything else
 BEAT = 0.02  # s between heartbeats, at the next SYNC

@@ -11,17 +11,17 @@ import msgspec
 from tsa_ctrl.bench.cycles import Measured, measure
 from tsa_ctrl.bench.rate import Bound, bounds, holds, rounded_down
 from tsa_ctrl.bench.responder import standing_in
-from tsa_ctrl.bus import interface
-from tsa_ctrl.bus.bring_up import bring_up
-from tsa_ctrl.bus.connect import open_bus
-from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.seam import Bus
-from tsa_ctrl.bus.shut_down import shut_down
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire import link as interface
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.control import realtime
 from tsa_ctrl.doctor.can_interface import answering, judged, listen
 from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.system import realtime
 
 LOWER = 0.8  # factor of the next try when a rate does not hold
 TRIES = 8

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from typing import Annotated, Literal
 
 import msgspec
@@ -15,6 +16,14 @@ Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 Seconds = Annotated[float, Meta(ge=0.001, le=10.0)]
 Counts = Annotated[int, Meta(ge=1, le=1 << 32)]
 Cycles = Annotated[int, Meta(ge=0, le=100)]
+
+
+class Role(Enum):
+    """What a node is to its axis."""
+
+    DRIVE = "drive"
+    ENCODER = "joint encoder"
+    TORQUE_SENSOR = "torque sensor"
 
 
 class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

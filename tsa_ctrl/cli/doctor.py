@@ -26,9 +26,9 @@ def command(controller: Path | None, seconds: float, as_json: bool) -> int:
     With a CONTROLLER.toml its rate, rights and bus are checked; without one the machine alone at 1 kHz.
     """
     from tsa_ctrl.config import check_drives, load_configuration
-    from tsa_ctrl.control.realtime import RealtimeSettings
     from tsa_ctrl.doctor import can_interface, machine
     from tsa_ctrl.doctor.check import Result
+    from tsa_ctrl.system.realtime import RealtimeSettings
 
     configuration = None if controller is None else load_configuration(controller)
     found: list[Check] = []

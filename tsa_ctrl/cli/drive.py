@@ -13,9 +13,9 @@ import click
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
-    from tsa_ctrl.bus.plan import Write
-    from tsa_ctrl.bus.profile import DriveProfile
-    from tsa_ctrl.bus.session import Session
+    from tsa_ctrl.bus.canopen.objects import Write
+    from tsa_ctrl.bus.drive.profile import DriveProfile
+    from tsa_ctrl.bus.drive.session import Session
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
@@ -37,16 +37,16 @@ class Target:
 
     def plan(self) -> list[Write]:
         """What the configuration writes to it."""
-        from tsa_ctrl.bus.plan import drive_plan
-        from tsa_ctrl.bus.scale import drive_scale
+        from tsa_ctrl.bus.drive.plan import drive_plan
+        from tsa_ctrl.bus.drive.scale import drive_scale
 
         scale = drive_scale(self.axis.drive, self.profile, f"axis '{self.axis.name}'")
         return drive_plan(self.axis, self.profile, scale, self.bus, self.period)
 
     @contextmanager
     def session(self) -> Iterator[Session]:
-        from tsa_ctrl.bus.connect import open_bus
-        from tsa_ctrl.bus.session import Session
+        from tsa_ctrl.bus.drive.session import Session
+        from tsa_ctrl.bus.wire.connect import open_bus
 
         bus = open_bus(self.bus)
         try:
@@ -83,7 +83,7 @@ def find_target(
 ) -> Target:
     """The drive that the options name; raises UsageError when they name none or two."""
     from tsa_ctrl import settings
-    from tsa_ctrl.bus.profile import load_profile
+    from tsa_ctrl.bus.drive.profile import load_profile
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 
     if config is None:
@@ -124,7 +124,7 @@ def command() -> None:
 def dump_command(out: Path | None, **options: Any) -> None:
     """Read the objects and write them as TOML."""
     from tsa_ctrl import outputs, settings
-    from tsa_ctrl.bus.backup import dump, entries_of
+    from tsa_ctrl.bus.drive.backup import dump, entries_of
 
     target = find_target(**options)
     with target.session() as session:
@@ -146,7 +146,7 @@ def dump_command(out: Path | None, **options: Any) -> None:
 @target_options
 def restore_command(backup_file: str, **options: Any) -> None:
     """Write the objects of FILE to the drive and read each back."""
-    from tsa_ctrl.bus.backup import load_backup, restore
+    from tsa_ctrl.bus.drive.backup import load_backup, restore
 
     target = find_target(**options)
     backup = load_backup(backup_file)
@@ -169,7 +169,7 @@ def restore_command(backup_file: str, **options: Any) -> None:
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None:
     """Compare the drive with FILE, or with what the configuration would write; nothing is changed."""
-    from tsa_ctrl.bus.backup import compare, load_backup, wanted_by
+    from tsa_ctrl.bus.drive.backup import compare, load_backup, wanted_by
 
     target = find_target(**options)
     stored = None if backup_file is None else load_backup(backup_file)

@@ -13,7 +13,7 @@ from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
-    from tsa_ctrl.safety.verify import Verification
+    from tsa_ctrl.drills.verify import Verification
 
 
 @click.command(
@@ -33,7 +33,7 @@ def command(controller: Path, torque: float | None, record: Path | None, yes: bo
     dated record. Exit code 1 when a drive takes longer than [safety] zero_torque_within.
     """
     from tsa_ctrl.config import load_configuration
-    from tsa_ctrl.safety.verify import check_folder, save, trial_torque, verify
+    from tsa_ctrl.drills.verify import check_folder, save, trial_torque, verify
 
     configuration = load_configuration(controller)
     chosen = trial_torque(configuration, torque)
@@ -62,7 +62,7 @@ def _show(found: Verification) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from tsa_ctrl.safety.trials import Trial
+    from tsa_ctrl.drills.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
     table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "")

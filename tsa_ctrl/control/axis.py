@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tsa_ctrl.bus.axis import Axis as BusAxis
-from tsa_ctrl.bus.image import Image
-from tsa_ctrl.bus.supervisor import Phase, Request, Supervisor
+from tsa_ctrl.bus.live.axis import Axis as BusAxis
+from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import Estimator
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
-from tsa_ctrl.control.limiter import Limiter, Reason
-from tsa_ctrl.control.oscillation import OscillationMonitor
-from tsa_ctrl.control.plausibility import Plausibility
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.safety.limiter import Limiter, Reason
+from tsa_ctrl.safety.oscillation import OscillationMonitor
+from tsa_ctrl.safety.plausibility import Plausibility
+from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
 NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over

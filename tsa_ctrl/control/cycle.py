@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tsa_ctrl.bus.cia301 import NmtCommand
-from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.canopen.cia301 import NmtCommand
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.control.axis import ControlAxis
 
 

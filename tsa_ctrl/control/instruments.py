@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 
-from tsa_ctrl.bus.image import Image
+from tsa_ctrl.bus.live.image import Image
 
 Source = Callable[[float], float]  # monotonic time now (s) -> SI value, nan when there is none that is young enough
 

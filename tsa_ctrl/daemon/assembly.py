@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 
-from tsa_ctrl.bus.cia402 import PowerState
-from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.supervisor import Supervisor
+from tsa_ctrl.bus.canopen.cia402 import PowerState
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.direction import MOST_LEAD, Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Inverse, Law, LawSettings
-from tsa_ctrl.control.limiter import Limiter, Reason
 from tsa_ctrl.control.live import Tuner, parameters_of
-from tsa_ctrl.control.oscillation import OscillationMonitor
-from tsa_ctrl.control.plausibility import Plausibility
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.daemon.phase import LoopPhase
@@ -25,6 +21,10 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.simplified import SimplifiedFeedforward
+from tsa_ctrl.safety.limiter import Limiter, Reason
+from tsa_ctrl.safety.oscillation import OscillationMonitor
+from tsa_ctrl.safety.plausibility import Plausibility
+from tsa_ctrl.safety.supervisor import Supervisor
 
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.supervisor import Request
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.safety.supervisor import Request
 
 
 def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: float) -> None:

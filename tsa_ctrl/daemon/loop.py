@@ -6,19 +6,19 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
-from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import SupervisionSettings
-from tsa_ctrl.bus.supervisor import Phase, Request
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
-from tsa_ctrl.control.realtime import Ticker
-from tsa_ctrl.control.timing import count
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Mailbox
+from tsa_ctrl.safety.supervisor import Phase, Request
+from tsa_ctrl.system.histogram import count
+from tsa_ctrl.system.realtime import Ticker
 
 STATUS_RATE = 50.0  # Hz of the published status
 SETTLE_TIME = 3.0  # s beyond the cycles to settle, after which start is given up

@@ -15,3 +15,13 @@ class LoopPhase(Enum):
     STOPPING = 4  # the torque ramps to 0, the drives are disabled
     RESETTING = 5  # a recovery was asked for
     ENDED = 6
+
+    @property
+    def up(self) -> bool:
+        """The start is over: with torque, or with a fault that is latched."""
+        return self in (LoopPhase.RUNNING, LoopPhase.FAULTED)
+
+    @property
+    def ending(self) -> bool:
+        """A run may end without a ramp."""
+        return self in (LoopPhase.STOPPING, LoopPhase.ENDED)

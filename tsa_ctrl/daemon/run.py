@@ -8,25 +8,26 @@ import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from tsa_ctrl.bus.bring_up import bring_up, prove
-from tsa_ctrl.bus.connect import open_bus
-from tsa_ctrl.bus.rig import Rig
-from tsa_ctrl.bus.seam import Bus
-from tsa_ctrl.bus.shut_down import shut_down
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.live.prove import prove
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.control import realtime
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.timing import coarse, distribution
 from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.children import Children
 from tsa_ctrl.daemon.descent import descend
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
-from tsa_ctrl.daemon.notify import Notifier
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.system import realtime
+from tsa_ctrl.system.histogram import coarse, distribution
+from tsa_ctrl.system.notify import Notifier
 
 Say = Callable[[str], None]
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 from tsa_ctrl.config import AxisSettings
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.serial_line.process import SerialSensors
-from tsa_ctrl.serial_line.slots import LineState
+from tsa_ctrl.sensors.process import SerialSensors
+from tsa_ctrl.sensors.slots import LineState
 
 TOLD = {
     LineState.READING: "values come",

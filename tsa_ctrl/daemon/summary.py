@@ -11,9 +11,9 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tsa_ctrl.control.timing import Distribution
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.settings import write_text
+from tsa_ctrl.system.histogram import Distribution
 
 SCHEMA = 1
 BAR = 40  # characters of the longest bar

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from tsa_ctrl.bus.cia402 import decode
-from tsa_ctrl.bus.rig import Rig
+from tsa_ctrl.bus.canopen.cia402 import decode
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.control.limiter import Reason
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.notify import Notifier
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.system.notify import Notifier
 
 _STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
 _NAN = math.nan
@@ -106,7 +106,8 @@ class Telemetry:
         dropped = self._rig.bus.counters.dropped
         general = (now, start, *counts, dropped, self.log_lost, phase)
         if self._notifier is not None:
-            self._notifier.update(now, LoopPhase(phase))
+            loop = LoopPhase(phase)
+            self._notifier.update(now, loop.name.lower(), loop.up, loop.ending)
         self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
         if self._events.changed:
             self._events.changed = False

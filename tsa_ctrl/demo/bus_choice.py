@@ -7,7 +7,7 @@ import shutil
 import subprocess
 from dataclasses import dataclass
 
-from tsa_ctrl.bus.interface import can_interfaces
+from tsa_ctrl.bus.wire.link import can_interfaces
 from tsa_ctrl.errors import UsageError
 
 

@@ -21,7 +21,7 @@ from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, save_model
-from tsa_ctrl.processes import daemon, plant
+from tsa_ctrl.system.processes import daemon, plant
 from tsa_ctrl.tune.run import Run, read_run
 
 STAGES = ("none", "nominal", "calibrated", "extended", "true")

@@ -10,7 +10,7 @@ from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.demo.outcome import Course, Outcome, read_course
-from tsa_ctrl.processes import daemon, plant
+from tsa_ctrl.system.processes import daemon, plant
 
 COMPENSATION = 0.95
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from tsa_ctrl.bus import budget
-from tsa_ctrl.bus.connect import open_bus
-from tsa_ctrl.bus.seam import Bus
+from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.doctor.check import Check, Result, judge
 from tsa_ctrl.errors import TsaError
 

@@ -11,7 +11,7 @@ import os
 import struct
 from dataclasses import dataclass
 
-from tsa_ctrl.control.timing import BINS
+from tsa_ctrl.system.histogram import BINS
 
 SLOTS = 64  # commands that may wait; the loop takes one per cycle
 TEXT = 16 * 1024  # bytes of events

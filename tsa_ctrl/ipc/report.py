@@ -7,9 +7,9 @@ from typing import Any
 
 import msgspec
 
-from tsa_ctrl.control.timing import coarse, distribution
 from tsa_ctrl.ipc.mailbox import AXIS, COUNTS, GENERAL, Mailbox
 from tsa_ctrl.ipc.protocol import Description
+from tsa_ctrl.system.histogram import coarse, distribution
 
 SCHEMA = 1
 

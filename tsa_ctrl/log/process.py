@@ -10,7 +10,7 @@ from pathlib import Path
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.record import LogHealth, RingWriter, WriterState
-from tsa_ctrl.parent import terminal_blocked
+from tsa_ctrl.system.parent import terminal_blocked
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
 STARTED = 20.0  # s for the writer to look at the ring

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from tsa_ctrl.bus.seam import ERROR_FLAG
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.drive import Drive

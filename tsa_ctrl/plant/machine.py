@@ -12,8 +12,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tsa_ctrl.bus.interface import set_up
-from tsa_ctrl.bus.seam import ERROR_FLAG, Bus, BusFault
+from tsa_ctrl.bus.wire.link import set_up
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.drive import Drive

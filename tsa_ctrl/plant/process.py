@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 from types import FrameType
 
-from tsa_ctrl.bus.pythoncan import PythonCan
-from tsa_ctrl.bus.seam import Bus
-from tsa_ctrl.bus.socketcan import SocketCan
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.channel import ControlSocket
 from tsa_ctrl.plant.console import Console

@@ -1,1 +1,1 @@
-"""`tsa verify-safety`: hang and kill the loop, withhold its heartbeat, and time how the drives take the torque away."""
+"""What keeps the torque safe, whatever law asks for it. Imports the bus only: what a model predicts is handed in."""

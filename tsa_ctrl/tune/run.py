@@ -19,7 +19,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.columns import SIGNAL_NAMES
 from tsa_ctrl.log.table import read_table, sha256_of
-from tsa_ctrl.processes import daemon
+from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
 FloatArray = NDArray[np.float64]

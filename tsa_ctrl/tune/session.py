@@ -16,6 +16,7 @@ from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.system.files import untaken
 from tsa_ctrl.tune import model_file
 from tsa_ctrl.tune.controller_file import differ_in_slew_alone, with_slew
 from tsa_ctrl.tune.excitation import (
@@ -30,7 +31,6 @@ from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
 from tsa_ctrl.tune.run import RigRunner
-from tsa_ctrl.untaken import untaken
 
 
 @dataclass(frozen=True)

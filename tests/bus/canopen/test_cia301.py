@@ -1,0 +1,92 @@
+"""CiA 301 frames as bytes, emergencies, error frames."""
+
+from __future__ import annotations
+
+import pytest
+
+from tsa_ctrl.bus.canopen import cia301, emcy
+from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
+from tsa_ctrl.bus.canopen.emcy import Emcy
+from tsa_ctrl.bus.wire.error_frames import describe
+
+
+@pytest.mark.parametrize(
+    ("command", "data"),
+    [
+        (NmtCommand.START, b"\x01\x05"),
+        (NmtCommand.STOP, b"\x02\x05"),
+        (NmtCommand.PRE_OPERATIONAL, b"\x80\x05"),
+        (NmtCommand.RESET_NODE, b"\x81\x05"),
+        (NmtCommand.RESET_COMMUNICATION, b"\x82\x05"),
+    ],
+)
+def test_nmt_is_command_and_node(command: NmtCommand, data: bytes) -> None:
+    assert cia301.nmt(command, 5) == data
+
+
+def test_heartbeat_is_one_byte_both_ways() -> None:
+    for state in NmtState:
+        assert cia301.heartbeat_state(cia301.heartbeat(state)) == state
+    assert cia301.heartbeat(NmtState.OPERATIONAL) == b"\x05"
+
+
+def test_toggle_bit_of_node_guarding_is_no_state() -> None:
+    assert cia301.heartbeat_state(b"\x85") == NmtState.OPERATIONAL
+
+
+@pytest.mark.parametrize("data", [b"", b"\x05\x00"])
+def test_heartbeat_of_another_length_is_none(data: bytes) -> None:
+    assert cia301.heartbeat_state(data) is None
+
+
+def test_emergency_is_code_register_and_vendor_bytes() -> None:
+    assert emcy.decode(b"\x10\x32\x05\x01\x02\x03\x04\x05") == Emcy(0x3210, 0x05, b"\x01\x02\x03\x04\x05")
+
+
+@pytest.mark.parametrize("length", [0, 7])
+def test_emergency_of_another_length_is_none(length: int) -> None:
+    assert emcy.decode(bytes(length)) is None
+
+
+def test_emergency_reads_as_a_sentence() -> None:
+    text = str(Emcy(0x8130, 0x11, b"\x00\x00\x00\x00\x7f"))
+    assert text == (
+        "EMCY 0x8130 (life guard or heartbeat error; generic+communication error register; vendor 00 00 00 00 7f)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("code", "meaning"),
+    [
+        (0x0000, "error reset or no error"),
+        (0x8250, "RPDO time-out"),
+        (0x2311, "continuous over-current at the output"),  # 0x2310 is the nearest line
+        (0x23F0, "current on the device's output side"),
+        (0x2FFF, "current"),
+        (0xFF01, "device specific"),
+        (0x0001, "error of the generic class"),
+    ],
+)
+def test_unlisted_code_is_named_by_its_class(code: int, meaning: str) -> None:
+    assert emcy.text(code) == meaning
+
+
+def test_only_code_zero_is_an_error_reset() -> None:
+    assert [code for code in range(0x10000) if Emcy(code, 0, b"").is_reset] == [0]
+
+
+def test_every_error_code_has_a_text() -> None:
+    assert all(emcy.text(code) for code in range(0x10000))
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "words"),
+    [
+        (0x20000040, bytes(8), "bus-off"),
+        (0x20000004, b"\x00\x30" + bytes(6), "controller problem, receive error passive, transmit error passive"),
+        (0x20000020, bytes(8), "no acknowledge: nobody else is on the bus"),
+        (0x20000200, bytes(8), "error frame 0x00000200"),
+    ],
+)
+def test_error_frames_in_words(can_id: int, data: bytes, words: str) -> None:
+    assert describe(can_id, data) == words

@@ -1,0 +1,106 @@
+"""EDS files, good and broken."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.bus.local_nodes import bench
+from tests.bus.nodes import axis_nodes
+from tsa_ctrl.bus.canopen.eds import check_plan, load_eds
+from tsa_ctrl.bus.canopen.objects import MAX_TORQUE, Object, Type, Write
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.errors import UsageError
+
+GOOD = """\
+[DeviceInfo]
+VendorName=nobody
+[FileInfo]
+FileName=drive.eds
+[1000]
+ParameterName=Device type
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+[1018]
+ParameterName=Identity
+ObjectType=0x9
+SubNumber=2
+[1018sub0]
+ParameterName=Number of entries
+DataType=0x0005
+AccessType=ro
+[1018sub1]
+ParameterName=Vendor
+DataType=0x0007
+AccessType=ro
+[6072]
+ParameterName=Max torque
+ObjectType=0x7
+DataType=0x0006
+AccessType=rw
+LowLimit=0
+HighLimit=3000
+"""
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "drive.eds"
+    path.write_bytes(text.encode("latin-1"))
+    return path
+
+
+def test_good_file_is_read(tmp_path: Path) -> None:
+    dictionary = load_eds(write(tmp_path, GOOD))
+    assert dictionary[0x6072].name == "Max torque"
+
+
+def test_file_in_the_encoding_of_a_vendors_editor_is_read(tmp_path: Path) -> None:
+    assert load_eds(write(tmp_path, GOOD.replace("Max torque", "Größtes Moment")))[0x6072].name == "Größtes Moment"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[6072]\nParameterName=Max torque\n", "[6072]\n", r"section \[6072\]: No option 'ParameterName'"),
+        ("DataType=0x0006", "DataType=u16", r"section \[6072\]: ValueError: .*'u16'"),
+        ("[1018]\nParameterName", "[1018]\nName", r"section \[1018\]: No option 'ParameterName'"),
+        ("[1018]\n", "[1017]\n", r"section \[1018sub0\]: KeyError"),
+        ("[6072]\n", "[1000]\n", "section '1000' already exists"),
+        ("[DeviceInfo]\n", "rubbish\n", "no section headers"),
+    ],
+)
+def test_broken_section_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message) as error:
+        load_eds(write(tmp_path, GOOD.replace(old, new)))
+    assert "\n" not in str(error.value)
+
+
+def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> None:
+    path = write(tmp_path, GOOD)
+    plan = [Write(MAX_TORQUE, 1000), Write(Object(0x6080, 0, Type.U32, "max motor speed"), 1)]
+    assert check_plan(load_eds(path), path, plan) == ["its EDS lacks 0x6080:0 max motor speed"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("DataType=0x0006", "DataType=0x0007", r"section \[6072\]: DataType is 0x0007, .* has 0x0006 \(u16\)"),
+        ("AccessType=rw", "AccessType=const", r"section \[6072\]: .* is 'const', but must be written"),
+        ("HighLimit=3000", "HighLimit=500", r"section \[6072\]: .* shall be 1000, allowed is 0 to 500"),
+    ],
+)
+def test_plan_that_contradicts_the_eds_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    path = write(tmp_path, GOOD.replace(old, new, 1) if "DataType" not in old else GOOD.replace(old, new))
+    with pytest.raises(UsageError, match=message):
+        check_plan(load_eds(path), path, [Write(MAX_TORQUE, 1000)])
+
+
+def test_bring_up_reports_what_the_eds_lacks(tmp_path: Path) -> None:
+    profile = DriveProfile(eds=str(write(tmp_path, GOOD)))
+    with bench() as nodes:
+        report = bring_up(nodes.bus, BusSettings(interface="virtual"), [axis_nodes()], [profile], 0.001)
+    assert "its EDS lacks 0x6080:0 max motor speed" in report.nodes[0].notes

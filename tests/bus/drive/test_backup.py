@@ -1,0 +1,156 @@
+"""Dump, restore and diff of a drive's objects, and their command."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.bus.local_nodes import Bench, bench
+from tests.bus.nodes import axis_nodes
+from tsa_ctrl.bus.drive.backup import StoredObject, load_backup, restore_plan
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.cli.drive import command
+from tsa_ctrl.errors import TsaError
+
+
+@pytest.fixture
+def nodes() -> Iterator[Bench]:
+    with bench() as made:
+        yield made
+
+
+def run(nodes: Bench, *arguments: str) -> str:
+    """The command's stdout on the bus of these nodes; raises what it raises."""
+    channel = nodes.bus.name.partition(":")[2]
+    options = ["--node", "1", "--interface", "virtual", "--channel", channel]
+    result = CliRunner().invoke(command, [*arguments, *options])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.stdout
+
+
+def held(nodes: Bench) -> dict[tuple[int, int], int]:
+    """What the drive holds of everything that a bring-up writes."""
+    dictionary = nodes.nodes[1].object_dictionary
+    keys = [(i, 0) for i in (0x1017, 0x6007, 0x6060, 0x6072, 0x6080, 0x60A9)] + [(0x1016, 1), (0x1400, 1), (0x1600, 0)]
+    return {key: nodes.get(1, *key) for key in keys if key[0] in dictionary}
+
+
+def configure(nodes: Bench) -> None:
+    bring_up(nodes.bus, BusSettings(interface="virtual"), [axis_nodes()], [DriveProfile()], 0.001)
+
+
+def test_dump_restores_the_drive_as_it_was(nodes: Bench, tmp_path: Path) -> None:
+    before = held(nodes)
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    configure(nodes)
+    assert held(nodes) != before
+    run(nodes, "restore", str(file))
+    assert held(nodes) == before
+    assert "0 differ" in run(nodes, "diff", str(file))
+
+
+def test_dump_holds_what_the_drive_has_and_no_command(nodes: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    backup = load_backup(file)
+    found = {(item.index, item.subindex): item.value for item in backup.object}
+    assert (backup.vendor_id, backup.product_code, backup.serial_number) == (0x0F0F, 0x0402, 7)
+    assert (found[0x6072, 0], found[0x60C2, 2], found[0x1400, 1]) == (3000, -3, 0x201)
+    assert not {(0x6040, 0), (0x6071, 0), (0x1402, 1)} & set(found)
+
+
+def test_diff_without_a_file_shows_what_a_bring_up_would_change(nodes: Bench) -> None:
+    text = run(nodes, "diff")
+    assert "0x6072:0 max torque: drive 0xbb8, wanted 0x3e8" in text
+    configure(nodes)
+    assert "0 differ" in run(nodes, "diff")
+
+
+def test_diff_as_json_is_one_object(nodes: Bench) -> None:
+    result = json.loads(run(nodes, "diff", "--json"))
+    assert result["schema"] == 1
+    assert {"index": 0x6072, "subindex": 0, "name": "max torque", "wanted": 1000, "found": 3000} in result[
+        "differences"
+    ]
+
+
+def test_nothing_is_written_by_dump_and_diff(nodes: Bench) -> None:
+    run(nodes, "dump")
+    run(nodes, "diff")
+    assert (nodes.written, nodes.commands) == ([], [])
+
+
+def test_restore_reads_back(nodes: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    configure(nodes)
+    nodes.nodes[1].add_read_callback(lambda index, subindex, od: 900 if index == 0x6072 else None)
+    with pytest.raises(TsaError, match="wrote 0xbb8, read back 0x384"):
+        run(nodes, "restore", str(file))
+
+
+def test_restore_to_another_model_is_refused(nodes: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    file.write_text(file.read_text().replace("vendor_id = 0x00000F0F", "vendor_id = 0x000000FB"))
+    with pytest.raises(TsaError, match="vendor is 0x00000F0F, the backup is of 0x000000FB"):
+        run(nodes, "restore", str(file))
+
+
+def test_restore_of_another_nodes_backup_is_refused(nodes: Bench, tmp_path: Path) -> None:
+    """Its PDOs would get that node's identifiers: both drives would follow one command."""
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    file.write_text(file.read_text(encoding="utf-8").replace("node_id = 1\n", "node_id = 2\n", 1), encoding="utf-8")
+    with pytest.raises(TsaError, match=r"node 1: the backup is of node 2 .* identifiers"):
+        run(nodes, "restore", str(file))
+
+
+def test_restore_to_an_enabled_drive_is_refused(nodes: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    nodes.nodes[1].data_store.setdefault(0x6041, {})[0] = b"\x37\x16"
+    with pytest.raises(TsaError, match="the drive is enabled"):
+        run(nodes, "restore", str(file))
+    assert nodes.written == []
+
+
+def test_value_beyond_its_type_in_a_file_is_named(nodes: Bench, tmp_path: Path) -> None:
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    file.write_text(file.read_text().replace("value = 0xBB8", "value = 0x1BB80"))
+    with pytest.raises(TsaError, match=r"0x6072:0 max torque: value 113536 does not fit u16"):
+        load_backup(file)
+
+
+def test_restore_maps_pdos_by_the_procedure() -> None:
+    stored = [
+        StoredObject(index=0x1A00, subindex=0, type="u8", value=1),
+        StoredObject(index=0x1A00, subindex=1, type="u32", value=0x60410010),
+        StoredObject(index=0x1A00, subindex=2, type="u32", value=0x60770010),
+        StoredObject(index=0x1800, subindex=1, type="u32", value=0x181),
+        StoredObject(index=0x1800, subindex=2, type="u8", value=1),
+        StoredObject(index=0x6072, subindex=0, type="u16", value=500),
+    ]
+    assert [(*write.entry.key, write.value) for write in restore_plan(stored)] == [
+        (0x1800, 1, 0x80000181),
+        (0x1A00, 0, 0),
+        (0x1A00, 1, 0x60410010),
+        (0x1A00, 0, 1),
+        (0x1800, 2, 1),
+        (0x1800, 1, 0x181),
+        (0x6072, 0, 500),
+    ]
+
+
+def test_no_drive_named_is_a_usage_error() -> None:
+    result = CliRunner().invoke(command, ["dump"])
+    assert "which drive?" in str(result.exception)

@@ -1,0 +1,307 @@
+"""Bring-up against nodes with an SDO server."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.bus.local_nodes import I16, U32, Bench, bench, drive
+from tests.bus.nodes import axis_nodes
+from tsa_ctrl.bus.drive import bring_up as module
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import DriveProfile, Identity, Units
+from tsa_ctrl.bus.drive.report import Report
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.errors import BusError, UsageError
+
+
+def start(nodes: Bench, axis: AxisNodes | None = None, profile: DriveProfile | None = None, **bus: object) -> Report:
+    settings = BusSettings(interface="virtual", **bus)  # type: ignore[arg-type]
+    return bring_up(nodes.bus, settings, [axis or axis_nodes()], [profile or DriveProfile()], 0.001)
+
+
+def test_drive_holds_the_whole_configuration_afterwards() -> None:
+    with bench() as nodes:
+        start(nodes, axis_nodes(max_torque=0.5, max_speed=20.0))
+        held = {
+            key: nodes.get(1, *key)
+            for key in ((0x6060, 0), (0x6072, 0), (0x6080, 0), (0x60C2, 1), (0x60C2, 2), (0x6007, 0), (0x1016, 1))
+        }
+        assert held == {
+            (0x6060, 0): 10,
+            (0x6072, 0): 500,
+            (0x6080, 0): 190,  # rpm, below 20 rad/s
+            (0x60C2, 1): 1,
+            (0x60C2, 2): 0xFD,  # 10^-3
+            (0x6007, 0): 1,
+            (0x1016, 1): 0x007F0064,  # node 127, 100 ms
+        }
+        assert (nodes.get(1, 0x1017), nodes.get(1, 0x1400, 5), nodes.get(1, 0x60A9)) == (50, 20, 0xFDB44700)
+
+
+def test_pdos_are_mapped_as_planned() -> None:
+    with bench() as nodes:
+        start(nodes)
+        mapped = {
+            index: [nodes.get(1, index, number) for number in range(1, nodes.get(1, index, 0) + 1)]
+            for index in (0x1600, 0x1A00, 0x1A01)
+        }
+        assert mapped == {
+            0x1600: [0x60400010, 0x60710010],
+            0x1A00: [0x60410010, 0x60770010, 0x606C0020],
+            0x1A01: [0x60640020, 0x60610008, 0x603F0010],
+        }
+        assert [nodes.get(1, index, 1) for index in (0x1400, 0x1800, 0x1801)] == [0x201, 0x40000181, 0x40000281]
+        assert [nodes.get(1, index, 2) for index in (0x1400, 0x1800, 0x1801)] == [1, 1, 1]
+        assert (nodes.get(32, 0x1A00, 1), nodes.get(64, 0x1A00, 1)) == (0x60040020, 0x91300120)
+
+
+def test_pdo_is_disabled_and_empty_while_it_is_mapped() -> None:
+    with bench() as nodes:
+        start(nodes)
+        steps = [(i, s, d) for n, i, s, d in nodes.written if n == 1 and i in (0x1400, 0x1600)]
+        assert steps[0] == (0x1400, 1, b"\x01\x02\x00\x80")
+        assert steps[-1] == (0x1400, 1, b"\x01\x02\x00\x00")
+        entries = [index for index, step in enumerate(steps) if step[0] == 0x1600 and step[1] > 0]
+        assert steps[entries[-1] + 1] == (0x1600, 0, b"\x02")
+
+
+def test_spare_pdos_are_switched_off() -> None:
+    with bench() as nodes:
+        start(nodes)
+        assert [nodes.get(1, index, 1) for index in (0x1401, 0x1802)] == [0x80000301, 0xC0000381]
+
+
+def test_rpdo_on_arrival_is_transmission_type_255() -> None:
+    with bench() as nodes:
+        start(nodes, rpdo="arrival")
+        assert nodes.get(1, 0x1400, 2) == 255
+
+
+def test_report_shows_what_was_changed_and_what_is_missing() -> None:
+    with bench() as nodes:
+        text = "\n".join(start(nodes).lines())
+    assert "0x6072:0 max torque: 0xbb8 -> 0x3e8" in text
+    assert "axis 'knee' drive node 1: device type 0x20192, vendor 0xf0f, product code 0x402" in text
+    assert "not there: RPDO3 COB-ID, RPDO4 COB-ID" in text
+
+
+def test_second_bring_up_changes_nothing() -> None:
+    with bench() as nodes:
+        start(nodes)
+        report = start(nodes)
+    assert [str(row) for node in report.nodes for row in node.rows if row.changed] == []
+
+
+def test_nodes_are_reset_and_then_started() -> None:
+    with bench() as nodes:
+        start(nodes)
+        assert set(nodes.commands[:3]) == {b"\x82\x01", b"\x82\x20", b"\x82\x40"}
+        assert set(nodes.commands[3:]) == {b"\x01\x01", b"\x01\x20", b"\x01\x40"}
+
+
+def test_no_torque_and_no_enable_is_ever_written() -> None:
+    with bench() as nodes:
+        start(nodes)
+        assert [data for _, index, _, data in nodes.written if index in (0x6040, 0x6071) and any(data)] == []
+
+
+def test_missing_node_is_named_with_those_that_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BOOT_TIMEOUT", 0.3)
+    nodes = Bench({1: drive()})
+    try:
+        with pytest.raises(BusError, match=r"no answer from axis 'knee' joint encoder node 32, .* \(heard: 1\)"):
+            start(nodes)
+    finally:
+        nodes.close()
+
+
+def test_another_kind_of_device_is_refused() -> None:
+    with (
+        bench(drive={(0x1000, 0): (U32, 0x00020191)}) as nodes,
+        pytest.raises(BusError, match=r"device type is 0x00020191, wanted is CiA 402"),
+    ):
+        start(nodes)
+
+
+def test_another_vendors_drive_is_refused() -> None:
+    profile = DriveProfile(identity=Identity(vendor_id=0xFB))
+    with bench() as nodes, pytest.raises(BusError, match=r"vendor is 0x00000F0F, wanted is 0x000000FB"):
+        start(nodes, profile=profile)
+
+
+def test_rated_torque_in_another_power_of_ten_is_refused_with_a_hint() -> None:
+    with (
+        bench(drive={(0x6076, 0): (U32, 1_000_000)}) as nodes,
+        pytest.raises(UsageError, match=r"1000 N\*m, the configuration says 1 N\*m \(a factor of 1000: .* uN\*m"),
+    ):
+        start(nodes)
+
+
+def test_rated_torque_as_peak_value_is_refused_with_a_hint() -> None:
+    with (
+        bench(drive={(0x6076, 0): (U32, 1414)}) as nodes,
+        pytest.raises(UsageError, match="a factor of the root of 2: one is the peak"),
+    ):
+        start(nodes)
+
+
+def test_rated_torque_unit_of_the_profile_is_used() -> None:
+    profile = DriveProfile(units=Units(rated_torque=1e-6))
+    with bench(drive={(0x6076, 0): (U32, 1_000_000)}) as nodes:
+        start(nodes, profile=profile)
+
+
+def test_drive_without_torque_mode_is_refused() -> None:
+    with bench(drive={(0x6502, 0): (U32, 0xED)}) as nodes, pytest.raises(BusError, match="lack cyclic synchronous"):
+        start(nodes)
+
+
+def test_value_that_does_not_stick_is_refused() -> None:
+    with bench() as nodes:
+        store = nodes.nodes[1]
+        store.add_read_callback(lambda index, subindex, od: 900 if index == 0x6072 else None)
+        with pytest.raises(BusError, match=r"0x6072:0 max torque: wrote 0x3e8, read back 0x384"):
+            start(nodes)
+
+
+def test_drive_without_any_watchdog_is_refused_unless_accepted() -> None:
+    with bench() as nodes:
+        dictionary = nodes.nodes[1].object_dictionary
+        del dictionary[0x1016]
+        del dictionary[0x1400].subindices[5]
+        with pytest.raises(BusError, match="neither a heartbeat consumer"):
+            start(nodes)
+        report = start(nodes, axis_nodes(require_watchdog=False))
+        assert "has no watchdog: it would go on when this computer dies" in report.nodes[0].notes
+
+
+def test_watchdog_without_a_known_reaction_is_refused_unless_accepted() -> None:
+    """0x1016 is there, 0x6007 is not: nobody knows what the drive does."""
+    with bench() as nodes:
+        del nodes.nodes[1].object_dictionary[0x6007]
+        with pytest.raises(BusError, match=r"no reaction to a lost connection \(0x6007\)"):
+            start(nodes)
+        report = start(nodes, axis_nodes(require_watchdog=False))
+        assert any("try tsa verify-safety" in note for note in report.nodes[0].notes)
+
+
+def test_drive_whose_velocity_unit_cannot_be_known_is_refused() -> None:
+    """No 0x60A9, and a profile that does not say so: 0x606C could be anything."""
+    with bench() as nodes:
+        del nodes.nodes[1].object_dictionary[0x60A9]
+        with pytest.raises(BusError, match="profile does not fit"):
+            start(nodes)
+        start(nodes, profile=DriveProfile(absent=["SI unit velocity"]))
+        start(nodes, axis_nodes(velocity_source="position"))
+
+
+def test_fault_found_at_the_start_is_reset_only_on_request() -> None:
+    """The rising edge of bit 7 by SDO; without the request nothing is written to the controlword."""
+    with bench(drive={(0x6041, 0): (6, 0x0218), (0x603F, 0): (6, 0x2310)}) as nodes:
+        node = nodes.nodes[1]
+
+        def leave(index: int, subindex: int, od: object, data: bytes) -> None:
+            if index == 0x6040 and data[0] & 0x80:
+                node.data_store.setdefault(0x6041, {})[0] = b"\x40\x02"
+
+        node.add_write_callback(leave)
+        assert any("--reset-faults" in note for note in start(nodes).nodes[0].notes)
+        assert not [entry for entry in nodes.written if entry[1] == 0x6040]
+        settings = BusSettings(interface="virtual")
+        report = bring_up(nodes.bus, settings, [axis_nodes()], [DriveProfile()], 0.001, reset_faults=True)
+        assert [entry[3][0] for entry in nodes.written if entry[1] == 0x6040] == [0x00, 0x80, 0x00]
+        assert any("was in fault: error 0x2310" in note for note in report.nodes[0].notes)
+
+
+def test_remembered_errors_are_shown() -> None:
+    with bench(drive={(0x1003, 0): (5, 1), (0x1003, 1): (U32, 0x00003210)}) as nodes:
+        assert "newest remembered error 0x3210 (DC link over-voltage)" in start(nodes).nodes[0].notes
+
+
+def test_drive_found_enabled_is_switched_off_first() -> None:
+    with bench(drive={(0x6041, 0): (6, 0x1637)}) as nodes:
+        node = nodes.nodes[1]
+
+        def switch_off(index: int, subindex: int, od: object, data: bytes) -> None:
+            if index == 0x6040 and data == b"\x00\x00":
+                node.data_store.setdefault(0x6041, {})[0] = b"\x40\x02"
+
+        node.add_write_callback(switch_off)
+        start(nodes)
+        assert nodes.written[0] == (1, 0x6040, 0, b"\x00\x00")
+
+
+def test_encoder_with_another_resolution_is_refused() -> None:
+    with (
+        bench(encoder={(0x6001, 0): (U32, 4096)}) as nodes,
+        pytest.raises(UsageError, match=r"is 4096, the configuration says 1048576; correct counts_per_revolution"),
+    ):
+        start(nodes)
+
+
+def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:
+    with bench(drive={(0x605E, 0): (I16, 2)}) as nodes:
+        nodes.nodes[1].object_dictionary[0x605E].access_type = "ro"
+        with pytest.raises(BusError, match=r"refuses 0x605E:0 fault reaction: Attempt to write a read only object"):
+            start(nodes)
+
+
+def test_bus_that_fails_meanwhile_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench() as nodes:
+        send, sent = nodes.bus.send, []
+
+        def fail_after_a_while(can_id: int, data: bytes) -> bool:
+            sent.append(can_id)
+            if len(sent) < 30:
+                return send(can_id, data)
+            nodes.bus.fault = BusFault.INTERFACE_DOWN
+            return False
+
+        monkeypatch.setattr(nodes.bus, "send", fail_after_a_while)
+        with pytest.raises(BusError, match="the interface is down; check adapter, cable and interface"):
+            start(nodes)
+
+
+def test_dropped_frame_is_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    with bench() as nodes:
+        send, requests = nodes.bus.send, []
+
+        def drop_every_tenth_request(can_id: int, data: bytes) -> bool:
+            if can_id == 0x601:
+                requests.append(data)
+                if len(requests) % 10 == 0:
+                    return False
+            return send(can_id, data)
+
+        monkeypatch.setattr(nodes.bus, "send", drop_every_tenth_request)
+        start(nodes)
+        assert nodes.get(1, 0x6072) == 1000
+
+
+def test_another_master_on_the_bus_is_refused() -> None:
+    with bench() as nodes:
+        task = nodes.network.send_periodic(0x77F, b"\x05", 0.01)
+        try:
+            with pytest.raises(BusError, match=r"another master is active \(heard its frames 0x77F\)"):
+                start(nodes)
+        finally:
+            task.stop()
+
+
+def test_rate_that_the_bit_rate_cannot_carry_is_refused_before_anything_is_sent() -> None:
+    with bench() as nodes:
+        with pytest.raises(UsageError, match="bitrate 500000: 1000 Hz"):
+            start(nodes, bitrate=500_000)
+        assert nodes.bus.counters.sent == 0
+
+
+def test_two_nodes_with_one_id_are_refused() -> None:
+    axis = AxisNodes(name="knee", drive=DriveSettings(node_id=127))
+    with bench() as nodes, pytest.raises(UsageError, match=r"node_id 127 is also that of \[bus\] host_node_id"):
+        start(nodes, axis)
+
+
+def test_rpdo_timeout_below_two_periods_is_refused() -> None:
+    with bench() as nodes, pytest.raises(UsageError, match="less than two periods"):
+        start(nodes, axis_nodes(rpdo_timeout=0.001))

@@ -1,0 +1,139 @@
+"""Each drive that the plant impersonates comes up with its own profile, and with no other."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.plant.bench import Bench, plant_file
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import load_profile
+from tsa_ctrl.bus.drive.report import Report
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.errors import TsaError
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.settings import load_plant
+
+CONFIG = Path(__file__).resolve().parents[3] / "config"
+KINDS = ("generic", "epos4", "elmo_gold")
+PERIOD = 0.001  # s
+REFUSALS = {  # plant, profile: what the refusal must say
+    ("generic", "epos4"): "vendor is 0x00000F0F, wanted is 0x000000FB",
+    ("generic", "elmo_gold"): "vendor is 0x00000F0F, wanted is 0x0000009A",
+    ("epos4", "generic"): "a factor of 1000",
+    ("epos4", "elmo_gold"): "vendor is 0x000000FB, wanted is 0x0000009A",
+    ("elmo_gold", "generic"): "refuses 0x60A9:0 SI unit velocity",
+    ("elmo_gold", "epos4"): "vendor is 0x0000009A, wanted is 0x000000FB",
+}
+_channels = itertools.count()
+
+
+class Plant:
+    """A machine that answers on a bus in this process."""
+
+    def __init__(self, folder: Path, kind: str) -> None:
+        self.channel = f"persona-{next(_channels)}"
+        text = f"[[axis]]\nname = 'joint'\ndrive.kind = '{kind}'\nmotion.kind = 'still'\n"
+        self._bus = PythonCan("virtual", self.channel, 1_000_000, {})
+        self.machine = Machine(load_plant(plant_file(folder, text)), self._bus)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self) -> None:
+        self.machine.start()
+        self.machine.run(self._stop.is_set)
+
+    def bring_up(self, profile: str) -> Report:
+        bus = PythonCan("virtual", self.channel, 1_000_000, {})
+        settings = BusSettings(interface="virtual", channel=self.channel)
+        drive = DriveSettings(node_id=1, profile=profile, max_torque=2.0, max_speed=50.0)
+        try:
+            chosen = [load_profile(profile, CONFIG)]
+            return bring_up(bus, settings, [AxisNodes(name="knee", drive=drive)], chosen, PERIOD)
+        finally:
+            bus.close()
+
+    def end(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._bus.close()
+
+
+@pytest.fixture
+def plants() -> Iterator[list[Plant]]:
+    made: list[Plant] = []
+    yield made
+    for plant in made:
+        plant.end()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_right_profile_comes_up(tmp_path: Path, plants: list[Plant], kind: str) -> None:
+    """All objects written and read back; what the drive lacks by its documentation is not missed."""
+    plants.append(Plant(tmp_path, kind))
+    (node,) = plants[0].bring_up(kind).nodes
+    lacking = {row.entry.name for row in node.rows if row.after is None}
+    assert not lacking & {"max torque", "reaction to a lost connection", "heartbeat consumer"}
+    values = plants[0].machine.axes[0].drive.values
+    assert values[0x6060, 0] == 10
+    clamp = values[0x3001, 2] / values[0x3001, 1] if kind == "epos4" else values[0x6072, 0] / 1000
+    assert clamp == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "profile"), sorted(REFUSALS))
+def test_a_wrong_profile_is_refused(tmp_path: Path, plants: list[Plant], kind: str, profile: str) -> None:
+    """In one line that says what was found, before the drive can be enabled."""
+    plants.append(Plant(tmp_path, kind))
+    with pytest.raises(TsaError, match=REFUSALS[kind, profile]):
+        plants[0].bring_up(profile)
+    assert plants[0].machine.axes[0].axis.command.enabled is False
+
+
+def bench(folder: Path, kind: str) -> Bench:
+    made = Bench(folder, f"[[axis]]\nname = 'joint'\ndrive.kind = '{kind}'\ndrive.torque_noise = 0.0\n")
+    made.set_up()
+    return made
+
+
+def test_epos4_limits_by_current_and_takes_its_units_only_while_it_is_off(tmp_path: Path) -> None:
+    made = bench(tmp_path, "epos4")
+    assert made.upload(1, 0x6076, 0, "I") == 1_000_000  # uN*m
+    assert made.download(1, 0x6076, 0, "I", 5) == 0x06010002
+    assert made.download(1, 0x6072, 0, "H", 500) == 0x06020000
+    assert made.download(1, 0x1400, 5, "H", 20) == 0x06090011
+    assert made.download(1, 0x60C2, 2, "b", -4) == 0x06090030
+    assert made.download(1, 0x605A, 0, "h", 0) == 0x06090030
+    assert made.download(1, 0x60A9, 0, "I", 0x00B44800) == 0x06090030
+    assert made.download(1, 0x60A9, 0, "I", 0xFDB44700) == 0
+    assert made.download(1, 0x3001, 2, "I", 2500) == 0
+    made.enable(900)
+    made.sync(20)
+    assert made.unit.axis.command.torque == pytest.approx(0.5)
+    assert made.download(1, 0x60A9, 0, "I", 0x00B44700) == 0x08000022
+
+
+def test_elmo_reports_counts_per_second(tmp_path: Path) -> None:
+    made = bench(tmp_path, "elmo_gold")
+    assert made.download(1, 0x60A9, 0, "I", 0xFDB44700) == 0x06020000
+    assert made.download(1, 0x605E, 0, "h", 2) == 0x06090030
+    assert made.upload(1, 0x6502, 0, "I") == 0x3ED
+    drive = made.unit.drive
+    drive.readings.motor_speed = 6.283185307179586  # one revolution per second
+    drive.sample()
+    assert drive.values[0x606C, 0] == 65536
+
+
+def test_the_velocity_unit_written_is_the_one_reported(tmp_path: Path) -> None:
+    made = bench(tmp_path, "generic")
+    drive = made.unit.drive
+    drive.readings.motor_speed = 6.283185307179586
+    for code, digits in ((0xFDB44700, 60_000), (0xFFB44700, 600), (0x00B44700, 60)):
+        assert made.download(1, 0x60A9, 0, "I", code) == 0
+        drive.sample()
+        assert drive.values[0x606C, 0] == digits

@@ -1,0 +1,114 @@
+"""Drive profiles and scales."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from tests.bus.nodes import axis_nodes
+from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.drive.plan import drive_plan, interpolation_period
+from tsa_ctrl.bus.drive.profile import DriveProfile, VelocityUnit, load_profile
+from tsa_ctrl.bus.drive.scale import drive_scale
+from tsa_ctrl.bus.settings import BusSettings, DriveSettings
+from tsa_ctrl.errors import UsageError
+
+CONFIG = Path(__file__).parents[3] / "config"
+NAMES = sorted(path.stem for path in (CONFIG / "drives").glob("*.toml"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_profile_file_loads_and_names_its_sources(name: str) -> None:
+    profile = load_profile(name, CONFIG)
+    assert profile.name
+    assert profile.sources
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name: str) -> None:
+    profile, axis = load_profile(name, CONFIG), axis_nodes()
+    scale = drive_scale(axis.drive, profile, "axis")
+    plan = drive_plan(axis, profile, scale, BusSettings(), 0.001)
+    clamps = [write for write in plan if write.entry is objects.MAX_TORQUE or write.rated is not None]
+    written = [write.entry for write in plan]
+    assert len(clamps) == 1
+    assert objects.MAX_MOTOR_SPEED in written
+    assert written[-1] is objects.MODE
+
+
+def test_generic_file_says_what_is_assumed_without_one() -> None:
+    file, default = load_profile("generic", CONFIG), DriveProfile()
+    assert msgspec.structs.replace(file, name=default.name, sources=[]) == default
+
+
+def test_generic_needs_no_file(tmp_path: Path) -> None:
+    assert load_profile("generic", tmp_path) == DriveProfile()
+
+
+def test_unknown_profile_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(UsageError, match=r"no such drive profile 'epos5'; known here: elmo_gold, epos4, generic"):
+        load_profile("epos5", CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("absent = ['max torqe']", "absent: unknown object 'max torqe'; did you mean 'max torque'?"),
+        ("absent = ['max torque']", "no object limits the drive's torque"),
+        ("[units]\nvelocity = 'furlong'", "units.velocity: invalid enum value 'furlong'"),
+        ("[reactions]\nfault = 'keeep'", "reactions.fault"),
+        ("eds = 'none.eds'", "EDS file cannot be read"),
+    ],
+)
+def test_profile_with_a_mistake_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "drives").mkdir()
+    (tmp_path / "drives" / "mine.toml").write_text(text)
+    with pytest.raises(UsageError) as error:
+        load_profile("mine", tmp_path)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "counts", "radians"),
+    [
+        (VelocityUnit.RPM, 4096, 2 * math.pi / 60),
+        (VelocityUnit.MILLI_RPM, 4096, 2 * math.pi / 60e3),
+        (VelocityUnit.COUNTS, 4096, 2 * math.pi / 4096),
+        (VelocityUnit.DECI_COUNTS, 4096, 2 * math.pi / 40960),
+    ],
+)
+def test_velocity_units(unit: VelocityUnit, counts: int, radians: float) -> None:
+    assert unit.radians_per_second(counts) == pytest.approx(radians)
+
+
+def test_velocity_unit_code_of_milli_rpm() -> None:
+    assert (VelocityUnit.MILLI_RPM.si_code, VelocityUnit.COUNTS.si_code) == (0xFDB44700, None)
+
+
+def test_clamps_never_exceed_what_is_configured() -> None:
+    drive = DriveSettings(node_id=1, rated_torque=0.3, gear_ratio=4.0, max_torque=1.0, max_speed=10.0)
+    scale = drive_scale(drive, DriveProfile(), "axis")
+    assert scale.max_torque_digits == 833  # of 1.2 N*m at the pulley
+    assert scale.max_speed_digits == 381  # rpm of the motor: 40 rad/s are 381.97
+
+
+def test_torque_limit_beyond_the_object_is_refused() -> None:
+    with pytest.raises(UsageError, match="allowed are 1 to 32767; correct max_torque or rated_torque"):
+        drive_scale(DriveSettings(node_id=1, max_torque=50.0), DriveProfile(), "axis 'knee'")
+
+
+@pytest.mark.parametrize(
+    ("period", "expected"), [(1e-3, (1, -3)), (2e-3, (2, -3)), (2.5e-3, (25, -4)), (1.25e-3, (125, -5)), (0.1, (1, -1))]
+)
+def test_interpolation_period_as_the_drive_wants_it(period: float, expected: tuple[int, int]) -> None:
+    assert interpolation_period(period) == expected
+
+
+@pytest.mark.parametrize("rate", [333.0, 700.0, 3000.0])
+def test_rate_that_the_drive_cannot_be_told_is_refused(rate: float) -> None:
+    with pytest.raises(UsageError, match="choose a rate such as 1000"):
+        interpolation_period(1.0 / rate)

@@ -1,0 +1,171 @@
+"""python-can's buses behind the seam."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.errors import BusError, UsageError
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[PythonCan, PythonCan]]:
+    """Two ends of a bus in this process."""
+    first, second = (PythonCan("virtual", "test-pythoncan", 1_000_000) for _ in range(2))
+    yield first, second
+    first.close()
+    second.close()
+
+
+def test_frame_arrives_as_it_was_sent_and_only_at_the_other_end(pair: tuple[PythonCan, PythonCan]) -> None:
+    first, second = pair
+    assert first.send(0x201, b"\x0f\x00\x01\x02")
+    assert second.recv(1.0) == (0x201, b"\x0f\x00\x01\x02")
+    assert first.recv(0.0) is None
+
+
+def test_own_frames_of_a_multicast_bus_are_left_out_and_those_of_others_are_not() -> None:
+    first, second = (PythonCan("udp_multicast", "239.74.163.77", 1_000_000) for _ in range(2))
+    try:
+        first.send(0x080, b"")
+        second.send(0x080, b"")
+        first.send(0x201, b"\x01")
+        assert [first.recv(1.0), first.recv(0.1)] == [(0x080, b""), None]
+        assert [second.recv(1.0), second.recv(1.0), second.recv(0.1)] == [(0x080, b""), (0x201, b"\x01"), None]
+    finally:
+        first.close()
+        second.close()
+
+
+def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
+    first, second, third = (PythonCan("udp_multicast", f"239.74.163.{n}", 1_000_000) for n in (78, 79, 79))
+    try:
+        second.send(0x201, b"\x01")
+        assert third.recv(1.0) == (0x201, b"\x01")
+        assert first.recv(0.1) is None
+    finally:
+        for bus in (first, second, third):
+            bus.close()
+
+
+def test_sync_has_no_data(pair: tuple[PythonCan, PythonCan]) -> None:
+    pair[0].send(0x080, b"")
+    assert pair[1].recv(1.0) == (0x080, b"")
+
+
+def test_other_identifiers_are_kept_out(pair: tuple[PythonCan, PythonCan]) -> None:
+    first, second = pair
+    second.accept([0x181])
+    for can_id in (0x180, 0x181, 0x581):
+        first.send(can_id, b"")
+    assert second.recv(1.0) == (0x181, b"")
+    assert second.recv(0.0) is None
+
+
+def test_flush_throws_away_what_waits(pair: tuple[PythonCan, PythonCan]) -> None:
+    first, second = pair
+    for _ in range(5):
+        first.send(0x181, b"")
+    assert second.flush() == 5
+    assert second.recv(0.0) is None
+
+
+def test_error_frame_is_flagged() -> None:
+    with can.Bus(interface="virtual", channel="test-errors") as other:
+        bus = PythonCan("virtual", "test-errors", 1_000_000)
+        other.send(can.Message(arbitration_id=0x40, is_error_frame=True, data=bytes(8)))
+        assert bus.recv(1.0) == (0x20000040, bytes(8))
+        bus.close()
+
+
+def test_adapter_that_fails_is_latched(pair: tuple[PythonCan, PythonCan]) -> None:
+    first, _ = pair
+    first._bus.shutdown()
+    assert first.recv(0.0) is None
+    assert first.fault is BusFault.ADAPTER
+
+
+def test_frame_that_cannot_be_sent_is_dropped_and_counted() -> None:
+    bus = PythonCan("virtual", "test-full", 1_000_000)
+    other = can.Bus(interface="virtual", channel="test-full", rx_queue_size=1)
+    assert [bus.send(0x201, b"") for _ in range(3)] == [True, False, False]
+    assert bus.counters.dropped == 2
+    other.shutdown()
+    bus.close()
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel"), [("no_such_interface", "x"), ("slcan", "/dev/no_such_tty"), ("udp_multicast", "10.0.0.1")]
+)
+def test_bus_that_cannot_be_opened_is_one_line(interface: str, channel: str) -> None:
+    with pytest.raises(BusError, match=f"interface '{interface}' channel '{channel}': cannot be opened") as error:
+        open_bus(BusSettings(interface=interface, channel=channel))
+    assert "\n" not in str(error.value)
+
+
+def test_options_mean_nothing_to_socketcan() -> None:
+    with pytest.raises(UsageError, match="options: fd mean nothing"):
+        open_bus(BusSettings(options={"fd": True}))
+
+
+def test_session_starts_no_thread(pair: tuple[PythonCan, PythonCan]) -> None:
+    before = threading.active_count()
+    with Session(pair[0], BusSettings(interface="virtual")):
+        assert threading.active_count() == before
+
+
+def test_session_sends_our_heartbeat_and_ends_with_one(pair: tuple[PythonCan, PythonCan]) -> None:
+    with Session(pair[0], BusSettings(interface="virtual", host_heartbeat_period=0.005)) as session:
+        session.wait(0.05)
+    frames = []
+    while (frame := pair[1].recv(0.0)) is not None:
+        frames.append(frame)
+    assert set(frames) == {(0x77F, b"\x05")}
+    assert len(frames) > 2
+
+
+@pytest.fixture
+def slcan() -> Iterator[tuple[int, str]]:
+    """A serial line without an adapter: our end of a pseudo-terminal and the name of the other."""
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    tty.setraw(theirs)
+    yield ours, os.ttyname(theirs)
+    os.close(ours)
+    os.close(theirs)
+
+
+def read_until(descriptor: int, wanted: bytes, seconds: float = 5.0) -> bytes:
+    os.set_blocking(descriptor, False)
+    end, data = time.monotonic() + seconds, b""
+    while wanted not in data and time.monotonic() < end:
+        try:
+            data += os.read(descriptor, 4096)
+        except BlockingIOError:
+            time.sleep(0.001)
+    return data
+
+
+def test_slcan_speaks_the_adapters_language(slcan: tuple[int, str]) -> None:
+    ours, name = slcan
+    settings = BusSettings(interface="slcan", channel=name, bitrate=500_000, options={"sleep_after_open": 0.0})
+    bus = open_bus(settings)
+    try:
+        assert bus.send(0x201, b"\x0f\x00\xfa\x00")
+        assert b"S6\r" in (sent := read_until(ours, b"t20140F00FA00\r"))  # S6: 500 kbit/s
+        assert b"t20140F00FA00\r" in sent
+        os.write(ours, b"t18180102030405060708\r")
+        assert bus.recv(5.0) == (0x181, b"\x01\x02\x03\x04\x05\x06\x07\x08")
+    finally:
+        bus.close()

@@ -1,0 +1,93 @@
+"""The listener on a bus in memory: it hears, stands in for the SYNC, asks who is silent, and switches off."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from pathlib import Path
+
+import pytest
+
+from tests.bus.fake import FakeBus
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.drills.listener import Listener
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+def tpdo(torque: int) -> tuple[int, bytes]:
+    return 0x181, struct.pack("<Hhi", 0x1237, torque, 0)
+
+
+class Bench:
+    def __init__(self, folder: Path) -> None:
+        for name in ("controller.toml", "actuator.toml"):
+            shutil.copy(CONFIG / name, folder)
+        self.bus = FakeBus()
+        self.listener = Listener(load_configuration(folder / "controller.toml"), self.bus, self.bus.clock)
+
+    def hear(self, *frames: tuple[int, bytes]) -> None:
+        for frame in frames:
+            self.bus.waiting.append(frame)
+            self.listener.step(0.0)
+
+    def wait(self, seconds: float) -> list[int]:
+        """Nothing is heard; identifiers of what was sent meanwhile."""
+        before, end = len(self.bus.sent), self.bus.clock.now + seconds
+        while self.bus.clock.now < end:
+            self.listener.step(0.0005)
+        return [can_id for can_id, _ in self.bus.sent[before:]]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    return Bench(tmp_path)
+
+
+def test_without_guard_it_only_listens(bench: Bench) -> None:
+    bench.hear((0x080, b""), tpdo(100))
+    assert bench.wait(0.1) == []
+    assert bench.listener.torques() == {1: pytest.approx(0.1)}
+
+
+def test_on_guard_it_sends_the_sync_that_fails_to_come_and_only_then(bench: Bench) -> None:
+    bench.hear(tpdo(100))
+    bench.listener.guard()
+    for _ in range(20):
+        bench.bus.clock.now += 0.001
+        bench.hear((0x080, b""), tpdo(100))
+    assert bench.bus.sent == []
+    sent = bench.wait(0.009)
+    assert 5 <= sent.count(0x080) <= 7  # three periods without, then one each
+    assert bench.listener.took_over
+
+
+def test_a_drive_without_tpdos_is_asked_and_its_answer_kept(bench: Bench) -> None:
+    bench.listener.guard()
+    bench.hear(tpdo(100))
+    bench.wait(0.012)
+    assert (0x601, bytes.fromhex("4077600000000000")) in bench.bus.sent
+    bench.hear((0x581, bytes.fromhex("4b77600005000000")))
+    assert [(s.torque, s.source) for s in bench.listener.quiet()] == [
+        (pytest.approx(0.1), "tpdo"), (pytest.approx(0.005), "sdo"),
+    ]  # fmt: skip
+
+
+def test_other_answers_are_not_taken_for_torque(bench: Bench) -> None:
+    bench.listener.guard()
+    bench.hear((0x581, bytes.fromhex("4b41600037120000")), (0x581, bytes.fromhex("8077600000000206")), (0x181, b"x"))
+    assert bench.listener.quiet() == []
+
+
+def test_a_drive_that_still_has_torque_at_the_end_is_switched_off(bench: Bench) -> None:
+    bench.listener.guard()
+    bench.hear(tpdo(15))
+    bench.listener.quiet()
+    assert bench.bus.sent == []
+    bench.listener.guard()
+    bench.hear(tpdo(100))
+    bench.listener.quiet()
+    sent = bench.bus.sent
+    assert (0x201, bytes(4)) in sent
+    assert (0x601, bytes.fromhex("2b40600000000000")) in sent
+    assert (0x000, b"\x02\x01") in sent

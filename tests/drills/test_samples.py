@@ -1,0 +1,53 @@
+"""The time until a drive has no torque, from what was seen of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsa_ctrl.drills.samples import Sample, timing
+
+ZERO = 0.02
+
+
+def seen(torques: Sequence[float], node: int = 1, period: float = 0.002, source: str = "tpdo") -> list[Sample]:
+    return [Sample(n * period, node, torque, source) for n, torque in enumerate(torques)]  # type: ignore[arg-type]
+
+
+def test_first_sample_without_torque_counts() -> None:
+    found = timing(seen([0.1] * 10 + [0.01] * 10), 1, 0.005, ZERO)
+    assert found.torque_before == 0.1
+    assert found.last_torque == pytest.approx(0.013)
+    assert found.zero_after == pytest.approx(0.015)
+
+
+def test_torque_that_comes_back_starts_anew() -> None:
+    found = timing(seen([0.1] * 5 + [0.0] * 5 + [-0.1] * 5 + [0.0] * 5), 1, 0.005, ZERO)
+    assert found.zero_after == pytest.approx(0.025)
+
+
+def test_torque_that_stays_is_never_zero() -> None:
+    assert timing(seen([0.1] * 20), 1, 0.005, ZERO).zero_after is None
+
+
+def test_a_drive_that_falls_silent_with_torque_is_not_taken_for_stopped() -> None:
+    found = timing(seen([0.1] * 10), 1, 0.0101, ZERO)
+    assert found.zero_after is None
+    assert found.last_torque == pytest.approx(0.0079)
+
+
+def test_a_drive_never_heard_is_not_safe() -> None:
+    found = timing(seen([0.0] * 10, node=2), 1, 0.005, ZERO)
+    assert (found.torque_before, found.zero_after) == (None, None)
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=1, max_size=50), st.floats(0.0, 0.1))
+def test_zero_after_is_late_enough(torques: list[float], stopped: float) -> None:
+    """Nothing from then on has torque."""
+    samples = seen(torques)
+    found = timing(samples, 1, stopped, ZERO)
+    if found.zero_after is not None:
+        assert all(abs(s.torque) <= ZERO for s in samples if s.clock - stopped >= found.zero_after)

@@ -1,0 +1,198 @@
+"""`tsa verify-safety`: what it asks for, and its verdict on a good and on a bad drive."""
+
+from __future__ import annotations
+
+import json
+import select
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.drills import trials
+from tsa_ctrl.drills.loop import under_trial
+from tsa_ctrl.drills.verify import trial_torque
+from tsa_ctrl.errors import BusError, UsageError
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("controller.toml", "plant.toml", "actuator.toml"):
+        shutil.copy(CONFIG / name, tmp_path)
+    return tmp_path
+
+
+def edit(folder: Path, name: str, *changes: tuple[str, str]) -> None:
+    text = (folder / name).read_text(encoding="utf-8")
+    for before, after in changes:
+        assert before in text, before
+        text = text.replace(before, after, 1)
+    (folder / name).write_text(text, encoding="utf-8")
+
+
+def test_torque_is_a_tenth_of_rated_unless_given(folder: Path) -> None:
+    configuration = load_configuration(folder / "controller.toml")
+    assert trial_torque(configuration, None) == pytest.approx(0.1)
+    assert trial_torque(configuration, 0.3) == 0.3
+    edit(folder, "controller.toml", ("# torque = 0.1  ", "torque = 0.2  "))
+    assert trial_torque(load_configuration(folder / "controller.toml"), None) == 0.2
+
+
+@pytest.mark.parametrize("torque", [0.01, 2.5])
+def test_torque_that_cannot_be_told_from_none_or_is_above_the_limit_is_refused(folder: Path, torque: float) -> None:
+    with pytest.raises(UsageError, match=r"allowed are 0\.06 N\*m .* to 2 N\*m"):
+        trial_torque(load_configuration(folder / "controller.toml"), torque)
+
+
+def test_the_trial_changes_set_point_compensation_log_and_socket_alone(folder: Path) -> None:
+    before = load_configuration(folder / "controller.toml")
+    after = under_trial(before, 0.1, "/x.sock")
+    assert after.file.bus == before.file.bus
+    assert after.file.safety == before.file.safety
+    (axis,), (was,) = after.file.axes, before.file.axes
+    assert (axis.drive, axis.encoder, axis.limits, axis.plausibility) == (
+        was.drive, was.encoder, was.limits, was.plausibility,
+    )  # fmt: skip
+    assert (axis.setpoint.kind, axis.setpoint.offset) == ("constant", pytest.approx(0.125))
+    assert axis.law.compensation == 0.0
+
+
+def test_nobody_there_to_agree_is_an_error(folder: Path) -> None:
+    done = subprocess.run(
+        ["tsa", "verify-safety", "controller.toml"],
+        cwd=folder,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "give --yes" in done.stderr
+
+
+def test_a_folder_that_can_take_no_record_is_found_before_anything_moves(folder: Path) -> None:
+    (folder / "file").touch()
+    done = subprocess.run(
+        ["tsa", "verify-safety", "controller.toml", "--yes", "--record", "file/x"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "file/x: no record can be kept there" in done.stderr
+
+
+def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would look like a watchdog's work; the loop's own first words are the reason."""
+    torques = iter((0.1, 0.0))
+
+    class Listener:
+        def ask(self, word: str) -> object:
+            return {"1": next(torques)} if word == "torque" else True
+
+    loop = "import sys, time; print('0.1 s: knee: stale PDO', file=sys.stderr, flush=True); time.sleep(60)"
+    start = subprocess.Popen
+
+    def starts(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
+        process = start([sys.executable, "-c", loop], **options)
+        assert process.stderr is not None
+        select.select([process.stderr], [], [])
+        return process
+
+    monkeypatch.setattr(trials, "SETTLED", 0.0)
+    monkeypatch.setattr(trials.subprocess, "Popen", starts)
+    configuration = load_configuration(folder / "controller.toml")
+    with pytest.raises(BusError, match=r"torque was lost before anything was done .* knee: stale PDO"):
+        trials.run_trial(configuration, Listener(), trials.Trial.KILL, 0.1)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("given", "code"), [("0.1", 2), ("0.3", 0)])
+def test_a_limit_below_a_time_out_is_refused(folder: Path, given: str, code: int) -> None:
+    edit(folder, "controller.toml", ("# zero_torque_within = 0.25 ", f"zero_torque_within = {given} "))
+    done = subprocess.run(["tsa", "run", "--check", "controller.toml"], cwd=folder, capture_output=True, text=True)
+    assert done.returncode == code
+    if code:
+        assert "zero_torque_within 0.1 s is not above axis 'knee'" in done.stderr
+
+
+class Rig:
+    """A plant on the vcan, patient enough for a busy machine, and the verb."""
+
+    def __init__(self, folder: Path, vcan: str) -> None:
+        self.folder = folder
+        edit(
+            folder, "controller.toml",
+            ('"vcan0"', f'"{vcan}"'), ("rate = 1000.0", "rate = 250.0"),
+            ("# allow_without = false", "allow_without = true"),
+            ("# [bus.supervision]", "[bus.supervision]"), ("# tolerated_misses = 2 ", "tolerated_misses = 40 "),
+            ("# settle_cycles = 100 ", "settle_cycles = 20 "), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.15 "),
+            ("# host_timeout = 0.1 ", "host_timeout = 0.3 "),
+            ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 0.5 "),
+        )  # fmt: skip
+        edit(folder, "plant.toml", ('"vcan0"', f'"{vcan}"'))
+        self.plant = subprocess.Popen(["tsa", "plant", "plant.toml"], cwd=folder, stdout=subprocess.PIPE, text=True)
+        assert self.plant.stdout is not None
+        assert any("ready" in line for line in self.plant.stdout)
+
+    def verify(self) -> tuple[dict[str, Any], int, str]:
+        command = ["tsa", "verify-safety", "controller.toml", "--yes", "--json"]
+        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True)
+        return (json.loads(done.stdout) if done.stdout else {}), done.returncode, done.stderr
+
+    def end(self) -> None:
+        self.plant.terminate()
+        self.plant.communicate(timeout=30)
+
+
+@pytest.fixture
+def plants() -> Iterator[list[Rig]]:
+    made: list[Rig] = []
+    yield made
+    for rig in made:
+        rig.end()
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants: list[Rig]) -> None:
+    """Three trials, each within the limit; a dated record with every torque seen; the rig can be used at once."""
+    plants.append(Rig(folder, vcan))
+    found, code, error = plants[0].verify()
+    assert code == 0, error
+    assert [trial["trial"] for trial in found["trials"]] == ["withheld", "hang", "kill"]
+    times = {trial["trial"]: trial["zero_after"] for trial in found["trials"]}
+    assert all(0.0 < time <= found["limit"] for time in times.values())
+    assert times["withheld"] > 0.2  # by the heartbeat's time-out alone
+    assert times["kill"] > 0.1  # by the command's
+    record = json.loads(Path(folder / found["record"]).read_text(encoding="utf-8"))
+    assert record["safe"] is True
+    assert len(record["trials"][0]["samples"]) > 10
+    after = subprocess.run(
+        ["tsa", "run", "controller.toml", "--seconds", "0.5"], cwd=folder, capture_output=True, text=True
+    )
+    assert after.returncode == 0, after.stderr
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_a_drive_whose_watchdogs_do_nothing_is_found_and_switched_off(
+    folder: Path, vcan: str, plants: list[Rig]
+) -> None:
+    """It takes all time-outs and reports them, but keeps its torque: exit code 1, and the torque ends all the same."""
+    edit(folder, "plant.toml", ("# watchdogs = true ", "watchdogs = false "))
+    plants.append(Rig(folder, vcan))
+    found, code, error = plants[0].verify()
+    assert code == 1, error
+    (killed,) = [trial for trial in found["trials"] if trial["trial"] == "kill"]
+    assert killed["safe"] is False
+    assert killed["zero_after"] is None
+    assert found["safe"] is False

@@ -1,0 +1,316 @@
+"""Contradictions between command, drive, joint and model are found in time, and agreement accuses nothing."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsa_ctrl.safety.plausibility import Plausibility, PlausibilitySettings
+
+PERIOD = 0.002  # s
+RADII = (0.020, 0.025)  # m
+MODEL = (0.26, 45.0)
+NO_SENSOR = math.nan
+
+
+class Motion:
+    """A joint that swings and a motor that follows it, with a torque that follows the command; lies are switched on."""
+
+    def __init__(self, has_encoder: bool = True, **settings: float) -> None:
+        chosen = PlausibilitySettings(**settings)
+        self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder)
+        self.time = 0.0
+        self.offset = 0.0  # rad of the motor
+        self.stuck: tuple[float, float, float] | None = None
+        self.torque: float | None = None  # N*m that the drive reports
+        self.tau_j = NO_SENSOR
+
+    def command(self) -> float:
+        return 0.6 + 0.4 * math.sin(4.0 * self.time)
+
+    def step(self) -> str | None:
+        self.time += PERIOD
+        q_j, omega = 0.5 * math.sin(4.0 * self.time), 2.0 * math.cos(4.0 * self.time)
+        torque = self.command() if self.torque is None else self.torque
+        feedback = self.stuck or (torque, 1.25 * q_j + self.offset, 1.25 * omega)
+        return self.check.update(self.time, self.command(), feedback, q_j, math.copysign(1.0, omega), self.tau_j, MODEL)
+
+    def run(self, seconds: float) -> tuple[float, str] | None:
+        """When it was noticed, s from now, and the words; None within `seconds`."""
+        start = self.time
+        while self.time < start + seconds:
+            wrong = self.step()
+            if wrong is not None:
+                return self.time - start, wrong
+        return None
+
+
+def predicted(torque: float, sigma: float) -> float:
+    x, t_p = MODEL
+    return 0.025 * (torque / 0.020 * math.cosh(sigma * x) - 2.0 * t_p * math.sinh(sigma * x))
+
+
+def test_agreement_is_no_contradiction() -> None:
+    assert Motion().run(5.0) is None
+
+
+def test_frozen_feedback_is_noticed_once_the_command_moved_by_a_twentieth() -> None:
+    motion = Motion()
+    motion.run(1.0)
+    motion.stuck = (motion.command(), 1.25 * 0.5 * math.sin(4.0 * motion.time), 0.2)
+    found = motion.run(1.0)
+    assert found is not None
+    assert "frozen" in found[1]
+    assert 0.03 < found[0] < 0.3
+
+
+def test_a_drive_at_rest_with_a_resting_command_is_not_frozen() -> None:
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
+    assert all(
+        check.update(n * PERIOD, 0.5 + 0.02 * (n % 2), (0.5, 0.0, 0.0), 0.0, 0.0, NO_SENSOR, MODEL) is None
+        for n in range(2000)
+    )
+
+
+@pytest.mark.parametrize(("torque", "noticed"), [(0.0, True), (-1.0, True), (0.55, False)])
+def test_a_torque_that_does_not_follow_is_noticed(torque: float, noticed: bool) -> None:
+    """A quarter of the limit (0.5 N*m) for 0.1 s; less is a matter of calibration."""
+    motion = Motion()
+    motion.torque = torque
+    found = motion.run(2.0)
+    assert (found is not None) is noticed
+    if found is not None:
+        assert found[0] >= 0.1
+        assert "commanded are" in found[1]
+
+
+def test_a_short_torque_error_is_the_current_loop_s_lag() -> None:
+    motion = Motion()
+    for _ in range(20):
+        motion.torque = -1.0
+        assert motion.run(0.09) is None
+        motion.torque = None
+        assert motion.run(0.01) is None
+
+
+@pytest.mark.parametrize(("offset", "noticed"), [(0.45, False), (0.55, True), (-0.55, True)])
+def test_motor_and_joint_that_move_apart_are_noticed(offset: float, noticed: bool) -> None:
+    motion = Motion()
+    motion.run(0.5)
+    motion.offset = offset
+    found = motion.run(0.5)
+    assert (found is not None) is noticed
+    if found is not None:
+        assert found[0] < 0.03
+        assert "moved apart" in found[1]
+
+
+def test_where_they_stood_at_the_enable_does_not_matter() -> None:
+    motion = Motion()
+    motion.offset = 30.0
+    assert motion.run(1.0) is None
+    motion.check.reset()
+    motion.offset = -30.0
+    assert motion.run(1.0) is None
+
+
+def test_without_an_encoder_nothing_moves_apart() -> None:
+    motion = Motion(has_encoder=False)
+    motion.run(0.5)
+    motion.offset = 3.0
+    assert motion.run(0.5) is None
+
+
+def test_a_reversed_joint_torque_is_noticed_and_the_model_s_is_not() -> None:
+    motion = Motion()
+    for sign, noticed in ((1.0, False), (-1.0, True)):
+        motion.check.reset()
+        found = None
+        for _ in range(1000):
+            sigma = math.copysign(1.0, math.cos(4.0 * (motion.time + PERIOD)))
+            motion.tau_j = predicted(sign * (0.6 + 0.4 * math.sin(4.0 * (motion.time + PERIOD))), sigma)
+            found = found or motion.step()
+        assert (found is not None) is noticed
+        assert found is None or "joint torque sensor" in found
+
+
+@given(st.floats(0.0, 3.2), st.floats(0.0, 3.2))
+def test_no_parameter_error_of_half_is_a_contradiction(x_share: float, t_share: float) -> None:
+    """Friction angle and pretension anywhere from nothing to 1.5 times nominal: calibration, not a lie."""
+    x, t_p = MODEL[0] * min(x_share, 1.5), MODEL[1] * min(t_share, 1.5)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
+    for n in range(200):
+        torque = 0.6 + 0.4 * math.sin(0.05 * n)
+        tau_j = 0.025 * (torque / 0.020 * math.cosh(x) - 2.0 * t_p * math.sinh(x))
+        assert check.update(n * PERIOD, torque, (torque, 0.0, 0.0), 0.0, 1.0, tau_j, MODEL) is None
+
+
+def test_a_reset_forgets_what_was_pending() -> None:
+    motion = Motion()
+    motion.torque = -1.0
+    assert motion.run(0.09) is None
+    motion.check.reset()
+    assert motion.run(0.09) is None
+
+
+def at_rest(**settings: float) -> Plausibility:
+    """Of a drive rated 2 N*m, whose limit is 2 N*m."""
+    return Plausibility(PlausibilitySettings(**settings), 2.0, 2.0, RADII, True)
+
+
+def look(
+    check: Plausibility,
+    time: float,
+    command: float = 0.0,
+    tau_m: float | None = None,
+    q_m: float = 0.0,
+    sigma: float = 0.0,
+    tau_j: float = NO_SENSOR,
+) -> str:
+    """The finding of one cycle with the joint at rest; the torque follows the command where none is given."""
+    feedback = (command if tau_m is None else tau_m, q_m, 0.0)
+    return check.update(time, command, feedback, 0.0, sigma, tau_j, MODEL) or ""
+
+
+@pytest.mark.parametrize(
+    ("settings", "most"),
+    [({}, 0.5), ({"torque": 0.25}, 0.25)],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_torque_error_is_tolerated_up_to_its_bound_and_for_its_time(
+    settings: dict[str, float], most: float, sign: float
+) -> None:
+    """Bound and time are reached exactly: a quarter of the limit, 0.125 s."""
+    check = at_rest(duration=0.125, **settings)
+    assert [look(check, 0.001 * n, 1.0, 1.0 + sign * most) for n in range(500)] == [""] * 500
+    error = sign * most * 1.001
+    assert [look(check, t, 1.0, 1.0 + error) for t in (1.0, 1.06, 1.1249)] == [""] * 3
+    assert "commanded are" in look(check, 1.125, 1.0, 1.0 + error)
+
+
+def test_default_duration_is_a_tenth_of_a_second() -> None:
+    check = at_rest()
+    assert [look(check, t, 1.0, 0.0) for t in (16.0, 16.0999)] == ["", ""]
+    assert look(check, 16.1001, 1.0, 0.0)
+
+
+def test_frozen_is_what_stays_for_30_ms_while_the_command_moves_more_than_a_twentieth() -> None:
+    """Of rated torque, either way, both exactly."""
+    for begin, almost in ((0.0, 0.03), (16.0, 0.0299)):
+        for move in (0.1001, -0.1001):
+            check = at_rest()
+            commands = ((0.0, 0.3), (0.01, 0.3), (0.02, 0.3 + move), (almost, 0.3))
+            assert [look(check, begin + time, command, 0.0) for time, command in commands] == [""] * 4
+            assert re.search("frozen.* for 30 ms.* moved by 0.10 N", look(check, begin + 0.0301, 0.3, 0.0))
+    check = at_rest()
+    assert [look(check, 0.001 * n, 0.1 * (n % 2), 0.0) for n in range(200)] == [""] * 200
+
+
+def test_a_command_that_rests_is_no_contradiction_whatever_it_did_before() -> None:
+    """What moved while the feedback moved, too, does not count."""
+    check = at_rest()
+    assert [look(check, 0.01 * n, 0.2 * n) for n in range(6)] == [""] * 6
+    assert [look(check, 0.05 + 0.01 * n, 1.0) for n in range(50)] == [""] * 50
+
+
+def test_an_enable_does_not_inherit_what_was_frozen() -> None:
+    """The drive at rest still says what it said at the end of the last run."""
+    check = at_rest()
+    assert [look(check, t, 0.0) for t in (0.0, 0.02)] == ["", ""]
+    check.reset()
+    assert [look(check, t, 0.3, 0.0) for t in (5.0, 5.02, 5.04)] == [""] * 3
+
+
+def test_slip_is_more_than_half_a_radian_for_10_ms() -> None:
+    """Against where they stood first; both exactly, and back in time is no slip."""
+    check = at_rest()
+    assert look(check, -2.0, q_m=7.0) == ""
+    assert [look(check, -1.0 + 0.001 * n, q_m=7.0 + 0.5 * (-1) ** n) for n in range(500)] == [""] * 500
+    assert [look(check, t, q_m=7.501) for t in (-0.1, -0.092)] == ["", ""]
+    assert look(check, -0.05, q_m=7.499) == ""
+    assert [look(check, t, q_m=7.501) for t in (0.0, 0.004, 0.0099)] == [""] * 3
+    assert "moved apart" in look(check, 0.01, q_m=7.501)
+
+
+def test_creeping_apart_is_noticed() -> None:
+    """The reference is that of the enable, not of the last cycle."""
+    check = at_rest(slip=0.25)
+    found = [look(check, 0.01 * n, q_m=0.01 * n) for n in range(40)]
+    assert [bool(text) for text in found] == [False] * 27 + [True] * 13
+
+
+def tendons(tau_m: float, sigma: float) -> float:
+    """The same joint torque from the two tensions, each with its capstan's exponential."""
+    x, t_p = MODEL
+    half = tau_m / (2.0 * RADII[0])
+    return RADII[1] * ((t_p + half) * math.exp(-sigma * x) - (t_p - half) * math.exp(sigma * x))
+
+
+@pytest.mark.parametrize(
+    ("settings", "most"),
+    [({}, 1.25), ({"joint_torque": 0.5}, 0.5)],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sigma", [-1.0, 0.0, 0.5, 1.0])
+def test_joint_torque_is_believed_up_to_its_bound_and_for_its_time(
+    settings: dict[str, float], most: float, sign: float, sigma: float
+) -> None:
+    """Half of the limit, at the joint; an agreement between or a sensor that is silent begins the time anew."""
+    check = at_rest(duration=0.125, **settings)
+    inside = tendons(0.8, sigma) + sign * most * 0.9999
+    outside = tendons(0.8, sigma) + sign * most * 1.0001
+    assert [look(check, 0.001 * n, 0.8, sigma=sigma, tau_j=inside) for n in range(500)] == [""] * 500
+    for begin, between in ((1.0, inside), (2.0, NO_SENSOR)):
+        assert look(check, begin - 0.1, 0.8, sigma=sigma, tau_j=inside) == ""
+        assert [look(check, begin + t, 0.8, sigma=sigma, tau_j=outside) for t in (0.0, 0.1)] == ["", ""]
+        assert look(check, begin + 0.11, 0.8, sigma=sigma, tau_j=between) == ""
+        assert look(check, begin + 0.2, 0.8, sigma=sigma, tau_j=outside) == ""
+    assert look(check, 2.3249, 0.8, sigma=sigma, tau_j=outside) == ""
+    assert "joint torque sensor" in look(check, 2.325, 0.8, sigma=sigma, tau_j=outside)
+
+
+def test_joint_torque_bound_itself_is_agreement() -> None:
+    """Exactly: 1.25 N*m more than the 1.25 that 1 N*m at the motor gives."""
+    check = at_rest()
+    assert [look(check, 0.001 * n, 1.0, tau_j=2.5) for n in range(500)] == [""] * 500
+    assert [bool(look(check, 1.0 + 0.25 * n, 1.0, tau_j=2.5001)) for n in range(2)] == [False, True]
+
+
+def test_each_reset_forgets_slip_and_joint_torque() -> None:
+    """The time of either begins anew."""
+    check = at_rest()
+    for begin in (0.0, 1.0):
+        check.reset()
+        assert look(check, begin) == ""
+        assert [look(check, begin + t, q_m=3.0) for t in (0.001, 0.009)] == ["", ""]
+        check.reset()
+        assert [look(check, begin + t, tau_j=5.0) for t in (0.1, 0.19)] == ["", ""]
+
+
+def test_defaults() -> None:
+    """What holds when the file says nothing."""
+    settings = PlausibilitySettings()
+    assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("key", "good", "bad"),
+    [
+        ("torque", (1e-6, 10_000.0), (0.0, 10_000.1)),
+        ("joint_torque", (1e-6, 10_000.0), (0.0, 10_000.1)),
+        ("duration", (0.001, 10.0), (0.000999, 10.001)),
+        ("slip", (1e-6, 10_000.0), (0.0, 10_000.1)),
+    ],
+)
+def test_settings_are_bounded_from_both_sides(key: str, good: tuple[float, ...], bad: tuple[float, ...]) -> None:
+    """None of them can be switched off by a number."""
+    for value in good:
+        assert getattr(msgspec.convert({key: value}, PlausibilitySettings), key) == value
+    for value in bad:
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({key: value}, PlausibilitySettings)

@@ -1,0 +1,158 @@
+"""Serial sensors in the loop: configuration, what the cycle and the log take from them, and their health as events."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.daemon.machine import Machine
+from tests.sensors.lines import Line, wait_for
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.control.estimator import EstimateState
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.serial_sensors import AxisSensors
+from tsa_ctrl.errors import UsageError
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+def controller(folder: Path, serial: str, can_sensor: bool = False, estimator: str = "fixed") -> Path:
+    """The example configuration with these serial sensors, and the joint torque sensor on CAN only if asked for."""
+    (folder / "actuator.toml").write_text((CONFIG / "actuator.toml").read_text())
+    text = (CONFIG / "controller.toml").read_text()
+    if not can_sensor:
+        begin, end = text.index("[axis.torque_sensor]"), text.index("[axis.setpoint]")
+        text = text[:begin] + text[end:]
+    text = text.replace('# kind = "fixed" ', f'kind = "{estimator}" ', 1)
+    path = folder / "controller.toml"
+    path.write_text(text + serial)
+    return path
+
+
+def sensor(quantity: str, port: str, more: str = "") -> str:
+    return f'\n[[axis.serial]]\nquantity = "{quantity}"\nport = "{port}"\n{more}\n'
+
+
+def test_sensors_are_read_from_the_configuration(tmp_path: Path) -> None:
+    path = controller(tmp_path, sensor("tau_j", "/dev/a", "scale = 0.01") + sensor("t1", "/dev/b"), estimator="sensor")
+    axis = load_configuration(path).file.axes[0]
+    assert [s.quantity for s in axis.serial] == ["tau_j", "t1"]
+    assert axis.serial[0].scale == 0.01
+
+
+@pytest.mark.parametrize(
+    ("serial", "can_sensor", "said"),
+    [
+        (sensor("tau_j", "/dev/a"), True, "tau_j already has a sensor"),
+        (sensor("t1", "/dev/a") + sensor("t1", "/dev/b"), False, "t1 already has a sensor"),
+        (sensor("t1", "/dev/a") + sensor("t3", "/dev/a"), False, "already read by another sensor"),
+        (sensor("t1", "/dev/a", "pattern = '(?P<val>.*)'"), False, "no group 'value'"),
+        (sensor("t1", "/dev/a", "timeout = 0.001"), False, "shorter than the time between two values"),
+        (sensor("tau_m", "/dev/a"), False, "tau_m"),
+        (sensor("t1", "/dev/a", "baudrate = 9600"), False, "did you mean 'baud_rate'"),
+    ],
+)
+def test_a_contradiction_is_said_before_anything_moves(
+    tmp_path: Path, serial: str, can_sensor: bool, said: str
+) -> None:
+    with pytest.raises(UsageError, match=said):
+        load_configuration(controller(tmp_path, serial, can_sensor))
+
+
+def test_the_sensor_estimator_needs_a_torque_sensor_of_either_kind(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="serial sensor of tau_j"):
+        load_configuration(controller(tmp_path, sensor("t1", "/dev/a"), estimator="sensor"))
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[Machine]:
+    made = Machine(tmp_path)
+    yield made
+    made.close()
+
+
+def test_the_log_and_the_estimator_take_the_serial_values(machine: Machine) -> None:
+    seen: list[float] = []
+    machine.axis.instruments.connect({"tau_j": lambda now: 0.25, "t1": lambda now: 40.0, "t3": lambda now: math.nan})
+    update = machine.axis.estimator.update
+    machine.axis.estimator.update = lambda *a: (seen.append(a[4]), update(*a))[1]  # type: ignore[assignment]
+    machine.run(seconds=0.3)
+    records = machine.records()
+    assert set(records["tau_j"]) == {0.25}
+    assert set(records["t1"]) == {40.0}
+    assert all(math.isnan(value) for value in records["t3"])
+    assert set(seen) == {0.25}
+
+
+MAP = (('# kind = "fixed"  ', 'kind = "map"  '), ('# source = "fixed"  ', 'source = "sensor"  '))
+THETA = "Sensors on serial lines that send"  # where the example speaks of them
+
+
+def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Path) -> None:
+    port = sensor("theta", "/dev/nothing", "scale = 0.0174532925")
+    machine = Machine(tmp_path, *MAP, (f"# {THETA}", f"{port}\n# {THETA}"))
+    try:
+        model, says = machine.axis.model, [1.2]
+        machine.axis.instruments.connect({"theta": lambda now: says[0] * model.bending_angle})
+        machine.drive.at_sync[2000] = lambda: says.__setitem__(0, math.nan)
+        machine.run(seconds=2.5)
+        records, lost = machine.records(), 2000
+        assert records["theta"][lost - 50] == pytest.approx(1.2 * model.bending_angle)
+        assert math.isnan(records["theta"][lost + 50])
+        for row in (lost - 50, lost + 50):
+            assert records["friction_angle"][row] == pytest.approx(1.2 * model.friction_angle)
+        states = [records["estimate_state"][row] for row in (lost - 50, lost + 50)]
+        assert states == [EstimateState.ESTIMATED.value, EstimateState.INVALID.value]
+    finally:
+        machine.close()
+
+
+@pytest.mark.parametrize(("source", "serial"), [("sensor", ""), ("command", sensor("theta", "/dev/a"))])
+def test_a_measured_bending_and_its_sensor_belong_together(tmp_path: Path, source: str, serial: str) -> None:
+    path = controller(tmp_path, serial, estimator="map")
+    path.write_text(path.read_text().replace('# source = "fixed" ', f'source = "{source}" ', 1))
+    with pytest.raises(UsageError, match="belong together"):
+        load_configuration(path)
+
+
+def test_without_serial_sensors_the_bus_says_the_joint_torque(machine: Machine) -> None:
+    machine.run(seconds=0.3)
+    records = machine.records()
+    assert math.isfinite(records["tau_j"][-1])
+    assert math.isnan(records["t1"][-1])
+
+
+def test_the_state_of_a_line_is_told_once(tmp_path: Path) -> None:
+    line = Line(tmp_path / "tty")
+    axes = load_configuration(controller(tmp_path, sensor("t1", str(line.path), "rate = 20\ntimeout = 0.2"))).file.axes
+    events = Events()
+    sensors = AxisSensors(axes)
+    try:
+        read = sensors.sources("knee")["t1"]
+
+        def told(text: str) -> bool:
+            sensors.check(0.0, events)
+            return any(text in event.text for event in events.all)
+
+        wait_for(lambda: told("values come"), lambda: line.send(b"41.5\n"))
+        wait_for(lambda: read(time.monotonic()) == 41.5, lambda: line.send(b"41.5\n"))
+        line.unplug()
+        wait_for(lambda: told("was unplugged"))
+        assert [event.axis for event in events.all] == ["knee"] * len(events.all)
+        assert sum("was unplugged" in event.text for event in events.all) == 1
+    finally:
+        sensors.close()
+
+
+def test_an_axis_has_only_its_own_sensors(tmp_path: Path) -> None:
+    axes = load_configuration(controller(tmp_path, sensor("t1", str(tmp_path / "none")))).file.axes
+    sensors = AxisSensors(axes)
+    try:
+        assert set(sensors.sources("knee")) == {"t1"}
+        assert sensors.sources("hip") == {}
+    finally:
+        sensors.close()

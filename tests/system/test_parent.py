@@ -1,0 +1,68 @@
+"""What the demo started ends with it, however the demo ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from tsa_ctrl.system.parent import terminal_blocked
+
+CHILD = "import time; from tsa_ctrl.system.parent import follow; follow(); print('up', flush=True); time.sleep(120)"
+PARENT = f"""
+import subprocess, sys, time
+from tsa_ctrl.system.parent import environment
+child = subprocess.Popen([sys.executable, "-c", {CHILD!r}], env=environment(), stdout=subprocess.PIPE, text=True)
+print(child.stdout.readline().strip(), child.pid, flush=True)
+time.sleep(120)
+"""
+
+
+def alive(pid: int) -> bool:
+    """Whether a process runs; one that nobody has waited for yet does not."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text("ascii").rsplit(")", 1)[1].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_child_ends_with_a_parent_that_is_killed() -> None:
+    parent = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    word, number = parent.stdout.readline().split()
+    assert word == "up"
+    assert alive(int(number))
+    parent.kill()
+    parent.communicate()
+    end = time.monotonic() + 20.0
+    while alive(int(number)) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not alive(int(number))
+
+
+def test_child_of_a_parent_that_is_gone_does_not_begin() -> None:
+    environment = {**os.environ, "TSA_PARENT": "1" if os.getpid() != 1 else "2"}
+    found = subprocess.run([sys.executable, "-c", CHILD], env=environment, capture_output=True, text=True, timeout=60)
+    assert (found.returncode, found.stdout) == (1, "")
+
+
+def test_child_never_gets_the_terminals_signals_and_they_wait_for_its_owner() -> None:
+    heard: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: heard.append(number))
+    try:
+        with terminal_blocked():
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(120)"])
+            signal.raise_signal(signal.SIGINT)
+            assert heard == []
+        assert heard == [signal.SIGINT]
+        for number in (signal.SIGINT, signal.SIGHUP):
+            child.send_signal(number)
+        time.sleep(0.1)
+        assert alive(child.pid)
+    finally:
+        signal.signal(signal.SIGINT, before)
+        child.kill()
+        child.wait()

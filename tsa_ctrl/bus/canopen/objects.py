@@ -1,0 +1,131 @@
+"""The CANopen objects that this master reads and writes: the built-in dictionary, one line each, used both ways.
+
+Works without an EDS. Types and numbers are those of CiA 301, 402, 404 and 406.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import Enum
+
+from tsa_ctrl.errors import UsageError
+
+
+class Type(Enum):
+    """Basic data types: struct format, CiA 301 code, bounds."""
+
+    I8 = ("b", 0x0002, -(1 << 7), (1 << 7) - 1)
+    I16 = ("h", 0x0003, -(1 << 15), (1 << 15) - 1)
+    I32 = ("i", 0x0004, -(1 << 31), (1 << 31) - 1)
+    U8 = ("B", 0x0005, 0, (1 << 8) - 1)
+    U16 = ("H", 0x0006, 0, (1 << 16) - 1)
+    U32 = ("I", 0x0007, 0, (1 << 32) - 1)
+
+    def __init__(self, code: str, number: int, low: int, high: int) -> None:
+        self.code = code
+        self.number = number
+        self.low = low
+        self.high = high
+        self.struct = struct.Struct("<" + code)
+
+    @property
+    def size(self) -> int:
+        """Length in bytes."""
+        return self.struct.size
+
+
+@dataclass(frozen=True, slots=True)
+class Object:
+    """One entry of an object dictionary."""
+
+    index: int
+    subindex: int
+    type: Type
+    name: str
+
+    def __str__(self) -> str:
+        return f"0x{self.index:04X}:{self.subindex} {self.name}"
+
+    @property
+    def key(self) -> tuple[int, int]:
+        return self.index, self.subindex
+
+    @property
+    def mapping(self) -> int:
+        """The entry of a PDO mapping (0x1600.., 0x1A00..): index, subindex and length in bits."""
+        return self.index << 16 | self.subindex << 8 | self.type.size * 8
+
+    def encode(self, value: int) -> bytes:
+        """SDO data; raises UsageError when the value does not fit the type."""
+        if not self.type.low <= value <= self.type.high:
+            raise UsageError(
+                f"{self}: value {value} does not fit {self.type.name.lower()} "
+                f"({self.type.low} to {self.type.high}); correct the setting it comes from"
+            )
+        return self.type.struct.pack(value)
+
+    def decode(self, data: bytes) -> int:
+        """The value in SDO data; shorter answers are extended, longer ones truncated, as devices pad differently."""
+        signed = self.type.low < 0
+        return int.from_bytes(data[: self.type.size], "little", signed=signed)
+
+
+@dataclass(frozen=True)
+class Write:
+    """One object and the value that it must have. `kept`: bits that stay as the node has them."""
+
+    entry: Object
+    value: int
+    optional: bool = False  # a node that does not have it is fine
+    kept: int = 0
+    rated: Object | None = None  # then `value` is per mille of what this object holds
+    watchdog: bool = False  # makes the drive stop by itself when this computer does
+
+
+# CiA 301
+DEVICE_TYPE = Object(0x1000, 0, Type.U32, "device type")
+ERROR_REGISTER = Object(0x1001, 0, Type.U8, "error register")
+ERROR_HISTORY_COUNT = Object(0x1003, 0, Type.U8, "error history count")
+ERROR_HISTORY = Object(0x1003, 1, Type.U32, "newest entry of the error history")
+SYNC_COB_ID = Object(0x1005, 0, Type.U32, "SYNC COB-ID")
+HEARTBEAT_CONSUMER = Object(0x1016, 1, Type.U32, "heartbeat consumer")  # node << 16 | ms
+HEARTBEAT_PRODUCER = Object(0x1017, 0, Type.U16, "heartbeat producer")  # ms
+VENDOR_ID = Object(0x1018, 1, Type.U32, "vendor")
+PRODUCT_CODE = Object(0x1018, 2, Type.U32, "product code")
+REVISION = Object(0x1018, 3, Type.U32, "revision")
+SERIAL_NUMBER = Object(0x1018, 4, Type.U32, "serial number")
+ERROR_BEHAVIOUR = Object(0x1029, 1, Type.U8, "reaction to communication errors")  # 0 pre-operational, 1 none, 2 stopped
+RPDO_EVENT_TIMER = Object(0x1400, 5, Type.U16, "RPDO event timer")  # ms
+
+# CiA 402
+CONNECTION_LOSS = Object(0x6007, 0, Type.I16, "reaction to a lost connection")
+ERROR_CODE = Object(0x603F, 0, Type.U16, "error code")
+CONTROLWORD = Object(0x6040, 0, Type.U16, "controlword")
+STATUSWORD = Object(0x6041, 0, Type.U16, "statusword")
+QUICK_STOP_OPTION = Object(0x605A, 0, Type.I16, "quick stop reaction")
+SHUTDOWN_OPTION = Object(0x605B, 0, Type.I16, "shutdown reaction")
+DISABLE_OPTION = Object(0x605C, 0, Type.I16, "disable operation reaction")
+HALT_OPTION = Object(0x605D, 0, Type.I16, "halt reaction")
+FAULT_REACTION_OPTION = Object(0x605E, 0, Type.I16, "fault reaction")
+MODE = Object(0x6060, 0, Type.I8, "mode of operation")
+MODE_DISPLAY = Object(0x6061, 0, Type.I8, "mode of operation display")
+POSITION_ACTUAL = Object(0x6064, 0, Type.I32, "position actual value")
+VELOCITY_ACTUAL = Object(0x606C, 0, Type.I32, "velocity actual value")
+TARGET_TORQUE = Object(0x6071, 0, Type.I16, "target torque")
+MAX_TORQUE = Object(0x6072, 0, Type.U16, "max torque")  # per mille of rated torque
+RATED_TORQUE = Object(0x6076, 0, Type.U32, "motor rated torque")
+TORQUE_ACTUAL = Object(0x6077, 0, Type.I16, "torque actual value")
+MAX_MOTOR_SPEED = Object(0x6080, 0, Type.U32, "max motor speed")
+VELOCITY_UNIT = Object(0x60A9, 0, Type.U32, "SI unit velocity")
+INTERPOLATION_PERIOD = Object(0x60C2, 1, Type.U8, "interpolation period")
+INTERPOLATION_EXPONENT = Object(0x60C2, 2, Type.I8, "interpolation period exponent")
+SUPPORTED_MODES = Object(0x6502, 0, Type.U32, "supported modes")
+
+# CiA 404 and 406
+PROCESS_VALUE = Object(0x9130, 1, Type.I32, "process value")
+MEASURING_UNITS = Object(0x6001, 0, Type.U32, "measuring units per revolution")
+TOTAL_RANGE = Object(0x6002, 0, Type.U32, "total measuring range")
+ENCODER_POSITION = Object(0x6004, 0, Type.U32, "position value")
+
+TABLE: tuple[Object, ...] = tuple(value for value in dict(globals()).values() if isinstance(value, Object))

@@ -1,0 +1,66 @@
+"""The PDO plan as a table: which object travels where. Layout, mapping entries and COB-IDs come from these lines."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+from tsa_ctrl.bus.canopen import cia301, objects
+from tsa_ctrl.bus.canopen.objects import Object, Type
+
+
+class Transmission(IntEnum):
+    """Transmission types of CiA 301, object 0x14xx:2 and 0x18xx:2."""
+
+    EVERY_SYNC = 1
+    ON_ARRIVAL = 255
+
+
+@dataclass(frozen=True)
+class Pdo:
+    """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and what it carries in order."""
+
+    number: int
+    received: bool
+    objects: tuple[Object, ...]
+
+    @property
+    def name(self) -> str:
+        return f"{'R' if self.received else 'T'}PDO{self.number}"
+
+    @property
+    def struct(self) -> struct.Struct:
+        return struct.Struct("<" + "".join(entry.type.code for entry in self.objects))
+
+    @property
+    def length(self) -> int:
+        """Bytes."""
+        return self.struct.size
+
+    def cob_id(self, node_id: int) -> int:
+        """COB-ID of the predefined connection set."""
+        bases = cia301.RPDO if self.received else cia301.TPDO
+        return bases[self.number - 1] + node_id
+
+    def communication(self, subindex: int, type_: Type, name: str) -> Object:
+        """An entry of the communication parameters 0x1400.. or 0x1800.."""
+        return Object((0x1400 if self.received else 0x1800) + self.number - 1, subindex, type_, f"{self.name} {name}")
+
+    def mapping(self, subindex: int) -> Object:
+        """An entry of the mapping parameters 0x1600.. or 0x1A00..; subindex 0 is the number of entries."""
+        index = (0x1600 if self.received else 0x1A00) + self.number - 1
+        if subindex == 0:
+            return Object(index, 0, Type.U8, f"{self.name} number of mapped objects")
+        return Object(index, subindex, Type.U32, f"{self.name} mapped object {subindex}")
+
+
+COMMAND = Pdo(1, True, (objects.CONTROLWORD, objects.TARGET_TORQUE))
+MOTION = Pdo(1, False, (objects.STATUSWORD, objects.TORQUE_ACTUAL, objects.VELOCITY_ACTUAL))
+POSITION = Pdo(2, False, (objects.POSITION_ACTUAL, objects.MODE_DISPLAY, objects.ERROR_CODE))
+ENCODER = Pdo(1, False, (objects.ENCODER_POSITION,))
+TORQUE_SENSOR = Pdo(1, False, (objects.PROCESS_VALUE,))
+
+DRIVE_PLAN = (COMMAND, MOTION, POSITION)
+ENCODER_PLAN = (ENCODER,)
+TORQUE_SENSOR_PLAN = (TORQUE_SENSOR,)

@@ -1,0 +1,247 @@
+"""What a drive holds, as a file: the objects that this master writes, read, written back, and compared.
+
+The file is TOML: which drive it was, and one `[[object]]` per entry with its type and value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl import settings
+from tsa_ctrl.bus.canopen import cia402, objects
+from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, NmtCommand
+from tsa_ctrl.bus.canopen.cia402 import PowerState
+from tsa_ctrl.bus.canopen.objects import Object, Type, Write
+from tsa_ctrl.bus.drive.profile import Index, IntegerType, Subindex
+from tsa_ctrl.bus.drive.report import Row
+from tsa_ctrl.bus.drive.scale import PER_MILLE
+from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.drive.writing import write_all
+from tsa_ctrl.bus.settings import NodeId, Word
+from tsa_ctrl.errors import BusError, UsageError
+
+_COMMUNICATION = (0x1400, 0x1800)  # first PDO communication parameters: received, sent
+_MAPPING_OFFSET = 0x200
+_PDOS = 0x200  # of each direction at most
+_MAPPABLE = 8  # objects in a PDO at most, as each has a byte at least
+_COMMANDS = frozenset({objects.CONTROLWORD.key, objects.TARGET_TORQUE.key})
+
+
+class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One object of a dump: where it lies, and what was in it."""
+
+    index: Index
+    subindex: Subindex
+    type: IntegerType
+    value: int
+    name: str = ""
+
+    @property
+    def entry(self) -> Object:
+        return Object(self.index, self.subindex, Type[self.type.upper()], self.name)
+
+
+class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One drive's objects."""
+
+    format: Literal[1] = 1
+    node_id: NodeId
+    vendor_id: Word
+    product_code: Word
+    revision: Word = 0
+    serial_number: Word = 0
+    object: Annotated[list[StoredObject], Meta(min_length=1)]
+
+    def text(self) -> str:
+        """The file's text; values in hexadecimal where they are not negative."""
+        lines = [
+            "# Objects of a drive, as read by `tsa drive dump`; `tsa drive restore` writes them back.",
+            f"format = {self.format}",
+            f"node_id = {self.node_id}",
+            f"vendor_id = 0x{self.vendor_id:08X}",
+            f"product_code = 0x{self.product_code:08X}",
+            f"revision = 0x{self.revision:08X}",
+            f"serial_number = 0x{self.serial_number:08X}",
+        ]
+        for stored in self.object:
+            value = str(stored.value) if stored.value < 0 else f"0x{stored.value:X}"
+            lines += [
+                "",
+                "[[object]]",
+                f"index = 0x{stored.index:04X}",
+                f"subindex = {stored.subindex}",
+                f'type = "{stored.type}"',
+                f"value = {value}",
+                f'name = "{stored.name}"',
+            ]
+        return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An object whose value is not the one of a file or a configuration; None: the drive does not have it."""
+
+    entry: Object
+    wanted: int
+    found: int | None
+
+    def __str__(self) -> str:
+        found = "not there" if self.found is None else f"{self.found:#x}"
+        return f"{self.entry}: drive {found}, wanted {self.wanted:#x}"
+
+
+def load_backup(path: str | Path) -> Backup:
+    """Read a backup; raises UsageError for anything wrong with it, values out of their type's range included."""
+    backup = settings.load(path, Backup)
+    for stored in backup.object:
+        try:
+            stored.entry.encode(stored.value)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error}") from None
+    return backup
+
+
+def entries_of(plan: Iterable[Write]) -> list[Object]:
+    """The objects that a plan writes, and for each PDO in it all that may be mapped."""
+    entries: dict[tuple[int, int], Object] = {}
+    for write in plan:
+        entries.setdefault(write.entry.key, write.entry)
+        index, subindex = write.entry.key
+        communication = _communication_of(index)
+        if communication is not None and communication != index and subindex == 0:
+            for number in range(1, _MAPPABLE + 1):
+                entry = Object(index, number, Type.U32, f"mapped object {number}")
+                entries.setdefault(entry.key, entry)
+    return list(entries.values())
+
+
+def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
+    """Read these objects and the identity; what the drive does not have is left out."""
+    stored = []
+    mapped: dict[int, int] = {}  # mapping parameter -> objects in it; those beyond mean nothing
+    for entry in entries:
+        index, subindex = entry.key
+        if entry.key in _COMMANDS or subindex > mapped.get(index, subindex):
+            continue
+        value = session.read_if_there(node_id, entry)
+        if _communication_of(index) not in (None, index) and subindex == 0:
+            mapped[index] = value or 0
+        if value is not None:
+            type_ = msgspec.convert(entry.type.name.lower(), IntegerType)
+            stored.append(StoredObject(index=index, subindex=subindex, type=type_, value=value, name=entry.name))
+    vendor, product, revision, serial = (
+        session.read_if_there(node_id, entry) or 0
+        for entry in (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER)
+    )
+    return Backup(
+        node_id=node_id,
+        vendor_id=vendor,
+        product_code=product,
+        revision=revision,
+        serial_number=serial,
+        object=stored,
+    )
+
+
+def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
+    """Write a backup to a drive that is not enabled, and read everything back; leaves it pre-operational.
+
+    Raises UsageError for the backup of another node, whose identifiers this one would take: two drives would follow one
+    command. Raises BusError when the drive is enabled, is another model, or does not take a value.
+    """
+    name = f"node {node_id}"
+    if backup.node_id != node_id:
+        raise UsageError(
+            f"{name}: the backup is of node {backup.node_id} and holds the identifiers of its PDOs; "
+            "give a backup of this node, or the drive the id of that one"
+        )
+    for entry, wanted in ((objects.VENDOR_ID, backup.vendor_id), (objects.PRODUCT_CODE, backup.product_code)):
+        found = session.read_if_there(node_id, entry) or 0
+        if found != wanted:
+            raise BusError(
+                f"{name}: {entry.name} is 0x{found:08X}, the backup is of 0x{wanted:08X}; "
+                "a backup fits the same model only: give another file or node"
+            )
+    state = cia402.decode(session.read(node_id, objects.STATUSWORD))
+    if state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE):
+        raise BusError(f"{name}: the drive is enabled ({state.value}); stop what drives it, then restore")
+    session.nmt(NmtCommand.PRE_OPERATIONAL, node_id)
+    return write_all(session, node_id, name, restore_plan(backup.object))
+
+
+def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
+    """The writes of a backup in an order that a drive accepts: PDOs by the mapping procedure, the rest as it stands."""
+    values = {(item.index, item.subindex): item for item in stored}
+    plan = []
+    done: set[tuple[int, int]] = set()
+    for item in stored:
+        if (item.index, item.subindex) in done:
+            continue
+        communication = _communication_of(item.index)
+        if communication is None:
+            plan.append(Write(item.entry, item.value))
+            continue
+        members = [key for key in values if key[0] in (communication, communication + _MAPPING_OFFSET)]
+        done.update(members)
+        plan += _pdo_plan([values[key] for key in members], communication)
+    return plan
+
+
+def wanted_by(session: Session, node_id: int, plan: Iterable[Write]) -> list[tuple[Object, int]]:
+    """What each object holds after a plan; of objects that the drive does not need, only those that it has."""
+    wanted: dict[tuple[int, int], tuple[Object, int]] = {}
+    for write in plan:
+        entry, value = write.entry, write.value
+        if write.rated is not None:
+            value = value * session.read(node_id, write.rated) // PER_MILLE
+        if write.optional or write.kept:
+            before = session.read_if_there(node_id, entry)
+            if before is None and write.optional:
+                continue
+            value |= (before or 0) & write.kept
+        wanted[entry.key] = entry, value
+    return [pair for key, pair in wanted.items() if key not in _COMMANDS]
+
+
+def compare(session: Session, node_id: int, wanted: Iterable[tuple[Object, int]]) -> list[Difference]:
+    """Objects whose value at the drive is another one than wanted."""
+    differences = []
+    for entry, value in wanted:
+        found = session.read_if_there(node_id, entry)
+        if found != value:
+            differences.append(Difference(entry, value, found))
+    return differences
+
+
+def _communication_of(index: int) -> int | None:
+    """The communication parameters of the PDO that an index belongs to."""
+    for first in _COMMUNICATION:
+        if first <= index < first + _PDOS:
+            return index
+        if first + _MAPPING_OFFSET <= index < first + _MAPPING_OFFSET + _PDOS:
+            return index - _MAPPING_OFFSET
+    return None
+
+
+def _pdo_plan(members: Sequence[StoredObject], communication: int) -> list[Write]:
+    """Disable, empty, map, count, the other parameters, enable."""
+    mapping = communication + _MAPPING_OFFSET
+    cob_id = [item for item in members if (item.index, item.subindex) == (communication, 1)]
+    count = [item for item in members if (item.index, item.subindex) == (mapping, 0)]
+    used = count[0].value if count else 0
+    entries = [item for item in members if item.index == mapping and 0 < item.subindex <= used]
+    others = [item for item in members if item.index == communication and item.subindex > 1]
+    return [
+        *(Write(item.entry, item.value | COB_ID_INVALID) for item in cob_id),
+        *(Write(item.entry, 0) for item in count),
+        *(Write(item.entry, item.value) for item in entries),
+        *(Write(item.entry, item.value) for item in count),
+        *(Write(item.entry, item.value) for item in others),
+        *(Write(item.entry, item.value) for item in cob_id),
+    ]

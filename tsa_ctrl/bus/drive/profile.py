@@ -1,0 +1,157 @@
+"""Drive profiles: what the public documentation of a drive says of its units and of the objects that it has.
+
+A profile is a TOML file in `drives/` beside the configuration; "generic" needs none.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from enum import Enum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl import settings
+from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.settings import Positive, Word
+from tsa_ctrl.errors import UsageError
+
+
+class VelocityUnit(Enum):
+    """Units of 0x606C and 0x6080 that drives use."""
+
+    RPM = "rpm"
+    DECI_RPM = "0.1 rpm"
+    CENTI_RPM = "0.01 rpm"
+    MILLI_RPM = "mrpm"
+    COUNTS = "counts/s"
+    DECI_COUNTS = "0.1 counts/s"
+
+    @property
+    def si_code(self) -> int | None:
+        """Value of 0x60A9 (prefix, revolutions, per minute); None where that object cannot express the unit."""
+        return _SI_CODES.get(self)
+
+    def radians_per_second(self, counts_per_revolution: int) -> float:
+        """One digit in rad/s of the motor."""
+        if self in _RPM:
+            return _RPM[self] * 2.0 * math.pi / 60.0
+        return _COUNTS[self] * 2.0 * math.pi / counts_per_revolution
+
+
+_RPM = {
+    VelocityUnit.RPM: 1.0,
+    VelocityUnit.DECI_RPM: 0.1,
+    VelocityUnit.CENTI_RPM: 0.01,
+    VelocityUnit.MILLI_RPM: 0.001,
+}
+_COUNTS = {VelocityUnit.COUNTS: 1.0, VelocityUnit.DECI_COUNTS: 0.1}
+_SI_CODES = {  # CiA 303-2: prefix exponent in the high byte, 0xB4 revolutions, 0x47 minutes
+    VelocityUnit.RPM: 0x00B44700,
+    VelocityUnit.DECI_RPM: 0xFFB44700,
+    VelocityUnit.CENTI_RPM: 0xFEB44700,
+    VelocityUnit.MILLI_RPM: 0xFDB44700,
+}
+
+
+class Identity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """0x1018; what is not given is shown and not compared."""
+
+    vendor_id: Word | None = None
+    product_codes: list[Word] = []
+
+
+class Units(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One digit of the objects whose unit vendors choose."""
+
+    rated_torque: Positive = 1e-3  # N*m per digit of 0x6076
+    velocity: VelocityUnit = VelocityUnit.MILLI_RPM  # 0x606C
+    max_speed: VelocityUnit = VelocityUnit.RPM  # 0x6080
+
+
+Keep = Literal["keep"]
+IntegerType = Literal["i8", "i16", "i32", "u8", "u16", "u32"]
+Index = Annotated[int, Meta(ge=0x1000, le=0xFFFF)]
+Subindex = Annotated[int, Meta(ge=0, le=0xFF)]
+
+
+class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Option codes 0x605A-0x605E and 0x1029:1; "keep" leaves the drive's own."""
+
+    quick_stop: int | Keep = 0  # 0: disable the drive, the motor coasts
+    shutdown: int | Keep = 0
+    disable_operation: int | Keep = 0
+    halt: int | Keep = "keep"
+    fault: int | Keep = 0
+    communication_error: int | Keep = 0  # 0: pre-operational, 1: no change, 2: stopped
+
+
+class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """The object that limits torque on a drive without 0x6072; its value at rated torque is that of another object."""
+
+    index: Index
+    subindex: Subindex = 0
+    rated_index: Index
+    rated_subindex: Subindex = 0
+    type: IntegerType = "u32"
+    name: str = "torque clamp"
+
+
+class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A vendor's own object that must have a certain value."""
+
+    index: Index
+    subindex: Subindex = 0
+    type: IntegerType
+    value: int
+    name: str
+
+
+class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One kind of drive."""
+
+    name: str = "generic CiA 402 drive"
+    sources: list[str] = []  # documents that the figures come from
+    eds: str | None = None  # EDS file beside the profile; default: none, the built-in dictionary is enough
+    identity: Identity = Identity()
+    units: Units = Units()
+    reactions: Reactions = Reactions()
+    absent: list[str] = []  # names (of the object table) of what this drive does not have
+    torque_clamp: TorqueClamp | None = None  # where there is no 0x6072
+    reports_following: bool = True  # statusword bit 12 as in CiA 402
+    rpdo_count: Annotated[int, Meta(ge=1, le=4)] = 4  # those that we do not use are switched off
+    tpdo_count: Annotated[int, Meta(ge=2, le=4)] = 4
+    extra: list[ExtraWrite] = []
+
+    def has(self, entry: objects.Object) -> bool:
+        """Whether the drive is expected to have an optional object."""
+        return entry.name not in self.absent
+
+
+def load_profile(name: str, folder: str | Path) -> DriveProfile:
+    """The profile `name`: a path to a .toml, or `drives/NAME.toml` in `folder`. Raises UsageError."""
+    path = Path(folder) / (name if name.endswith(".toml") else f"drives/{name}.toml")
+    if name == "generic" and not path.exists():
+        return DriveProfile()
+    if not path.exists():
+        known = sorted({"generic", *(found.stem for found in path.parent.glob("*.toml"))})
+        raise UsageError(f"{path}: no such drive profile '{name}'; known here: {', '.join(known)}")
+    profile = settings.load(path, DriveProfile)
+    names = {entry.name for entry in objects.TABLE}
+    for absent in profile.absent:
+        if absent not in names:
+            near = difflib.get_close_matches(absent, names, n=1)
+            advice = f"did you mean '{near[0]}'?" if near else "use a name of the object table"
+            raise UsageError(f"{path}: absent: unknown object '{absent}'; {advice}")
+    if not profile.has(objects.MAX_TORQUE) and profile.torque_clamp is None:
+        raise UsageError(f"{path}: no object limits the drive's torque; give [torque_clamp] for a drive without 0x6072")
+    if profile.eds is None:
+        return profile
+    from tsa_ctrl.bus.canopen.eds import load_eds  # canopen is slow to import
+
+    eds = path.parent / profile.eds
+    load_eds(eds)
+    return msgspec.structs.replace(profile, eds=str(eds))

@@ -1,0 +1,57 @@
+"""What a bring-up found at each node and what it changed there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tsa_ctrl.bus.canopen.objects import Object
+
+
+@dataclass(frozen=True)
+class Row:
+    """One object written: what the node had, and what it has now. `after` is None for an object that it lacks."""
+
+    entry: Object
+    before: int | None
+    after: int | None
+
+    @property
+    def changed(self) -> bool:
+        return self.after is not None and self.before != self.after
+
+    def __str__(self) -> str:
+        if self.after is None:
+            return f"{self.entry}: not there"
+        before = "?" if self.before is None else f"{self.before:#x}"
+        return f"{self.entry}: {before} -> {self.after:#x}" if self.changed else f"{self.entry}: {self.after:#x}"
+
+
+@dataclass
+class NodeReport:
+    """What was found at one node, and what was written to it."""
+
+    name: str  # axis, role and node id
+    identity: dict[str, int] = field(default_factory=dict)
+    rows: list[Row] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # errors that the node remembers, things that could not be checked
+
+    def lines(self) -> list[str]:
+        """The report as text: identity, notes, and each object that was changed."""
+        identity = ", ".join(f"{name} {value:#x}" for name, value in self.identity.items())
+        changed = [str(row) for row in self.rows if row.changed]
+        absent = [row.entry.name for row in self.rows if row.after is None]
+        lines = [f"{self.name}: {identity}; {len(self.rows) - len(absent)} objects verified, {len(changed)} changed"]
+        lines += [f"  {text}" for text in [*self.notes, *changed]]
+        if absent:
+            lines.append(f"  not there: {', '.join(absent)}")
+        return lines
+
+
+@dataclass(frozen=True)
+class Report:
+    """All nodes of one bus."""
+
+    nodes: tuple[NodeReport, ...]
+
+    def lines(self) -> list[str]:
+        return [line for node in self.nodes for line in node.lines()]

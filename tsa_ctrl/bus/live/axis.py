@@ -1,0 +1,259 @@
+"""One axis on the bus: frames of its nodes into its process image, and its torque command into an RPDO."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+from tsa_ctrl.bus.canopen import cia301, emcy, pdo
+from tsa_ctrl.bus.canopen.cia301 import NmtState
+from tsa_ctrl.bus.canopen.pdo import Pdo
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.drive.scale import DriveScale, drive_scale, encoder_scale
+from tsa_ctrl.bus.live.image import Image, NodeHealth
+from tsa_ctrl.bus.live.tracker import PositionTracker
+from tsa_ctrl.bus.settings import AxisNodes, NodeSettings, Role
+from tsa_ctrl.bus.wire.seam import Bus
+
+_COUNTER_RANGE = 1 << 32  # where 0x6064 wraps
+
+Handler = Callable[[bytes], None]
+
+
+class Inbox:
+    """One TPDO. A cycle takes its first well-formed frame after the SYNC; the others are counted here.
+
+    The rig's loop does the taking itself: `armed` until this cycle's answer has come, `awaited` 0 when a cycle does not
+    wait for it any longer.
+    """
+
+    __slots__ = ("armed", "awaited", "health", "length", "store", "unpack")
+
+    def __init__(self, layout: Pdo, health: NodeHealth, store: Callable[[tuple[Any, ...]], None]) -> None:
+        self.health = health
+        self.length = layout.length
+        self.unpack = layout.struct.unpack
+        self.store = store
+        self.armed = False
+        self.awaited = 1
+
+    def refuse(self, data: bytes) -> None:
+        """Count a frame that cannot be this cycle's answer: of a wrong length, or after one that was taken."""
+        if len(data) != self.length:
+            self.health.malformed += 1
+        else:
+            self.health.repeated += 1
+
+    def refuse_stale(self, data: bytes) -> None:
+        """Count a frame that waited before the SYNC."""
+        if len(data) != self.length or not self.armed:
+            self.refuse(data)
+            return
+        self.health.late += 1
+        if not self.awaited:
+            self.health.misses = 0  # alive again: the next cycles wait for it
+
+
+class Guard:
+    """Heartbeat, boot-up and emergencies of one node."""
+
+    __slots__ = ("_clock", "_health", "_image")
+
+    def __init__(self, health: NodeHealth, image: Image, clock: Callable[[], float]) -> None:
+        self._health = health
+        self._image = image
+        self._clock = clock
+
+    def heartbeat(self, data: bytes) -> None:
+        health = self._health
+        state = cia301.heartbeat_state(data)
+        if state is None:
+            health.malformed += 1
+            return
+        health.heard = self._clock()
+        if state == NmtState.BOOT_UP:
+            health.boot_ups += 1
+            self._image.events += 1
+        if state != health.nmt_state:
+            health.nmt_state = state
+            self._image.events += 1
+
+    def emergency(self, data: bytes) -> None:
+        health = self._health
+        found = emcy.decode(data)
+        if found is None:
+            health.malformed += 1
+        elif not found.is_reset:
+            health.emcy = found
+            health.emcys += 1
+            self._image.events += 1
+
+
+class Axis:
+    """One axis: its process image and its command. SI at the motor pulley and the joint."""
+
+    def __init__(self, nodes: AxisNodes, profile: DriveProfile, bus: Bus, clock: Callable[[], float]) -> None:
+        self.name = nodes.name
+        self.nodes = nodes
+        self.profile = profile
+        drive, encoder, sensor = nodes.drive, nodes.encoder, nodes.torque_sensor
+        self.scale: DriveScale = drive_scale(drive, profile, f"axis '{nodes.name}'")
+        self.refused = 0  # commands that were not finite, and were sent as zero
+        self.tau_m_sent = 0.0  # N*m, the last command as the drive was given it
+
+        health = _health(Role.DRIVE, drive)
+        guarded = [health]
+        self.inboxes = [
+            Inbox(pdo.MOTION, health, self._store_motion),
+            Inbox(pdo.POSITION, health, self._store_position),
+        ]
+        self._control_inboxes = list(self.inboxes)  # without whose answers the axis is not fresh
+        self.tpdo_ids = [pdo.MOTION.cob_id(drive.node_id), pdo.POSITION.cob_id(drive.node_id)]
+        self._joint: PositionTracker | None = None
+        if encoder is not None:
+            health = _health(Role.ENCODER, encoder)
+            guarded.append(health)
+            self.inboxes.append(Inbox(pdo.ENCODER, health, self._store_encoder))
+            self._control_inboxes.append(self.inboxes[-1])
+            self.tpdo_ids.append(pdo.ENCODER.cob_id(encoder.node_id))
+            scale = encoder_scale(encoder)
+            self._joint = PositionTracker(scale, encoder.counts_range, encoder.zero, encoder.velocity_cutoff)
+        if sensor is not None:
+            health = _health(Role.TORQUE_SENSOR, sensor)
+            guarded.append(health)
+            self.inboxes.append(Inbox(pdo.TORQUE_SENSOR, health, self._store_torque))
+            self.tpdo_ids.append(pdo.TORQUE_SENSOR.cob_id(sensor.node_id))
+            self._sensor_scale = sensor.sign * sensor.resolution
+            self._sensor_offset = sensor.offset
+        self.image = Image(tuple(guarded))
+        self.guards = [Guard(health, self.image, clock) for health in guarded]
+
+        self._motor = PositionTracker(self.scale.position, _COUNTER_RANGE, 0, drive.velocity_cutoff)
+        self._differentiate_motor = drive.velocity_source == "position"
+        self._joint_count = 0
+        self._motor_count = 0
+        self._sampled = -math.inf
+        self._look_again = -math.inf  # s, when a heartbeat may be overdue
+        self._gaps = False  # whether a node missed the last cycle
+        self._torque = self.scale.torque
+        self._velocity = self.scale.velocity
+        self._per_newton_metre = 1.0 / self.scale.torque
+        self._limit = float(self.scale.max_torque_digits)
+        self._send = bus.send
+        self.rpdo_id = pdo.COMMAND.cob_id(drive.node_id)
+        self._pack = pdo.COMMAND.struct.pack
+
+    def command(self, controlword: int, tau_m: float) -> bool:
+        """Send one RPDO: `controlword`, and `tau_m` (N*m at the motor pulley) clamped to the drive's limit.
+
+        What is not finite is sent as zero and counted in `refused`. False when the frame was dropped.
+        """
+        digits = tau_m * self._per_newton_metre
+        if -self._limit <= digits <= self._limit:
+            raw = round(digits)
+        elif math.isfinite(digits):
+            raw = int(math.copysign(self._limit, digits))
+        else:
+            raw = 0
+            self.refused += 1
+        self.tau_m_sent = raw * self._torque
+        if self._send(self.rpdo_id, self._pack(controlword, raw)):
+            self.image.drops = 0
+            return True
+        self.image.drops += 1
+        return False
+
+    def rearm(self, now: float) -> None:
+        """Forget what was latched, after the nodes of this axis have been configured again."""
+        image = self.image
+        for health in image.nodes:
+            health.heard = now
+            health.nmt_state = NmtState.OPERATIONAL
+            health.boot_ups = health.emcys = health.misses = 0
+            health.emcy = None
+        image.silent = image.intruder = image.bus_fault = None
+        image.fresh = image.joint_fresh = False
+        image.misses = image.drops = image.events = 0
+        self._look_again = -math.inf
+        self._motor.reset()
+        if self._joint is not None:
+            self._joint.reset()
+
+    def _store_motion(self, values: tuple[Any, ...]) -> None:
+        image = self.image
+        image.statusword, torque, velocity = values
+        image.tau_m = torque * self._torque
+        if not self._differentiate_motor:
+            image.omega_m = velocity * self._velocity
+
+    def _store_position(self, values: tuple[Any, ...]) -> None:
+        image = self.image
+        self._motor_count, image.mode, image.error_code = values
+
+    def _store_encoder(self, values: tuple[Any, ...]) -> None:
+        self._joint_count = values[0]
+
+    def _store_torque(self, values: tuple[Any, ...]) -> None:
+        self.image.tau_j = values[0] * self._sensor_scale - self._sensor_offset
+
+    def settle(self, sampled: float, complete: bool) -> None:
+        """Close a cycle: judge what is fresh, and derive what follows from positions sampled at `sampled`."""
+        image = self.image
+        image.now = sampled
+        fresh = joint_fresh = True
+        if not complete:
+            fresh, joint_fresh = self._count_misses()
+        elif self._gaps:
+            self._gaps = False
+            for health in image.nodes:
+                health.misses = 0
+        if self._joint is not None and joint_fresh:
+            self._joint.update(self._joint_count, sampled)
+            image.q_j = self._joint.angle
+            image.omega_j = self._joint.velocity
+        image.joint_fresh = joint_fresh
+        image.fresh = fresh
+        if fresh:
+            motor = self._motor
+            if self._differentiate_motor:
+                motor.update(self._motor_count, sampled)
+                image.omega_m = motor.velocity
+            else:
+                motor.follow(self._motor_count)
+            image.q_m = motor.angle
+            image.misses = 0
+            self._sampled = sampled
+        else:
+            image.misses += 1
+            image.missed += 1
+        image.pdo_age = sampled - self._sampled
+        if sampled >= self._look_again:
+            self._look_for_silence(sampled)
+
+    def _look_for_silence(self, now: float) -> None:
+        """Find a node whose heartbeat is overdue, and when the next one may be."""
+        image = self.image
+        image.silent = None
+        self._look_again = math.inf
+        for health in image.nodes:
+            due = health.heard + health.timeout
+            self._look_again = min(self._look_again, due)
+            if image.silent is None and now > due:
+                image.silent = health
+
+    def _count_misses(self) -> tuple[bool, bool]:
+        """Charge each node with the answers that did not come; returns fresh, joint_fresh."""
+        joint_fresh = self._gaps = True
+        for health in self.image.nodes:
+            if any(inbox.armed for inbox in self.inboxes if inbox.health is health):
+                health.misses += 1
+                health.missed += 1
+                joint_fresh = joint_fresh and health.role is not Role.ENCODER
+            else:
+                health.misses = 0
+        return not any(inbox.armed for inbox in self._control_inboxes), joint_fresh
+
+
+def _health(role: Role, node: NodeSettings) -> NodeHealth:
+    return NodeHealth(role, node.node_id, node.heartbeat_timeout)

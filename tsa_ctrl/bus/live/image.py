@@ -1,0 +1,114 @@
+"""The process image of one axis: what its nodes said last, in SI. Written by the rig, read by everybody else."""
+
+from __future__ import annotations
+
+import math
+
+from tsa_ctrl.bus.canopen.cia301 import NmtState
+from tsa_ctrl.bus.canopen.emcy import Emcy
+from tsa_ctrl.bus.settings import Role
+from tsa_ctrl.bus.wire.seam import BusFault
+
+
+class NodeHealth:
+    """Network management of one node: heartbeat, boot-ups, emergencies; and how its PDOs arrive."""
+
+    __slots__ = (
+        "boot_ups",
+        "emcy",
+        "emcys",
+        "heard",
+        "late",
+        "malformed",
+        "missed",
+        "misses",
+        "nmt_state",
+        "node_id",
+        "repeated",
+        "role",
+        "timeout",
+    )
+
+    def __init__(self, role: Role, node_id: int, timeout: float) -> None:
+        self.role = role
+        self.node_id = node_id
+        self.timeout = timeout  # s without a heartbeat
+        self.heard = 0.0  # s, monotonic time of the last heartbeat
+        self.nmt_state: int = NmtState.OPERATIONAL
+        self.boot_ups = 0
+        self.emcys = 0  # emergencies other than "error reset"
+        self.emcy: Emcy | None = None  # the last of them
+        self.misses = 0  # cycles in a row without all its PDOs
+        self.missed = 0  # cycles without all its PDOs
+        self.late = 0  # PDOs that came after their cycle's deadline
+        self.repeated = 0  # PDOs that came twice in a cycle
+        self.malformed = 0  # PDOs, heartbeats, emergencies of a wrong length
+
+    def __str__(self) -> str:
+        return f"{self.role.value} node {self.node_id}"
+
+
+class Image:
+    """Latest values of one axis; a value is nan until it was received once. Angles, speeds and torques in SI."""
+
+    __slots__ = (
+        "bus_fault",
+        "drops",
+        "error_code",
+        "events",
+        "fresh",
+        "intruder",
+        "joint_fresh",
+        "missed",
+        "misses",
+        "mode",
+        "nodes",
+        "now",
+        "omega_j",
+        "omega_m",
+        "pdo_age",
+        "q_j",
+        "q_m",
+        "silent",
+        "statusword",
+        "tau_j",
+        "tau_m",
+    )
+
+    def __init__(self, nodes: tuple[NodeHealth, ...]) -> None:
+        self.nodes = nodes  # the drive first
+        self.statusword = 0  # 0x6041
+        self.mode = 0  # 0x6061
+        self.error_code = 0  # 0x603F
+        self.tau_m = math.nan  # N*m, what the drive reports, at the motor pulley
+        self.q_m = math.nan  # rad, motor pulley
+        self.omega_m = math.nan  # rad/s, motor pulley
+        self.q_j = math.nan  # rad, joint
+        self.omega_j = math.nan  # rad/s, joint; filtered, see EncoderSettings.velocity_cutoff
+        self.tau_j = math.nan  # N*m, torque sensor
+        self.now = 0.0  # s, monotonic time of the last SYNC
+        self.fresh = False  # all PDOs of drive and encoder answered this cycle's SYNC
+        self.joint_fresh = False  # the encoder's did
+        self.misses = 0  # cycles in a row in which `fresh` was False
+        self.missed = 0  # such cycles since the start
+        self.pdo_age = math.inf  # s, how much older than the last SYNC the values are; 0 when fresh
+        self.drops = 0  # commands in a row that could not be sent
+        self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
+        self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
+        self.intruder: int | None = None  # identifier of a frame that only a second master would send
+        self.bus_fault: BusFault | None = None
+
+    @property
+    def heartbeat_age(self) -> float:
+        """Seconds since the drive's last heartbeat."""
+        return self.now - self.nodes[0].heard
+
+    @property
+    def boot_up(self) -> bool:
+        """Whether any node booted while we were running."""
+        return any(node.boot_ups for node in self.nodes)
+
+    @property
+    def emcy(self) -> Emcy | None:
+        """The last emergency of any node, the drive's first."""
+        return next((node.emcy for node in self.nodes if node.emcy is not None), None)

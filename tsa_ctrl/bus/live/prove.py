@@ -1,0 +1,37 @@
+"""Whether every node answers as it should, once, before torque: SYNC at the period without any command."""
+
+from __future__ import annotations
+
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.errors import BusError
+
+_LEAST_ANSWERED = 0.8  # share of SYNCs that each node must answer before torque
+_GONE = 3  # SYNCs at the end that a node did not answer
+
+
+def prove(rig: Rig, period: float, cycles: int = 50) -> None:
+    """SYNC at the period without any command: first cycles are slow ones, so none of them shall count in the loop.
+
+    Raises BusError for a node that does not answer 80 % of `cycles` SYNCs or none of the last three, or that answers
+    more than once, as two nodes of one id do.
+    """
+    nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]
+    before = [(health.missed, health.repeated) for _, health in nodes]
+    begin = rig.wait(0.0)
+    for _ in range(cycles):
+        begin = rig.wait(begin + period)
+        rig.sync(begin)
+        rig.collect(begin + 0.8 * period)
+        rig.heartbeat(begin)
+    for (name, health), (missed, repeated) in zip(nodes, before, strict=True):
+        answered = cycles - (health.missed - missed)
+        if answered < _LEAST_ANSWERED * cycles or health.misses >= _GONE:
+            raise BusError(
+                f"axis '{name}' {health}: answered {answered} of {cycles} SYNCs in time "
+                f"(late {health.late}, wrong length {health.malformed}); check the bus load and the node's mapping"
+            )
+        if health.repeated - repeated > (1.0 - _LEAST_ANSWERED) * cycles:
+            raise BusError(
+                f"axis '{name}' {health}: sent {health.repeated - repeated} more PDOs than {cycles} SYNCs asked for; "
+                "another node may have the same id"
+            )

@@ -1,0 +1,234 @@
+"""The cyclic side of all axes on one bus: SYNC out, TPDOs in, RPDOs out. Nothing here allocates more than it must.
+
+A cycle is `rig.sync()`, `rig.collect(deadline)`, then for each axis `axis.command(controlword, tau_m)`. A TPDO counts
+as fresh only when it came after this cycle's SYNC: what waited before that is late, what comes twice is repeated, and
+neither is believed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+
+from tsa_ctrl.bus.canopen import cia301
+from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.bus.wire.error_frames import ErrorClass, describe
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault, Frame
+from tsa_ctrl.system.sleep import Lead
+
+_MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
+_OTHERS = 16  # emergencies and heartbeats that may stand between answers that came in time
+_MISJUDGED = 8  # answers in a row that came after the one that was thought to be the last
+_ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
+_HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
+_NO_DATA = b""
+
+
+class Rig:
+    """All axes of one bus.
+
+    `axes` and `profiles` belong together one by one; `clock` (s, monotonic) is the bus' own by default; `wake_early` is
+    the most (s) that `wait` may be up before its time. Attributes: `axes`, `error_frames` (counted), `last_error` (what
+    the last one said), `flooded` (cycles whose answers could not be told from old ones).
+    """
+
+    def __init__(
+        self,
+        bus: Bus,
+        settings: BusSettings,
+        axes: Sequence[AxisNodes],
+        profiles: Sequence[DriveProfile],
+        clock: Callable[[], float] | None = None,
+        wake_early: float = 0.0,
+    ) -> None:
+        clock = clock or bus.clock
+        self.bus = bus
+        self.axes = tuple(Axis(nodes, profile, bus, clock) for nodes, profile in zip(axes, profiles, strict=True))
+        self.error_frames = 0
+        self.last_error = ""
+        self.flooded = 0
+        self.withholds_heartbeat = False  # for a trial of the drives' own watchdogs
+        self._clock = clock
+        self._settings = settings
+        self._inboxes = tuple(inbox for axis in self.axes for inbox in axis.inboxes)
+        self._answers: dict[int, Inbox] = {}  # by identifier: TPDOs
+        self._messages: dict[int, Handler] = {}  # by identifier: what may come at any time
+        for axis in self.axes:
+            self._answers.update(zip(axis.tpdo_ids, axis.inboxes, strict=True))
+            for health, guard in zip(axis.image.nodes, axis.guards, strict=True):
+                self._messages[cia301.HEARTBEAT + health.node_id] = guard.heartbeat
+                self._messages[cia301.EMCY + health.node_id] = guard.emergency
+        ours = [
+            cia301.NMT,
+            cia301.SYNC,
+            cia301.HEARTBEAT + settings.host_node_id,
+            *(axis.rpdo_id for axis in self.axes),
+        ]
+        self._messages.update({can_id: partial(self._meet_intruder, can_id) for can_id in ours})
+        self._heartbeat_id = cia301.HEARTBEAT + settings.host_node_id
+        self._next_heartbeat = -math.inf
+        self._expected = len(self._inboxes)
+        self._synced = -math.inf
+        self._flooded_now = False
+        self._emptied = False
+        self._lead = Lead(wake_early)
+        self._patience = 0.0  # s that the last cycle would have waited for answers
+        self._last = 0  # identifier of the answer that comes last
+        self._later = 0  # ... and how often in a row another came after it
+
+    def start(self) -> None:
+        """Listen to the nodes of this rig only and forget what was received before; once, before the first cycle."""
+        self.bus.accept([*self._answers, *self._messages])
+        self.bus.flush()
+        for inbox in self._inboxes:
+            inbox.awaited = 1
+        self._expect()
+        now = self._clock()
+        for axis in self.axes:
+            axis.rearm(now)
+
+    def wait(self, until: float) -> float:
+        """Sleep until `until` (monotonic s), then take what arrived meanwhile: emergencies, heartbeats, late answers.
+
+        In a loop this takes the place of its sleep, and spares `sync` from looking for what waits before each SYNC: an
+        old answer would have to arrive within the microseconds between the two to be believed, once. It is up before
+        the time by what waking has cost lately, and keeps taking what comes until then. Before it sleeps it sets the
+        timer that ends the wait for the next answers. Returns the time.
+        """
+        lead = self._lead.value
+        if self._patience > 0.0:
+            self.bus.expect(until + self._patience)
+        now = self._empty(until - lead)
+        self._lead.learn(now - until + lead)
+        while now < until:
+            now = self._empty(0.0)
+        return now
+
+    def _empty(self, until: float) -> float:
+        """Take what has come by `until`, as no answer; returns the time."""
+        frames = self.bus.gather(until, _MAX_WAITING)
+        for frame in frames:
+            self._take_stale(frame)
+        self._flooded_now |= len(frames) >= _MAX_WAITING
+        self._emptied = True
+        return self._clock()
+
+    def sync(self, now: float | None = None) -> bool:
+        """Begin a cycle at `now` (default: read the clock): take what waited, unless `wait` just did, then send SYNC.
+
+        False when the SYNC was dropped.
+        """
+        if not self._emptied:
+            self._empty(0.0)
+        self._emptied = False
+        for inbox in self._inboxes:
+            inbox.armed = True
+        self._synced = self._clock() if now is None else now
+        return self.bus.send(cia301.SYNC, _NO_DATA)
+
+    def collect(self, deadline: float) -> float:
+        """Receive until every node has answered this SYNC, or until `deadline` (monotonic s); returns the SYNC's time.
+
+        Waits for the answer that comes last and takes them all at once: to be woken by each of them costs more than a
+        cycle's arithmetic, and takes the processor from nodes that share it.
+        """
+        answers, bus = self._answers, self.bus
+        self._patience = deadline - self._synced
+        pending = 0 if self._flooded_now else self._expected
+        if pending:
+            frames = bus.answers(self._patience, pending)
+            taken, rounds, over = 0, 0, False
+            while True:
+                for can_id, data in frames:
+                    inbox = answers.get(can_id)
+                    if inbox is None:
+                        self._take_message(can_id, data)
+                    elif inbox.armed and len(data) == inbox.length:
+                        inbox.armed = False
+                        inbox.store(inbox.unpack(data))
+                        pending -= inbox.awaited
+                    else:
+                        inbox.refuse(data)
+                taken += len(frames)
+                rounds += 1
+                if pending <= 0 or over or taken >= _MAX_WAITING:
+                    break
+                remaining = deadline - self._clock()
+                frame = bus.recv(remaining) if remaining > 0.0 else None
+                over = frame is None  # then only what came in time is still taken
+                frames = bus.gather(deadline, pending + _OTHERS) if frame is None else (frame,)
+            if rounds > 1 and pending <= 0:
+                self._learn_the_last(can_id)
+        complete = pending <= 0 and self._expected == len(self._inboxes) and not self._flooded_now
+        if self._flooded_now:
+            self.flooded += 1
+            self._flooded_now = False
+        fault = self.bus.fault
+        for axis in self.axes:
+            axis.settle(self._synced, complete)
+            if fault is not None:
+                axis.image.bus_fault = fault
+        if not complete:
+            for inbox in self._inboxes:
+                inbox.awaited = int(inbox.health.misses <= _ABANDONED)
+            self._expect()
+        return self._synced
+
+    def _expect(self) -> None:
+        """Count the answers to wait for; the one of the lowest priority is thought to come last."""
+        awaited = [can_id for can_id, inbox in self._answers.items() if inbox.awaited]
+        if len(awaited) != self._expected or self._last not in awaited:
+            self._expected = len(awaited)
+            self._listen_for(max(awaited, default=0))
+
+    def _learn_the_last(self, can_id: int) -> None:
+        """`can_id` completed a cycle: when it is not the one thought to, and so again and again, take it for that."""
+        self._later = 0 if can_id == self._last else self._later + 1
+        if self._later >= _MISJUDGED:
+            self._listen_for(can_id)
+
+    def _listen_for(self, can_id: int) -> None:
+        self._last = can_id
+        self._later = 0
+        self.bus.listen_for(can_id)
+
+    def heartbeat(self, now: float) -> None:
+        """Send our heartbeat when it is due; call it every cycle, and never hand it to a timer of the kernel."""
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + self._settings.host_heartbeat_period
+            if self.withholds_heartbeat:
+                return
+            self.bus.send(self._heartbeat_id, _HEARTBEAT)
+
+    def nmt(self, command: NmtCommand, node_id: int = cia301.ALL_NODES) -> bool:
+        """Send an NMT command to one node or to all."""
+        return self.bus.send(cia301.NMT, cia301.nmt(command, node_id))
+
+    def _take_stale(self, frame: Frame) -> None:
+        """A frame that came outside the window of a cycle: late answers are counted, messages taken."""
+        can_id, data = frame
+        inbox = self._answers.get(can_id)
+        if inbox is None:
+            self._take_message(can_id, data)
+        else:
+            inbox.refuse_stale(data)
+
+    def _take_message(self, can_id: int, data: bytes) -> None:
+        handler = self._messages.get(can_id)
+        if handler is not None:
+            handler(data)
+        elif can_id & ERROR_FLAG:
+            self.error_frames += 1
+            self.bus.counters.error_frames += 1
+            self.last_error = describe(can_id, data)
+            if can_id & ErrorClass.BUS_OFF and self.bus.fault is None:
+                self.bus.fault = BusFault.BUS_OFF
+
+    def _meet_intruder(self, can_id: int, data: bytes) -> None:
+        """A frame that only a master sends, and not ours: a bus hears its own frames never."""
+        for axis in self.axes:
+            axis.image.intruder = can_id

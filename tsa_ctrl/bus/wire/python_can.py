@@ -1,0 +1,140 @@
+"""Any bus that python-can drives (virtual, udp_multicast, slcan, ...) behind the seam: adapters without SocketCAN."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping
+
+import can
+
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, BusFault, Counters, Frame
+from tsa_ctrl.errors import BusError
+
+Option = str | int | float | bool
+
+_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # linux/in.h, linux/in6.h
+_FLUSH_LIMIT = 100_000  # frames
+_ECHOING = frozenset({"udp_multicast"})  # interfaces that let nobody leave out his own frames
+_MAX_ECHOES = 64  # frames sent whose echo may be on its way
+
+
+class PythonCan:
+    """A `Bus` over `can.Bus(interface=..., channel=..., **options)`; raises BusError when it cannot be opened."""
+
+    def __init__(self, interface: str, channel: str, bitrate: int, options: Mapping[str, Option] | None = None) -> None:
+        self.name = f"{interface}:{channel}"
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+        self._echoes: deque[Frame] | None = deque(maxlen=_MAX_ECHOES) if interface in _ECHOING else None
+        arguments: dict[str, Option] = {"bitrate": bitrate}
+        if interface == "udp_multicast":
+            arguments = {"fd": False, "hop_limit": 0}  # never beyond this machine, unless the options say so
+        arguments.update(options or {})
+        try:
+            self._bus: can.BusABC = can.Bus(interface=interface, channel=channel, **arguments)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise BusError(
+                f"[bus] interface '{interface}' channel '{channel}': cannot be opened ({reason}); "
+                "check interface, channel and options against python-can's documentation of this interface"
+            ) from None
+        if interface == "udp_multicast":
+            _hear_own_group_only(self._bus.fileno())
+
+    def clock(self) -> float:
+        return time.monotonic()
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        message = can.Message(arbitration_id=can_id, is_extended_id=False, data=data, check=False)
+        if self._echoes is not None:
+            self._echoes.append((can_id, data))
+        try:
+            self._bus.send(message, timeout=0.0)
+        except can.CanOperationError:
+            self.counters.dropped += 1
+            return False
+        except (can.CanError, OSError):
+            self.counters.dropped += 1
+            self.fault = self.fault or BusFault.ADAPTER
+            return False
+        self.counters.sent += 1
+        return True
+
+    def recv(self, timeout: float) -> Frame | None:
+        frame = self._receive(timeout)
+        if self._echoes is None:
+            return frame
+        deadline = time.monotonic() + timeout
+        while frame is not None and frame in self._echoes:
+            self._echoes.remove(frame)
+            frame = self._receive(deadline - time.monotonic())
+        return frame
+
+    def gather(self, until: float, most: int) -> list[Frame]:
+        time.sleep(max(0.0, until - time.monotonic()))
+        frames: list[Frame] = []
+        while len(frames) < most and (frame := self.recv(0.0)) is not None:
+            frames.append(frame)
+        return frames
+
+    def listen_for(self, can_id: int) -> None:
+        """No bus of python-can can wait for one identifier: `answers` waits for any."""
+
+    def expect(self, until: float) -> None:
+        """Nor can it wait for a timer of ours beside its frames."""
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        frame = self.recv(timeout)
+        return [] if frame is None else [frame]
+
+    def _receive(self, timeout: float) -> Frame | None:
+        try:
+            message = self._bus.recv(max(0.0, timeout))
+        except (can.CanError, OSError):
+            self.fault = self.fault or BusFault.ADAPTER
+            return None
+        if message is None:
+            return None
+        can_id = message.arbitration_id
+        if message.is_error_frame:
+            can_id |= ERROR_FLAG
+        elif message.is_remote_frame:
+            can_id |= REMOTE_FLAG
+        elif message.is_extended_id:
+            can_id |= EXTENDED_FLAG
+        return can_id, bytes(message.data)
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        if can_ids is None:
+            self._bus.set_filters(None)
+        else:
+            self._bus.set_filters(
+                [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in sorted(set(can_ids))]
+            )
+
+    def flush(self) -> int:
+        return len(self.gather(0.0, _FLUSH_LIMIT))
+
+    def clear_fault(self) -> None:
+        self.fault = None
+
+    def fileno(self) -> int:
+        try:
+            return int(self._bus.fileno())
+        except NotImplementedError:
+            return -1
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+def _hear_own_group_only(descriptor: int) -> None:
+    """Linux gives a socket the groups that anybody on the machine has joined, unless told not to."""
+    with socket.socket(fileno=os.dup(descriptor)) as same:
+        if same.family == socket.AF_INET6:
+            same.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
+        else:
+            same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)

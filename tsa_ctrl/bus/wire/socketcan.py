@@ -1,0 +1,187 @@
+"""Raw SocketCAN (Linux, AF_CAN): one precompiled struct, no threads, no queue of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import socket
+import struct
+import time
+from collections.abc import Iterable
+from select import select
+
+from tsa_ctrl.bus.wire.batch import FRAME, Batch
+from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.system.sleep import Alarm, sleep_until
+
+_pack, _unpack = FRAME.pack, FRAME.unpack
+FILTER = struct.Struct("=II")  # struct can_filter: can_id, can_mask
+_ID_MASK = 0xC00007FF  # standard data frames of exactly this identifier
+_CAN_RAW_ERR_FILTER = 2  # of linux/can/raw.h
+_ALL_ERRORS = 0x1FFFFFFF  # CAN_ERR_MASK
+_MAX_FILTERS = 512  # CAN_RAW_FILTER_MAX
+_SIOCGIFFLAGS = 0x8913
+_IFF_UP = 0x1
+_TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
+_TICK = 0.01  # s: a time-out that much later than what is to come before makes the kernel set no timer
+_FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
+
+_NOTHING: list[int] = []
+_DROPPED = frozenset({errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK})
+_FAULTS = {
+    errno.ENETDOWN: BusFault.INTERFACE_DOWN,
+    errno.ENODEV: BusFault.INTERFACE_GONE,
+    errno.ENXIO: BusFault.INTERFACE_GONE,
+}
+
+
+class SocketCan:
+    """A `Bus` on a SocketCAN interface.
+
+    `channel`: interface name. `send_queue`: frames that may wait in the kernel; a further one is dropped and counted,
+    so that no stale torque plays out after a bus has recovered. Raises BusError when the interface is missing or down.
+    """
+
+    def __init__(self, channel: str, send_queue: int = 32) -> None:
+        self.name = channel
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+        try:
+            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise BusError(
+                f"[bus] channel '{channel}': this kernel offers no SocketCAN ({error.strerror}); "
+                "load the module can_raw, or choose another [bus] interface"
+            ) from None
+        try:
+            self._open(channel, send_queue)
+        except BaseException:
+            self._socket.close()
+            raise
+        self._fd = self._socket.fileno()
+        self._buffer = bytearray(FRAME.size)
+        self._send = self._socket.send
+        self._recv_into = self._socket.recv_into
+        self._readers = [self._fd]
+        self._batch = Batch(self._socket)
+        self._bell: socket.socket | None = None  # hears one identifier only: the last answer of a cycle
+        self._heard: Batch | None = None
+        self._bells = self._readers
+        self._alarm: Alarm | None = None  # readable when a cycle need not wait any longer, if it is set
+        self._alarmed = False
+
+    def _open(self, channel: str, send_queue: int) -> None:
+        raw = self._socket
+        raw.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, _ALL_ERRORS)
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, send_queue * _TRUESIZE // 2)  # the kernel doubles it
+        try:
+            raw.bind((channel,))
+        except OSError:
+            names = sorted(name for _, name in socket.if_nameindex() if "can" in name)
+            found = f"CAN interfaces here: {', '.join(names)}" if names else "there is no CAN interface here"
+            raise BusError(
+                f"[bus] channel '{channel}': no such CAN interface; {found}; plug the adapter in or correct the name"
+            ) from None
+        request = struct.pack("16sH14x", channel.encode(), 0)
+        flags = struct.unpack_from("H", fcntl.ioctl(raw, _SIOCGIFFLAGS, request), 16)[0]
+        if not flags & _IFF_UP:
+            raise BusError(
+                f"[bus] channel '{channel}': the interface is down; set its bit rate and bring it up: "
+                f"ip link set {channel} up type can bitrate 1000000"
+            )
+        raw.setblocking(False)
+
+    def clock(self) -> float:
+        return time.monotonic()
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        try:
+            self._send(_pack(can_id, len(data), data))
+        except OSError as error:
+            self.counters.dropped += 1
+            self._note(error.errno)
+            return False
+        self.counters.sent += 1
+        return True
+
+    def recv(self, timeout: float) -> Frame | None:
+        try:
+            # select() waits with microseconds, poll() only with milliseconds
+            if timeout > 0.0 and not select(self._readers, _NOTHING, _NOTHING, timeout)[0]:
+                return None
+            self._recv_into(self._buffer)
+        except OSError as error:
+            self._note(error.errno)
+            return None
+        can_id, length, data = _unpack(self._buffer)
+        return can_id, data[:length]
+
+    def gather(self, until: float, most: int) -> list[Frame]:
+        if self._heard is not None:
+            self._heard.take(most)  # and forgotten, errors too: the other socket has them all
+        sleep_until(round(until * 1e9))
+        return self._take(most)
+
+    def listen_for(self, can_id: int) -> None:
+        if self._bell is None:
+            self._bell = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+            self._bell.setblocking(False)
+        self._bell.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, FILTER.pack(can_id, _ID_MASK))
+        if self._heard is None:
+            self._bell.bind((self.name,))
+            self._heard = Batch(self._bell)
+            self._bells = [self._bell.fileno()]
+            with contextlib.suppress(OSError):
+                self._alarm = Alarm()
+                self._bells_and_alarm = [*self._bells, self._alarm.fd]
+
+    def expect(self, until: float) -> None:
+        if self._alarm is not None:
+            self._alarm.set(max(1, round(until * 1e9)))
+            self._alarmed = True
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        if self._alarmed:
+            self._alarmed = False
+            select(self._bells_and_alarm, _NOTHING, _NOTHING, max(0.0, timeout) + _TICK)
+        else:
+            select(self._bells, _NOTHING, _NOTHING, max(0.0, timeout))
+        return self._take(most)
+
+    def _take(self, most: int) -> list[Frame]:
+        frames, error = self._batch.take(most)
+        if error:
+            self._note(error)
+        return frames
+
+    def _note(self, number: int | None) -> None:
+        """Latch what ends the bus; a full queue (send) or an empty one (recv) is no fault."""
+        if number not in _DROPPED and self.fault is None:
+            self.fault = _FAULTS.get(number or 0, BusFault.ADAPTER)
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        wanted = None if can_ids is None else sorted(set(can_ids))
+        if wanted is None or len(wanted) > _MAX_FILTERS:
+            filters = FILTER.pack(0, 0)
+        else:
+            filters = b"".join(FILTER.pack(can_id, _ID_MASK) for can_id in wanted)
+        self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
+
+    def flush(self) -> int:
+        return len(self.gather(0.0, _FLUSH_LIMIT))
+
+    def clear_fault(self) -> None:
+        self.fault = None
+
+    def fileno(self) -> int:
+        return self._fd
+
+    def close(self) -> None:
+        self._socket.close()
+        if self._bell is not None:
+            self._bell.close()
+        if self._alarm is not None:
+            self._alarm.close()
+            self._alarm = None

@@ -1,0 +1,207 @@
+"""The trials one by one: a loop with torque, what is done to it, and what the listener saw of the drives."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from enum import Enum
+from typing import Any
+
+import msgspec
+
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.config import Configuration
+from tsa_ctrl.drills.listener import READY, ZERO_SHARE
+from tsa_ctrl.drills.samples import Sample, Timing, timing
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.system.parent import environment, terminal_blocked
+
+STARTED = 60.0  # s until the loop delivers torque
+SETTLED = 0.4  # s of torque before anything is done
+BEYOND = 0.3  # s that are watched beyond the limit
+ENDED = 10.0  # s until a process ends that was asked to
+DELIVERED = 0.5  # share of the wanted torque that a drive must report
+
+
+class Trial(Enum):
+    """What is done to the loop: its name, and in words."""
+
+    WITHHOLD = ("withheld", "heartbeat withheld")
+    HANG = ("hang", "loop hung: SIGSTOP")
+    KILL = ("kill", "loop killed: SIGKILL")
+
+    @property
+    def key(self) -> str:
+        return str(self.value[0])
+
+    @property
+    def words(self) -> str:
+        return str(self.value[1])
+
+
+_SIGNALS = {Trial.WITHHOLD: signal.SIGUSR1, Trial.HANG: signal.SIGSTOP, Trial.KILL: signal.SIGKILL}
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """One trial on one axis."""
+
+    trial: str
+    axis: str
+    node: int
+    limit: float  # s
+    safe: bool
+    timing: Timing
+    samples: list[Sample]
+
+
+class ListenerProcess:
+    """The listener at the other end of a pipe."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        """Raises BusError when it cannot listen."""
+        with terminal_blocked():
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tsa_ctrl.drills.listener", str(configuration.path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+            )
+        assert self._process.stdout is not None
+        said = self._process.stdout.readline()
+        if said != READY:
+            self.end()
+            reason = said.decode(errors="replace").strip() or "it ended at once"
+            raise BusError(
+                f"the listener beside the loop cannot listen: {reason}; the bus must be one that two processes can "
+                "open, as SocketCAN is"
+            )
+
+    def ask(self, word: str) -> Any:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(word.encode() + b"\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        if not line:
+            raise BusError("the listener beside the loop has ended; nothing was measured: start again")
+        return msgspec.json.decode(line)
+
+    def end(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._process.communicate(b"end\n", timeout=ENDED)
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+@contextlib.contextmanager
+def listening(configuration: Configuration) -> Iterator[ListenerProcess]:
+    """A listener on the bus, in a process of its own."""
+    listener = ListenerProcess(configuration)
+    try:
+        yield listener
+    finally:
+        listener.end()
+
+
+def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Trial, torque: float) -> list[Outcome]:
+    """One trial, all axes at once, with `torque` in N*m at each motor. Raises BusError when no torque comes."""
+    limit = configuration.zero_torque_within
+    loop = None
+    try:
+        with terminal_blocked():
+            loop = subprocess.Popen(
+                [sys.executable, "-m", "tsa_ctrl.drills.loop", str(configuration.path), repr(torque)],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                env=environment(),
+            )
+        _await_torque(loop, listener, torque)
+        time.sleep(SETTLED)
+        listener.ask("guard")
+        time.sleep(0.05)
+        if not _all_pull(listener, torque):
+            raise BusError(f"torque was lost before anything was done to the loop: {_first_words(loop)}")
+        stopped = time.monotonic()
+        loop.send_signal(_SIGNALS[trial])
+        time.sleep(limit + BEYOND)
+        seen = msgspec.convert(listener.ask("quiet")["samples"], list[Sample])
+    finally:
+        if loop is not None:
+            _end(loop)
+    outcomes = []
+    for axis in configuration.file.axes:
+        drive = axis.drive
+        mine = [sample for sample in seen if sample.node == drive.node_id]
+        zero = ZERO_SHARE * drive.rated_torque * drive.gear_ratio
+        found = timing(mine, drive.node_id, stopped, zero)
+        had = found.torque_before is not None and abs(found.torque_before) >= DELIVERED * torque
+        safe = had and found.zero_after is not None and found.zero_after <= limit
+        outcomes.append(
+            Outcome(
+                trial=trial.key,
+                axis=axis.name,
+                node=drive.node_id,
+                limit=limit,
+                safe=safe,
+                timing=found,
+                samples=[msgspec.structs.replace(sample, clock=sample.clock - stopped) for sample in mine],
+            )
+        )
+    return outcomes
+
+
+def _await_torque(loop: subprocess.Popen[bytes], listener: ListenerProcess, torque: float) -> None:
+    end = time.monotonic() + STARTED
+    while not _all_pull(listener, torque):
+        if loop.poll() is not None:
+            raise BusError(f"the loop ended before there was torque: {_first_words(loop)}")
+        if time.monotonic() > end:
+            raise BusError(
+                f"the drives do not report {torque:g} N*m within {STARTED:g} s; watch `tsa run`, or give more --torque"
+            )
+        time.sleep(0.02)
+
+
+def _all_pull(listener: ListenerProcess, torque: float) -> bool:
+    found = listener.ask("torque").values()
+    return all(one is not None and abs(one) >= DELIVERED * torque for one in found)
+
+
+def _first_words(loop: subprocess.Popen[bytes]) -> str:
+    """It ends; the first line that it said."""
+    said = _end(loop).decode(errors="replace").strip().splitlines()
+    return said[0] if said else "it said nothing"
+
+
+def _end(loop: subprocess.Popen[bytes]) -> bytes:
+    """Whatever was done to it, it ends, in order if it can; what it said."""
+    if loop.poll() is None:
+        loop.send_signal(signal.SIGCONT)
+        loop.terminate()
+    try:
+        return loop.communicate(timeout=ENDED)[1]
+    except subprocess.TimeoutExpired:
+        loop.kill()
+        return loop.communicate()[1]
+
+
+def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> None:
+    """Reset the faults that the trials left, and leave the drives disabled and pre-operational."""
+    file = configuration.file
+    bus = open_bus(file.bus)
+    try:
+        bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period, reset_faults=True)
+        rig = Rig(bus, file.bus, file.axes, configuration.profiles)
+        rig.start()
+        for line in shut_down(rig, configuration.period):
+            say(line)
+    finally:
+        bus.close()

@@ -1,0 +1,289 @@
+"""Whether torque is permitted on one axis, and which controlword goes out. Pure: no bus, no clock, no log.
+
+A fault latches with its cause, keeps torque at zero and the drive disabled, and stays until somebody asks for a reset.
+After it, torque needs a new request: an ENABLE that was standing while the fault happened enables nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from tsa_ctrl.bus.canopen import cia402, emcy
+from tsa_ctrl.bus.canopen.cia301 import NmtState
+from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
+from tsa_ctrl.bus.live.image import Image, NodeHealth
+from tsa_ctrl.bus.settings import SupervisionSettings
+
+_RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
+_RUN = (Controlword.ENABLE_OPERATION, True, None)
+_TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
+_ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
+_OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
+
+
+class Request(Enum):
+    """What the operator wants now."""
+
+    DISABLE = "disable"
+    ENABLE = "enable"
+    RESET = "reset"
+
+
+class Phase(Enum):
+    """What the supervisor does now."""
+
+    STANDBY = "standby"
+    ENABLING = "enabling"
+    ENABLED = "enabled"
+    DISABLING = "disabling"
+    FAULT = "fault"
+    RESETTING = "resetting"
+
+
+class Cause(Enum):
+    """Why an axis was stopped."""
+
+    BUS_FAULT = "bus fault"
+    SECOND_MASTER = "second master"
+    BOOT_UP = "node booted while running"
+    HEARTBEAT_LOST = "heartbeat lost"
+    NMT_STATE = "node left the operational state"
+    EMERGENCY = "emergency"
+    DRIVE_FAULT = "drive fault"
+    STALE_PDO = "stale PDO"
+    COMMAND_DROPPED = "commands not sent"
+    WRONG_MODE = "wrong mode"
+    COMMAND_IGNORED = "drive ignores the command"
+    STATE_LOST = "drive left operation enabled"
+    ENABLE_TIMEOUT = "drive does not enable"
+    DISABLE_TIMEOUT = "drive does not confirm that it is disabled"
+    RESET_TIMEOUT = "drive does not leave its fault"
+    TRIPPED = "tripped by the controller"
+
+    @property
+    def needs_bring_up(self) -> bool:
+        """Whether the nodes may have lost their configuration, so that a reset alone is not enough."""
+        return self in _NEED_BRING_UP
+
+
+_NEED_BRING_UP = frozenset({Cause.BUS_FAULT, Cause.SECOND_MASTER, Cause.BOOT_UP, Cause.HEARTBEAT_LOST, Cause.NMT_STATE})
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A latched fault: `detail` names node and finding in one line; `time` is that of the cycle, s."""
+
+    cause: Cause
+    detail: str
+    time: float
+
+    def __str__(self) -> str:
+        return f"{self.cause.value}: {self.detail}"
+
+
+class Supervisor:
+    """Supervises one axis. `reports_following`: the drive has statusword bit 12 (see the drive's profile).
+
+    Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`),
+    `cut_off` (in this cycle the drive is to be stopped by NMT: it did not say that it obeyed).
+    """
+
+    def __init__(self, settings: SupervisionSettings, reports_following: bool = True) -> None:
+        self._settings = settings
+        self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
+        self._running_mask = cia402.STATE_BITS | self._following_mask
+        self._running_word = _ENABLED_BITS | self._following_mask
+        self._misses = settings.tolerated_misses
+        self._drops = settings.tolerated_drops
+        self._events = 0
+        self._emcys: dict[int, int] = {}
+        self._since = 0.0
+        self._armed = False
+        self._reset_edge = False
+        self._last_request = Request.DISABLE
+        self.phase = Phase.STANDBY
+        self.faults: list[Fault] = []
+        self.needs_bring_up = False
+        self.cut_off = False
+        self._cut_off_due = 0.0
+
+    @property
+    def fault(self) -> Fault | None:
+        """The cause of the stop; None when there is none."""
+        return self.faults[0] if self.faults else None
+
+    def update(self, image: Image, now: float, request: Request) -> tuple[Controlword, bool, Fault | None]:
+        """One cycle: (controlword, whether torque is permitted, the latched fault)."""
+        if (
+            self.phase is Phase.ENABLED
+            and request is Request.ENABLE
+            and image.statusword & self._running_mask == self._running_word
+            and image.mode == _TORQUE_MODE
+            and image.misses <= self._misses
+            and image.drops <= self._drops
+            and image.events == self._events
+            and image.silent is None
+            and image.bus_fault is None
+            and image.intruder is None
+        ):  # the usual cycle, decided without a call
+            return _RUN
+        state = cia402.decode(image.statusword)
+        self._reset_edge = request is Request.RESET and self._last_request is not Request.RESET
+        self._last_request = request
+        self._watch(image, now)
+        self.cut_off = False
+        if self.phase is Phase.FAULT or self.phase is Phase.RESETTING:
+            return self._in_fault(image, state, now), False, self.fault
+        if state is PowerState.FAULT or state is PowerState.FAULT_REACTION_ACTIVE:
+            self._latch(Cause.DRIVE_FAULT, f"drive reports {_code(image.error_code)}", now)
+        elif self.phase is Phase.STANDBY:
+            return self._stand_by(state, now, request), False, None
+        elif request is not Request.ENABLE:
+            return self._disable(state, now), False, self.fault
+        elif self.phase is Phase.ENABLED:
+            self._check_running(image, state, now)
+            if not self.faults:
+                return _RUN
+        elif self.phase is Phase.ENABLING:
+            controlword = self._enable(image, state, now)
+            if not self.faults:
+                return controlword, False, None
+        else:  # DISABLING: an ENABLE that returns waits until the drive has confirmed
+            return self._disable(state, now), False, self.fault
+        return Controlword.DISABLE_VOLTAGE, False, self.fault
+
+    def trip(self, detail: str, now: float) -> None:
+        """Latch a fault that somebody else has found (a limit, an implausible sensor)."""
+        self._latch(Cause.TRIPPED, detail, now)
+
+    def configured(self, image: Image) -> None:
+        """The nodes were brought up again and the rig rearmed: a reset is possible now."""
+        self.needs_bring_up = False
+        self._events = image.events
+        self._emcys = {health.node_id: health.emcys for health in image.nodes}
+
+    def _watch(self, image: Image, now: float) -> None:
+        """What stops an axis in every phase."""
+        if image.bus_fault is not None:
+            self._latch(Cause.BUS_FAULT, image.bus_fault.value, now)
+        if image.intruder is not None:
+            self._latch(Cause.SECOND_MASTER, f"somebody else sent a master's frame 0x{image.intruder:03X}", now)
+        if image.events != self._events:
+            self._events = image.events
+            for health in image.nodes:
+                self._examine(health, now)
+        if image.silent is not None:
+            silent = image.silent
+            self._latch(Cause.HEARTBEAT_LOST, f"{silent}: none for {1e3 * (now - silent.heard):.0f} ms", now)
+        if image.misses > self._misses:
+            self._latch(Cause.STALE_PDO, _stale(image), now)
+        if image.drops > self._drops:
+            self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
+
+    def _examine(self, health: NodeHealth, now: float) -> None:
+        if health.boot_ups:
+            self._latch(Cause.BOOT_UP, f"{health}: it lost its configuration", now)
+        elif health.nmt_state != NmtState.OPERATIONAL:
+            self._latch(Cause.NMT_STATE, f"{health}: NMT state 0x{health.nmt_state:02X}", now)
+        if health.emcys != self._emcys.get(health.node_id, 0):
+            self._emcys[health.node_id] = health.emcys
+            self._latch(Cause.EMERGENCY, f"{health}: {health.emcy}", now)
+
+    def _check_running(self, image: Image, state: PowerState, now: float) -> None:
+        if state is not PowerState.OPERATION_ENABLED:
+            self._latch(Cause.STATE_LOST, f"drive is in {state.value}", now)
+        elif image.mode != Mode.CYCLIC_SYNC_TORQUE:
+            self._latch(Cause.WRONG_MODE, f"drive is in mode {image.mode}, wanted is 10 (cyclic torque)", now)
+        elif image.statusword & self._following_mask != self._following_mask:
+            self._latch(Cause.COMMAND_IGNORED, f"bit 12 of statusword 0x{image.statusword:04X} is low", now)
+
+    def _stand_by(self, state: PowerState, now: float, request: Request) -> Controlword:
+        if request is not Request.ENABLE:
+            self._armed = True
+        elif self._armed:
+            self._enter(Phase.ENABLING, now)
+        return cia402.next_controlword(state, PowerState.READY_TO_SWITCH_ON)
+
+    def _enable(self, image: Image, state: PowerState, now: float) -> Controlword:
+        """Walk to operation enabled with torque 0; enabled only once mode and bit 12 are confirmed by a fresh PDO."""
+        in_mode = image.mode == Mode.CYCLIC_SYNC_TORQUE
+        following = image.statusword & self._following_mask == self._following_mask
+        if state is PowerState.OPERATION_ENABLED and in_mode and following and image.fresh:
+            self._enter(Phase.ENABLED, now)
+        elif now - self._since > self._settings.enable_timeout:
+            found = state.value
+            if state is PowerState.OPERATION_ENABLED:
+                found += f", mode {image.mode}, statusword 0x{image.statusword:04X}"
+            self._latch(Cause.ENABLE_TIMEOUT, f"drive is in {found} after {self._settings.enable_timeout:g} s", now)
+        target = PowerState.OPERATION_ENABLED if in_mode else PowerState.READY_TO_SWITCH_ON
+        return cia402.next_controlword(state, target)
+
+    def _disable(self, state: PowerState, now: float) -> Controlword:
+        if self.phase is not Phase.DISABLING:
+            self._enter(Phase.DISABLING, now)
+        if state in (PowerState.READY_TO_SWITCH_ON, PowerState.SWITCH_ON_DISABLED):
+            self._armed = False
+            self._enter(Phase.STANDBY, now)
+        elif now - self._since > self._settings.disable_timeout:
+            self._latch(Cause.DISABLE_TIMEOUT, f"drive is in {state.value}", now)
+        return cia402.next_controlword(state, PowerState.READY_TO_SWITCH_ON)
+
+    def _in_fault(self, image: Image, state: PowerState, now: float) -> Controlword:
+        """Torque stays off; on request, and only when nothing is left that needs a new bring-up, reset the drive."""
+        if self.phase is Phase.FAULT:
+            if state is not PowerState.OPERATION_ENABLED:
+                self._cut_off_due = now + _OBEY_TIME
+            elif now >= self._cut_off_due:
+                self._cut_off_due = now + _OBEY_TIME
+                self.cut_off = self.needs_bring_up = True
+            if self._reset_edge and not self.needs_bring_up:
+                self._enter(Phase.RESETTING, now)
+            return Controlword.DISABLE_VOLTAGE
+        waited = now - self._since
+        if state is PowerState.FAULT or state is PowerState.FAULT_REACTION_ACTIVE:
+            if waited > self._settings.reset_timeout:
+                self._latch(Cause.RESET_TIMEOUT, f"drive reports {_code(image.error_code)}", now)
+            elif waited > _RESET_LOW_TIME and state is PowerState.FAULT:
+                return Controlword.FAULT_RESET
+        elif image.fresh:
+            self.faults.clear()
+            self._enter(Phase.STANDBY, now)
+        elif waited > self._settings.reset_timeout:
+            self._latch(Cause.RESET_TIMEOUT, "no fresh PDO", now)
+        return Controlword.DISABLE_VOLTAGE
+
+    def _latch(self, cause: Cause, detail: str, now: float) -> None:
+        if self.phase is Phase.RESETTING and cause is Cause.STALE_PDO:
+            return  # judged by the time-out of the reset
+        if all(fault.cause is not cause for fault in self.faults):  # the first is the cause; each is kept once
+            self.faults.append(Fault(cause, detail, now))
+        self.needs_bring_up = self.needs_bring_up or cause.needs_bring_up
+        self._armed = False
+        if self.phase is not Phase.FAULT:
+            self._cut_off_due = now + _OBEY_TIME
+        self._enter(Phase.FAULT, now)
+
+    def _enter(self, phase: Phase, now: float) -> None:
+        self.phase = phase
+        self._since = now
+
+
+def _code(error_code: int) -> str:
+    return f"error 0x{error_code:04X} ({emcy.text(error_code)})"
+
+
+def _stale(image: Image) -> str:
+    """Which node is to blame, and what came instead of its answers since the start."""
+    silent = [health for health in image.nodes if health.misses]
+    in_all = f"{image.misses} cycles in a row"
+    words = "; ".join(_missing(health) for health in silent)
+    if words and max(health.misses for health in silent) < image.misses:
+        return f"{in_all} without all answers, at the end {words}"
+    return words or in_all
+
+
+def _missing(health: NodeHealth) -> str:
+    counts = (("late", health.late), ("repeated", health.repeated), ("wrong length", health.malformed))
+    instead = ", ".join(f"{name} {count}" for name, count in counts if count)
+    return f"{health}: {health.misses} cycles in a row" + (f" (since the start {instead})" if instead else "")
