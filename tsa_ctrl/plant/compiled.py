@@ -1,43 +1,51 @@
-"""The one decorator of the inner loop: compiled by numba, kept in a cache beside the sources, IEEE division.
+"""The one decorator of the inner loop: compiled by numba, kept in a cache, IEEE division.
 
 numba looks at a function's own file only when it decides whether a cached version is still good, not at the files of
-what it calls. So the cache of this folder is thrown away whenever any source of it has changed.
+what it calls. So what was compiled of these sources lies in a folder of its own, named by their digest.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import shutil
+import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar, cast
 
-from numba import njit
+from numba import config, njit
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _KERNELS = ("compiled.py", "state.py", "interpolation.py", "losses.py", "full.py", "chain.py", "mechanics.py")
+_KEPT = 14 * 86_400.0  # s; compiled code of other versions is thrown away when it is older: two weeks of going back
+
+
+def _cache_of(folder: Path) -> str:
+    """Folder below numba's cache for just these sources; "" where numba finds a place by itself."""
+    if not config.CACHE_DIR:
+        return ""
+    digest = hashlib.blake2b(b"".join((folder / name).read_bytes() for name in _KERNELS), digest_size=8).hexdigest()
+    cache = Path(config.CACHE_DIR) / f"plant-{digest}"
+    with contextlib.suppress(OSError):
+        if not cache.exists():
+            for other in cache.parent.glob("plant-*"):
+                if time.time() - other.stat().st_mtime > _KEPT:
+                    shutil.rmtree(other, ignore_errors=True)
+            cache.mkdir(parents=True)
+            print("tsa: compiling the plant once, which takes some ten seconds", file=sys.stderr)
+    return str(cache)
+
+
+_CACHE = _cache_of(Path(__file__).parent)
 
 
 def compiled(function: F) -> F:
     """Compile on first use; later processes load the result."""
-    return cast(F, njit(cache=True, error_model="numpy")(function))
-
-
-def _drop_stale_cache(folder: Path) -> None:
-    """Remove compiled code of other sources than these; a folder that cannot be written has no cache to be stale."""
-    sources = b"".join((folder / name).read_bytes() for name in _KERNELS)
-    digest = hashlib.blake2b(sources, digest_size=16).hexdigest()
-    cache = folder / "__pycache__"
-    stamp = cache / "kernels.digest"
-    with contextlib.suppress(OSError):
-        if stamp.exists() and stamp.read_text(encoding="ascii") == digest:
-            return
-        cache.mkdir(exist_ok=True)
-        for pattern in ("*.nbi", "*.nbc"):
-            for path in cache.glob(pattern):
-                path.unlink(missing_ok=True)
-        stamp.write_text(digest, encoding="ascii")
-
-
-_drop_stale_cache(Path(__file__).parent)
+    before, config.CACHE_DIR = config.CACHE_DIR, _CACHE or config.CACHE_DIR
+    try:
+        return cast(F, njit(cache=True, error_model="numpy")(function))
+    finally:
+        config.CACHE_DIR = before

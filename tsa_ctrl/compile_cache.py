@@ -1,0 +1,51 @@
+"""Where compiled functions are kept between runs: a folder that this user can write, wherever the package lies.
+
+numba asks for `NUMBA_CACHE_DIR` when it is imported, and ends in a traceback where it finds no place to write; so the
+package sets it before anything of it is imported. What the user has set stays.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import tempfile
+from pathlib import Path
+
+VARIABLE = "NUMBA_CACHE_DIR"
+
+
+def choose() -> None:
+    """Set `NUMBA_CACHE_DIR` unless it is set: ~/.cache/tsa-ctrl, else a temporary folder, which is said once."""
+    if os.environ.get(VARIABLE):
+        return
+    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 (a Path without a home raises)
+    folder = Path(base, "tsa-ctrl", "numba")
+    if not folder.is_absolute() or not _usable(folder):
+        folder = _temporary()
+    os.environ[VARIABLE] = str(folder)
+
+
+def _usable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)
+
+
+def _temporary() -> Path:
+    """This user's own folder among the temporary ones; never one that somebody else may have made."""
+    folder = Path(tempfile.gettempdir(), f"tsa-ctrl-numba-{os.getuid()}")
+    try:
+        folder.mkdir(mode=0o700)
+    except FileExistsError:
+        found = folder.lstat()
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o022:
+            return folder
+        folder = Path(tempfile.mkdtemp(prefix="tsa-ctrl-numba-"))
+    print(
+        f"tsa: no home to keep compiled functions in; they are kept in {folder} (set {VARIABLE} for another place)",
+        file=sys.stderr,
+    )
+    return folder
