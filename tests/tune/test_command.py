@@ -16,7 +16,7 @@ from tests.identify import tendon_logs
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.setpoint import SetPointSettings, waveform
-from tsa_ctrl.identify.diagnosis.result import Experiment
+from tsa_ctrl.identify.diagnosis.report.result import Experiment
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_tendon_sheath
 from tsa_ctrl.tune import report

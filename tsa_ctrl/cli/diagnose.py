@@ -65,7 +65,7 @@ def command(
 
     from tsa_ctrl.identify.dataset import load_log
     from tsa_ctrl.identify.diagnosis import diagnose
-    from tsa_ctrl.identify.diagnosis.report import JSON, MODEL
+    from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
 
     given = load_model(model)
@@ -84,7 +84,7 @@ def command(
         say("report")
         for name in (JSON, MODEL):
             outputs.keep(out / name)
-        result.write(out, model)
+        write(result, out, model)
     if as_json:
         click.echo(result.to_json(), nl=False)
     else:
@@ -95,8 +95,8 @@ def _show(result: Diagnosis, out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from tsa_ctrl.identify.diagnosis.report import PAGE
-    from tsa_ctrl.identify.diagnosis.words import spoken
+    from tsa_ctrl.identify.diagnosis.report.page import PAGE
+    from tsa_ctrl.identify.diagnosis.report.words import spoken
 
     console = Console()
     console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)

@@ -18,6 +18,7 @@ from tsa_ctrl.demo.hidden import Hidden, motion
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report.page import write
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, save_model
@@ -94,7 +95,7 @@ def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: f
     save_model(found.model, folder / "calibrated.toml", template=folder / "nominal.toml", provenance=source)
     say("diagnose", 0.4)
     diagnosis = diagnose(logs, nominal)
-    diagnosis.write(folder / "diagnosis", folder / "nominal.toml")
+    write(diagnosis, folder / "diagnosis", folder / "nominal.toml")
     usable, notes = _controllable(diagnosis, 1.0 / rate)
     shutil.copy(folder / ("diagnosis/extended.toml" if usable else "calibrated.toml"), folder / "extended.toml")
     for stage in STAGES[2:]:

@@ -14,31 +14,37 @@ from numpy.typing import ArrayLike
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.diagnosis import changes, features
-from tsa_ctrl.identify.diagnosis.audit import Audit, audit
-from tsa_ctrl.identify.diagnosis.base import Base, RigidBase, TendonBase
-from tsa_ctrl.identify.diagnosis.candidates import Scales, candidates, scales_of
-from tsa_ctrl.identify.diagnosis.evaluate import HeldOut, full_residuals, held_out
-from tsa_ctrl.identify.diagnosis.experiment import advice, first_motion
-from tsa_ctrl.identify.diagnosis.extend import Catalogue, without
-from tsa_ctrl.identify.diagnosis.fit import Fit, fit, gradients
-from tsa_ctrl.identify.diagnosis.grouping import Group, better, compared, groups
-from tsa_ctrl.identify.diagnosis.leftover import Finding, dependence
-from tsa_ctrl.identify.diagnosis.limits import detection_limits, without_recalibration
-from tsa_ctrl.identify.diagnosis.misfit import by_simulation_error, misfit, plain_error
-from tsa_ctrl.identify.diagnosis.noise import white_noise
-from tsa_ctrl.identify.diagnosis.nuisance import FASTEST, Nuisance, fast, nuisance
-from tsa_ctrl.identify.diagnosis.pilot import pilot_noise
-from tsa_ctrl.identify.diagnosis.prepare import Frame, prepare
-from tsa_ctrl.identify.diagnosis.problem import Hypothesis, Problem
-from tsa_ctrl.identify.diagnosis.refit import Refit, base_quantities, effect_quantities, refit, through_reversals
-from tsa_ctrl.identify.diagnosis.result import Cause, Diagnosis, ParameterError, Rms, Verdict
-from tsa_ctrl.identify.diagnosis.screen import responses, scores
-from tsa_ctrl.identify.diagnosis.selection import Selection, dropped, one_more, replaced, select
-from tsa_ctrl.identify.diagnosis.sharpen import sharpened
-from tsa_ctrl.identify.diagnosis.show import details
-from tsa_ctrl.identify.diagnosis.split import Split, split
-from tsa_ctrl.identify.diagnosis.words import insufficient_sentence, listed, sentence
+from tsa_ctrl.identify.diagnosis.data.audit import Audit, audit
+from tsa_ctrl.identify.diagnosis.data.prepare import Frame, prepare
+from tsa_ctrl.identify.diagnosis.data.split import Split, split
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
+from tsa_ctrl.identify.diagnosis.fitting.noise_model import pilot_noise
+from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
+from tsa_ctrl.identify.diagnosis.fitting.score_test import responses, scores
+from tsa_ctrl.identify.diagnosis.hypotheses.base import Base, RigidBase, TendonBase
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Scales, candidates, scales_of
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import white_noise
+from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, Nuisance, fast, nuisance
+from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut, full_residuals, held_out
+from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import sharpened
+from tsa_ctrl.identify.diagnosis.parameters.refit import (
+    Refit,
+    base_quantities,
+    effect_quantities,
+    refit,
+    through_reversals,
+)
+from tsa_ctrl.identify.diagnosis.report.curves import details
+from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
+from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, Verdict
+from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, listed, sentence
+from tsa_ctrl.identify.diagnosis.residual import changes, features
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
+from tsa_ctrl.identify.diagnosis.rivals.groups import Group, better, compared, groups
+from tsa_ctrl.identify.diagnosis.rivals.simulation_error import by_simulation_error, misfit, plain_error
+from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits, without_recalibration
+from tsa_ctrl.identify.diagnosis.selection.extension import Catalogue, without
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection, dropped, one_more, replaced, select
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.identify.diagnosis import diagnose
+from tsa_ctrl.identify.diagnosis.report.page import write
 from tsa_ctrl.identify.fleet.ledger import Row, row_of
 from tsa_ctrl.model.parameters import load_model
 
@@ -44,7 +45,7 @@ def carry_out(job: Job) -> Done:
         log = job.log if isinstance(job.log, Path) else _laid(folder / "log" / job.name, job.log)
         try:
             result = diagnose([load_log(log)], load_model(model), seed=job.seed)
-            result.write(folder / "report", model)
+            write(result, folder / "report", model)
         except TsaError as error:
             return Done(Row(job.name, job.key, "error", error=_plain(error, log, model)), {})
         except Exception as error:  # one log that no one thought of must not cost the other hundreds their answer

@@ -1,0 +1,31 @@
+"""Widths and moments are made sharper without spoiling what is shipped beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.identify.diagnosis.test_pipeline import diagnosed
+from tsa_ctrl.identify.diagnosis import pipeline
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.parameters import profile_refinement
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, on_plain_error
+
+
+def test_a_step_that_the_rest_of_the_model_cannot_follow_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[Problem, Refit]] = []
+
+    def keep(problem: Problem, shipped: Refit) -> Refit:
+        seen.append((problem, shipped))
+        return shipped
+
+    monkeypatch.setattr(pipeline, "sharpened", keep)
+    diagnosed("single", "presliding_hysteresis", 9005)
+    problem, shipped = seen[0]
+    monkeypatch.setattr(
+        profile_refinement.np.linalg, "lstsq", lambda columns, *_, **__: (np.full(columns.shape[1], 0.2),)
+    )
+    found = profile_refinement.sharpened(problem, shipped).fitted
+    plain = on_plain_error(problem, reversals=True)
+    rest = plain.measured - plain.whiten(plain.predicted(found.hypothesis.model(found.point)))
+    assert float(rest @ rest) < 1.11 * shipped.fitted.rss

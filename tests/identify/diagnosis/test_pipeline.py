@@ -1,0 +1,282 @@
+"""Hidden effects must be found, and nothing where nothing is; the logs come from tests.blind, not from the package."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.blind import case
+from tests.dashboard.chromium import chromium
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report.result import Verdict
+from tsa_ctrl.model.parameters import TendonSheath, load_model, model_from
+
+T = np.arange(0.0, 20.0, 0.005)
+MODEL = """
+[actuator]
+motor_pulley_radius = 0.02
+joint_pulley_radius = 0.025
+[tendon]
+axial_stiffness = 6e4
+unstrained_length = 1.2
+diameter = 6e-4
+[sheath]
+friction_coefficient = 0.1
+bending_angle = 2.6
+[pretension]
+value = 45.0
+"""
+
+
+def model(text: str = MODEL) -> TendonSheath:
+    made = model_from(tomllib.loads(text), "nominal.toml")
+    assert isinstance(made, TendonSheath)
+    return made
+
+
+def diagnosed(family: str, name: str, seed: int) -> Diagnosis:
+    hidden = case(family, name, seed=seed, short=True)
+    return diagnose({log.name: log.columns for log in hidden.logs}, model_from(tomllib.loads(hidden.model), "nominal"))
+
+
+def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -> None:
+    """The nominal pretension is 19 % off: beside the recalibrated one the hidden effect changes nothing."""
+    (cause,) = diagnosed("confounded", "elongation_or_gain", 8005).causes
+    assert sorted((cause.effect, *cause.alternatives)) == [
+        "elongation_coupling",
+        "parameter_error",
+        "torque_constant_error",
+    ]
+
+
+@pytest.mark.parametrize(("name", "seed"), [("rich", 9101), ("plain", 9102), ("slow_sine", 9103), ("rich", 9104)])
+def test_nothing_is_named_where_nothing_is_hidden(name: str, seed: int) -> None:
+    assert diagnosed("none", name, seed).causes == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("stribeck_friction", 9003),
+        ("viscous_friction", 9004),
+        ("presliding_hysteresis", 9005),
+        ("load_dependent_friction", 9006),
+        ("torque_offset", 9007),
+        ("sheath_asymmetry", 9008),
+    ],
+)
+def test_a_hidden_effect_is_named(name: str, seed: int) -> None:
+    result = diagnosed("single", name, seed)
+    claims = [(cause.effect, *cause.alternatives) for cause in result.causes]
+    assert any(name in claim for claim in claims), result.sentence
+    assert result.gain > 0.5
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("tendon_slack", 7005),  # all but a tenth of what it does is in one block
+        ("tension_dependent_friction", 7008),  # far from linear, and recalibration takes up much of it
+        ("transport_delay", 9004),  # of a sample or two, which free moments of reversals hide
+    ],
+)
+def test_an_effect_that_is_hard_to_see_is_named_alone(name: str, seed: int) -> None:
+    result = diagnosed("single", name, seed)
+    assert [(cause.effect, cause.alternatives) for cause in result.causes] == [(name, ())], result.sentence
+
+
+def test_a_second_cause_is_named_where_structure_has_coloured_the_noise() -> None:
+    result = diagnosed("pair", "any", 7005)
+    assert {cause.effect for cause in result.causes} == {"presliding_hysteresis", "torque_offset"}, result.sentence
+
+
+def simple_log(**changed: np.ndarray) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    omega = np.cos(2.0 * np.pi * 0.4 * T)
+    tau_m = 0.4 * np.sin(2.0 * np.pi * 0.17 * T) + 0.1
+    x = 0.26
+    tau_j = 0.025 * (tau_m / 0.02 * np.cosh(x) - 2.0 * 45.0 * np.sign(omega) * np.sinh(x))
+    columns = {"t": T, "tau_m": tau_m + 1e-3 * rng.normal(size=T.size), "omega_j": omega}
+    return {**columns, "tau_j": tau_j + 5e-3 * rng.normal(size=T.size), **changed}
+
+
+def test_the_same_input_gives_the_same_json() -> None:
+    assert diagnose([simple_log()], model()).to_json() == diagnose([simple_log()], model()).to_json()
+
+
+def test_the_json_has_the_public_keys() -> None:
+    data = json.loads(diagnose([simple_log()], model()).to_json())
+    assert data["schema"] == 1
+    assert data["verdict"] in {verdict.value for verdict in Verdict}
+    assert {
+        "causes",
+        "parameter_errors",
+        "unexplained",
+        "not_testable",
+        "detection_limit",
+        "experiment",
+        "rms",
+        "gain",
+    } <= set(data)
+    assert set(data["rms"]) == {"as_given", "recalibrated", "extended", "noise_floor", "unit", "held_out"}
+    assert set(data["unexplained"]) == {"present", "description"}
+
+
+def test_every_effect_is_a_candidate_or_not_testable_with_the_reason() -> None:
+    data = diagnose([simple_log()], model()).to_dict()
+    assert "temperature" in data["not_testable"]["thermal_friction_drift"]
+    assert "viscous_friction" in data["detection_limit"]
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        simple_log(omega_j=np.zeros_like(T)),
+        simple_log(tau_j=np.full_like(T, 0.1)),
+        simple_log(tau_m=np.full_like(T, 0.1)),
+        simple_log(omega_j=np.full_like(T, 0.5)),
+        {name: values[:200] for name, values in simple_log().items()},
+    ],
+)
+def test_a_log_that_shows_nothing_is_insufficient_with_a_sentence(columns: dict[str, np.ndarray]) -> None:
+    result = diagnose([columns], model())
+    assert result.verdict is Verdict.INSUFFICIENT
+    assert len(result.sentence) > 30
+    assert json.loads(result.to_json())["rms"]["as_given"] is None
+
+
+def test_a_log_without_joint_torque_is_an_error_that_says_so() -> None:
+    columns = simple_log()
+    del columns["tau_j"]
+    with pytest.raises(UsageError, match="tau_j is missing"):
+        diagnose([columns], model())
+
+
+def test_swapped_velocity_and_torque_are_suspected() -> None:
+    columns = simple_log()
+    columns["tau_m"], columns["omega_j"] = columns["omega_j"] * 40.0, columns["tau_m"]
+    try:
+        result = diagnose([columns], model())
+    except UsageError as problem:
+        said = str(problem)
+    else:
+        assert result.verdict is Verdict.INSUFFICIENT
+        said = result.sentence
+    assert re.search("swapped|reversed|unit|unsound", said), said
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"tau_j": -1.0}, "reversed"),
+        ({"tau_m": -1.0}, "reversed"),
+        ({"tau_j": 1e3}, "tau_j"),
+        ({"t": 1e3}, "column t"),
+    ],
+)
+def test_a_wrong_sign_or_unit_is_an_error_that_names_it(changed: dict[str, float], named: str) -> None:
+    columns = simple_log()
+    for name, factor in changed.items():
+        columns[name] = factor * columns[name]
+    with pytest.raises(UsageError, match=named):
+        diagnose([columns], model())
+
+
+def test_a_nan_is_an_error_with_its_row() -> None:
+    columns = simple_log()
+    columns["tau_j"][100] = np.nan
+    with pytest.raises(UsageError, match="row 101"):
+        diagnose([columns], model())
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that `tsa diagnose` leaves for a log with a hidden effect."""
+    folder = tmp_path_factory.mktemp("diagnosis")
+    hidden = case("single", "viscous_friction", seed=9004, short=True)
+    (folder / "nominal.toml").write_text(hidden.model)
+    logs = []
+    for log in hidden.logs:
+        path = folder / f"{log.name}.csv"
+        header = ",".join(log.columns)
+        np.savetxt(path, np.column_stack(list(log.columns.values())), delimiter=",", header=header, comments="")
+        logs.append(str(path))
+    command = [sys.executable, "-m", "tsa_ctrl", "diagnose", *logs, "--model", str(folder / "nominal.toml")]
+    run = subprocess.run(
+        [*command, "--out", str(folder / "out"), "--json"], capture_output=True, text=True, timeout=300, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout == (folder / "out" / "diagnosis.json").read_text()
+    return folder / "out"
+
+
+def text_of(page: str) -> str:
+    body = re.sub(r"<style>.*?</style>", " ", page, flags=re.DOTALL)
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", body)).split())
+
+
+def test_the_report_says_what_the_json_says(written: Path) -> None:
+    data = json.loads((written / "diagnosis.json").read_text())
+    page = (written / "report.html").read_text()
+    text = text_of(page)
+    assert data["summary"] in text
+    assert data["experiment"] in text
+    assert [cause["effect"] for cause in data["causes"]] == re.findall(r'data-effect="(\w+)"', page)
+    for name in ("as_given", "recalibrated", "extended", "noise_floor"):
+        assert f"{1e3 * data['rms'][name]:.4g} mN·m" in text
+
+
+def test_the_report_needs_no_network(written: Path) -> None:
+    page = (written / "report.html").read_text()
+    assert not re.search(r"(src|href)=[\"'](?!data:)", page)
+
+
+def test_the_extended_model_loads_and_carries_the_causes(written: Path) -> None:
+    data = json.loads((written / "diagnosis.json").read_text())
+    extended = load_model(written / "extended.toml")
+    assert set(extended.effects) == {cause["effect"] for cause in data["causes"]}
+
+
+def test_the_extended_model_says_where_its_numbers_came_from(written: Path) -> None:
+    data = json.loads((written / "diagnosis.json").read_text())
+    source = tomllib.loads((written / "extended.toml").read_text())["provenance"]
+    assert (source["command"], source["nominal"], source["verdict"]) == ("diagnose", "nominal.toml", data["verdict"])
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in source["logs"].values())
+    assert len(source["logs"]) >= 1
+    named = data["causes"][0]
+    for name, value in named["parameters"].items():
+        assert source["intervals"][f"{named['effect']}.{name}"] == pytest.approx(
+            [value["low"], value["high"]], rel=1e-4
+        )
+
+
+def test_the_experiment_is_a_set_point_file(written: Path) -> None:
+    rows = np.loadtxt(written / "experiment.csv", delimiter=",", skiprows=1)
+    assert (written / "experiment.csv").read_text().startswith("t,tau_j_des\n")
+    assert np.all(np.diff(rows[:, 0]) > 0.0)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_page_shows_in_a_browser_without_sideways_scrolling(
+    written: Path, browser: str, width: int, tmp_path: Path
+) -> None:
+    with chromium(browser, tmp_path) as page:
+        page.resize(width)
+        page.open((written / "report.html").as_uri())
+        page.until("document.readyState == 'complete' && document.images.length > 0")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate("[...document.images].every(image => image.naturalWidth > 0)")
+        assert json.loads((written / "diagnosis.json").read_text())["summary"] in page.evaluate(
+            "document.body.innerText.replace(/\\s+/g, ' ')"
+        )
+        assert page.errors == []

@@ -1,0 +1,21 @@
+"""A light motor on soft tendons, which does not follow the joint through a reversal, as in the daemon's own logs."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.identify.diagnosis.test_pipeline import model
+from tests.identify.soft_tendons import record
+from tsa_ctrl.identify import diagnose
+
+
+@pytest.mark.parametrize(("compensated", "follows"), [(False, "joint"), (True, "motor")])
+def test_presliding_is_found_in_the_displacement_that_shows_it(compensated: bool, follows: str) -> None:
+    result = diagnose([record(1, compensated=compensated)], model())
+    cause = result.causes[0]
+    assert (cause.effect, cause.alternatives) == ("presliding_hysteresis", ()), result.sentence
+    assert cause.parameters["displacement"] == follows
+    assert result.gain > 0.9
+    assert result.details is not None
+    groups = {ranked.effect: ranked.group for ranked in result.details.ranking}
+    assert [groups[each.effect] for each in result.causes] == list(range(len(result.causes)))

@@ -1,0 +1,119 @@
+"""What a log can show at all, before anything is fitted: suspicions, occupancy, and whether it excites the drive."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.data.prepare import Frame
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import hold_direction
+
+SHORTEST = 3.0  # s
+FEWEST = 60  # score samples
+STUCK = 0.5  # share of a torque's samples that repeat the one before
+FEWEST_HELD = 20  # samples at the largest value that are no chance
+UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
+FEWEST_MEANS = 20
+SPEED_BINS, LOAD_BINS = 8, 8
+
+
+@dataclass(frozen=True)
+class Audit:
+    """`insufficient`: why these logs cannot be diagnosed, empty if they can; `suspicions`: what looks wrong."""
+
+    seconds: float
+    rate: float
+    moving: float  # share of the time
+    reversals: int
+    both_directions: bool
+    occupancy: Array  # (SPEED_BINS, LOAD_BINS) share of samples over (velocity, motor torque)
+    speed_edges: Array
+    load_edges: Array
+    notes: tuple[str, ...]
+    suspicions: tuple[str, ...]
+    insufficient: str
+
+
+def audit(frame: Frame) -> Audit:
+    """Occupancy and excitation of the samples that may be learned from."""
+    omega = np.concatenate([run.signals.omega_j for run in frame.runs])
+    tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
+    noise = max(run.velocity_noise for run in frame.runs)
+    fast = float(np.quantile(np.abs(omega), 0.95)) if len(omega) else 0.0
+    moving = np.abs(omega) > max(0.05 * fast, 4.0 * noise, 1e-9)
+    reversals = sum(
+        int(np.count_nonzero(np.diff(_steady(run.signals.omega_j, run.velocity_noise)))) for run in frame.runs
+    )
+    forward, backward = float(np.mean(moving & (omega > 0.0))), float(np.mean(moving & (omega < 0.0)))
+    speed_edges = np.linspace(-1.05 * max(fast, 1e-9), 1.05 * max(fast, 1e-9), SPEED_BINS + 1)
+    top = max(float(np.quantile(np.abs(tau_m), 0.99)), 1e-9) * 1.05
+    load_edges = np.linspace(-top, top, LOAD_BINS + 1)
+    occupancy = np.histogram2d(omega, tau_m, bins=(speed_edges, load_edges))[0] / max(len(omega), 1)
+    seconds = frame.seconds
+    target = np.concatenate([run.target for run in frame.runs])
+    return Audit(
+        seconds=seconds,
+        rate=frame.runs[0].raw.rate,
+        moving=float(np.mean(moving)),
+        reversals=reversals,
+        both_directions=min(forward, backward) > 0.02,
+        occupancy=occupancy,
+        speed_edges=speed_edges,
+        load_edges=load_edges,
+        notes=tuple(dict.fromkeys(note for run in frame.runs for note in run.raw.notes)),
+        suspicions=_suspicions(frame),
+        insufficient=_insufficient(omega, seconds, len(frame), fast, noise, float(np.mean(moving)), tau_m, target),
+    )
+
+
+def _steady(omega: Array, noise: float) -> Array:
+    """Direction with the velocity noise as hysteresis."""
+    return hold_direction(np.where(np.abs(omega) > 3.0 * noise, omega, 0.0))
+
+
+def _insufficient(
+    omega: Array, seconds: float, samples: int, fast: float, noise: float, moving: float, tau_m: Array, target: Array
+) -> str:
+    if seconds < SHORTEST or samples < FEWEST:
+        return f"the logs hold {seconds:.2g} s; at least {SHORTEST:g} s are needed"
+    if float(np.ptp(target)) == 0.0:
+        return "the measured torque does not change at all: is the sensor connected?"
+    if float(np.ptp(tau_m)) == 0.0:
+        return "tau_m does not change at all: is the drive's torque recorded?"
+    if float(np.ptp(omega)) == 0.0 and fast > 0.0:
+        return "the velocity does not change at all: is it recorded?"
+    if fast <= 0.0:
+        return "the joint does not move: friction shows only in motion"
+    if fast < 6.0 * noise or moving < 0.02:
+        return "the joint hardly moves: its speed does not stand out of the velocity's noise"
+    return ""
+
+
+def _is_noise(column: Array) -> bool:
+    """Whether neighbours, also as means over a hundred samples, have nothing to do with each other."""
+    coarse = column[: len(column) // 100 * 100].reshape(-1, 100).mean(axis=1)
+    series = [column, coarse] if len(coarse) >= FEWEST_MEANS else [column]
+    return all(float(np.mean(np.diff(y) ** 2)) > UNRELATED * float(np.var(y)) for y in series)
+
+
+def _suspicions(frame: Frame) -> tuple[str, ...]:
+    out = []
+    for run in frame.runs:
+        for name in ("tau_j", "tau_m"):
+            if name not in run.raw:
+                continue
+            column = run.raw[name]
+            repeated = np.diff(column) == 0.0
+            if float(np.mean(repeated)) > STUCK and len(np.unique(column)) > 0.05 * len(column):
+                out.append(f"{run.name}: {name} repeats its last value in {np.mean(repeated):.0%} of the samples")
+            if float(np.ptp(column)) == 0.0:
+                continue
+            if _is_noise(column):
+                out.append(f"{run.name}: {name} is a constant with noise: is the torque recorded?")
+            top = np.max(np.abs(column))
+            held = float(np.mean(np.abs(column) > 0.9999 * top))
+            if held > 0.01 and held * len(column) > FEWEST_HELD:
+                out.append(f"{run.name}: {name} stays at its largest value {top:.3g} N*m for {held:.1%} of the time")
+    return tuple(out)

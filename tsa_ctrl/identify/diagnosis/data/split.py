@@ -1,0 +1,95 @@
+"""Which samples a diagnosis learns from and which it is checked with.
+
+With several logs whole logs are held out: those that match a pattern, else every third by name; they take part in
+nothing. With one or two logs every third of some stretches is held out, with gaps: the figures of `rms` and `gain` then
+come from parameters fitted on the other stretches alone.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.data.prepare import Frame, Run, block_numbers
+
+STRETCHES = 12  # of one log; every third is held out
+GAP = 0.3  # s between what is learned from and what is held out
+ENDS = 0.15  # s at either end of a log whose motion was derived
+FIRST_SPEED = 0.01  # of the fastest: slower is standstill at the log's start
+FIRST_TRAVEL = 0.02  # of half the range, after which a joint that stood has its friction whatever was before
+FEWEST_LOGS = 3  # from which on whole logs are held out
+
+
+@dataclass(frozen=True)
+class Split:
+    """`frame` learns from all samples that selection may use; `fit` and `held` (n) are for the held-out figures."""
+
+    frame: Frame
+    fit: NDArray[np.bool_]
+    held: NDArray[np.bool_]
+    held_logs: tuple[str, ...]  # empty: stretches were held out
+
+
+def split(runs: Sequence[Run], hold_out: str | None) -> Split:
+    """Raises UsageError when the pattern matches no log, or every one."""
+    names = [run.name for run in runs]
+    chosen = _chosen(names, hold_out)
+    counts = [run.count for run in runs]
+    inner = np.concatenate([_inner(run) for run in runs])
+    if chosen:
+        held = np.repeat([name in chosen for name in names], counts)
+        return Split(_frame(runs, ~held & inner), ~held & inner, held, tuple(sorted(chosen)))
+    fit, held = _stretches(counts, runs[0].period)
+    return Split(_frame(runs, inner), fit & inner, held, ())
+
+
+def _chosen(names: Sequence[str], hold_out: str | None) -> set[str]:
+    if hold_out is None:
+        return set(sorted(names)[2::3]) if len(names) >= FEWEST_LOGS else set()
+    chosen = {name for name in names if fnmatch.fnmatch(name, hold_out)}
+    if not chosen:
+        raise UsageError(f"--hold-out '{hold_out}' matches no log; the logs are {', '.join(names)}")
+    if len(chosen) == len(names):
+        raise UsageError(f"--hold-out '{hold_out}' matches every log; leave at least one to learn from")
+    return chosen
+
+
+def _frame(runs: Sequence[Run], train: NDArray[np.bool_]) -> Frame:
+    return Frame(tuple(runs), train, block_numbers([run.count for run in runs], train))
+
+
+def _inner(run: Run) -> NDArray[np.bool_]:
+    """Score samples that no derivative's filter reached beyond the log for."""
+    out = np.ones(run.count, dtype=np.bool_)
+    if {"omega_j", "omega_m"} & run.raw.derived or "tau_j" not in run.raw:
+        ends = min(round(ENDS / run.period), run.count // 20)
+        out[:ends] = out[run.count - ends :] = False
+    out[: _unknown(run)] = False
+    return out
+
+
+def _unknown(run: Run) -> int:
+    """How many first score samples of a log that begins at standstill have a friction that no sample tells."""
+    omega = run.average(run.signals.omega_j)
+    travel = np.cumsum(np.abs(omega)) * run.period
+    if abs(omega[0]) > FIRST_SPEED * float(np.quantile(np.abs(omega), 0.95)):
+        return 0
+    return int(np.searchsorted(travel, FIRST_TRAVEL * 0.5 * float(np.ptp(np.cumsum(omega))) * run.period))
+
+
+def _stretches(counts: Sequence[int], period: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Stretches 1, 4, 7 ... of each log are held out; a gap on either side belongs to neither."""
+    fit, held = [], []
+    for count in counts:
+        number = np.arange(count) * STRETCHES // max(count, 1)
+        inside = number % 3 == 1
+        gap = min(round(GAP / period), count // (8 * STRETCHES))
+        near = np.convolve(inside, np.ones(2 * gap + 1), mode="same") > 0.0
+        held.append(inside)
+        fit.append(~near)
+    return np.concatenate(fit), np.concatenate(held)

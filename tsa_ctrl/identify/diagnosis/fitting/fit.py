@@ -1,0 +1,133 @@
+"""Bounded Gauss-Newton (Levenberg-Marquardt) on whitened residuals, with what later stages need of the optimum."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
+from tsa_ctrl.model.functions import Array
+
+ITERATIONS = 12
+ENOUGH = 0.05  # decrease of the sum of squares (white units) below which a fit has converged
+TRIES = 5  # of damping within one iteration
+
+
+@dataclass(frozen=True)
+class Fit:
+    """`residual` (m,) white; `jacobian` (m, free) of the prediction by the coordinates that no bound holds."""
+
+    hypothesis: Hypothesis
+    point: Array
+    residual: Array
+    jacobian: Array
+    free: NDArray[np.bool_]
+    rss: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.hypothesis.names
+
+
+def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int = ITERATIONS) -> Fit:
+    """Least squares of the whitened residual over the coordinates within their bounds, from `start`."""
+    point = np.clip(start, hypothesis.low, hypothesis.high)
+    residual = problem.measured - problem.whiten(problem.predicted(hypothesis.model(point)))
+    rss = float(residual @ residual)
+    damping = 1e-4
+    jacobian = _jacobian(problem, hypothesis, point, residual)
+    for _ in range(iterations):
+        if len(point) == 0:
+            break
+        moved = False
+        small = False  # whether the last step was not worth another
+        rough = hypothesis.rough
+        for attempt in range(2 * TRIES if rough.any() else TRIES):
+            if attempt == TRIES:  # along some coordinates a gradient means little: try without them
+                damping = 1e-4
+            used = jacobian if attempt < TRIES else np.where(rough, 0.0, jacobian)
+            step = _step(used, residual, point, hypothesis, damping)
+            trial = np.clip(point + step, hypothesis.low, hypothesis.high)
+            change = trial - point
+            expected = rss - float(np.sum((residual - jacobian @ change) ** 2))
+            if expected < ENOUGH:
+                small = True
+                damping = max(damping * 30.0, 1e-3)
+                continue
+            predicted = problem.predicted(hypothesis.model(trial))
+            found = residual
+            reached = np.inf
+            if np.all(np.isfinite(predicted)):
+                found = problem.measured - problem.whiten(predicted)
+                reached = float(found @ found)
+            if reached < rss:
+                small = rss - reached < ENOUGH
+                moved = True
+                damping = max(damping * 0.2, 1e-7)
+                point, residual, rss = trial, found, reached
+                break
+            damping = max(damping * 10.0, 1e-4)
+        if not moved:
+            break
+        jacobian = _jacobian(problem, hypothesis, point, residual)
+        if small:
+            break
+    gradient = jacobian.T @ residual if len(point) else np.zeros(0)
+    free = ~((point <= hypothesis.low) & (gradient < 0.0)) & ~((point >= hypothesis.high) & (gradient > 0.0))
+    return Fit(hypothesis, point, residual, jacobian[:, free], free, rss)
+
+
+def _jacobian(problem: Problem, hypothesis: Hypothesis, point: Array, residual: Array) -> Array:
+    """d prediction / d coordinates, white, by one-sided differences away from the nearer bound."""
+    if len(point) == 0:
+        return np.zeros((problem.count, 0))
+    steps, moved = [], []
+    for i, step in enumerate(hypothesis.steps):
+        there = point.copy()
+        there[i] += step if point[i] + step <= hypothesis.high[i] else -step
+        steps.append(there[i] - point[i])
+        moved.append(problem.predicted(hypothesis.model(there)))
+    columns = problem.whiten(np.column_stack(moved)) - (problem.measured - residual)[:, None]
+    return np.asarray(columns / np.array(steps))
+
+
+def gradients(problem: Problem, fitted: Fit) -> Array:
+    """d prediction / d coordinates at the optimum, white, also of those that a bound holds."""
+    return _jacobian(problem, fitted.hypothesis, fitted.point, fitted.residual)
+
+
+def _step(jacobian: Array, residual: Array, point: Array, hypothesis: Hypothesis, damping: float) -> Array:
+    """Damped least-squares step; the coordinate that leaves its bounds furthest is held there, the rest solved anew."""
+    count = len(point)
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+    gram = (jacobian / scale).T @ (jacobian / scale)
+    slope = (jacobian / scale).T @ residual
+    step = np.zeros(count)
+    free = np.ones(count, dtype=np.bool_)
+    for _ in range(count + 1):
+        index = np.flatnonzero(free)
+        if index.size == 0:
+            break
+        fixed = np.flatnonzero(~free)
+        right = slope[index] - gram[np.ix_(index, fixed)] @ (step[fixed] * scale[fixed])
+        matrix = gram[np.ix_(index, index)] + damping * np.eye(index.size)
+        step[index] = np.linalg.solve(matrix, right) / scale[index]
+        target = point + step
+        beyond = np.where(free, np.maximum(hypothesis.low - target, target - hypothesis.high), 0.0) * scale
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= 0.0:
+            break
+        step[worst] = np.clip(target[worst], hypothesis.low[worst], hypothesis.high[worst]) - point[worst]
+        free[worst] = False
+    return step
+
+
+def safely(problem: Problem, hypothesis: Hypothesis, start: Array) -> Fit | None:
+    """`fit`, or None where the effects exclude each other or the model cannot be computed there."""
+    try:
+        return fit(problem, hypothesis, start)
+    except (UsageError, np.linalg.LinAlgError, FloatingPointError):
+        return None

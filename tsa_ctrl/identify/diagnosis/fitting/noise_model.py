@@ -1,0 +1,76 @@
+"""The noise model: from what the whole catalogue cannot explain, before anything is named and after each cause.
+
+A spectrum taken from the residual of the base model would hold the hidden effect and hide it; so all responses are
+projected out first, then, in the colours found so, only those that matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, scores
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise, estimate
+from tsa_ctrl.model.functions import Array
+
+WORTH = 12.0  # decrease of the sum of squares for which a column is taken into the pilot model
+MOST_COLUMNS = 16
+MOST_SHARE = 0.1  # of the samples, that saturation may span
+
+
+def pilot_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tuple[Problem, Fit]:
+    """The problem under its noise model, and the base fitted anew under it."""
+    for span in (_saturated, _pursuit):
+        problem, fitted = _under(problem, fitted, span(problem, fitted, found))
+    return problem, fitted
+
+
+def _under(problem: Problem, fitted: Fit, basis: Array) -> tuple[Problem, Fit]:
+    problem = problem.with_noise(noise_after(problem, fitted.residual, basis))
+    return problem, fit(problem, fitted.hypothesis, fitted.point)
+
+
+def noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
+    """Noise from the white residual (m,) once `basis` (m, k) is projected out."""
+    rest = residual - basis @ (basis.T @ residual)
+    count = len(problem.frame)
+    full, spread = np.zeros(count), np.zeros((count, basis.shape[1]))
+    full[problem.mask], spread[problem.mask] = rest, basis
+    frame = problem.frame
+    return estimate(full, spread, problem.mask, frame.slices, frame.period, problem.noise)
+
+
+def _saturated(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
+    """Basis of the fitted parameters and the leading directions of all responses."""
+    columns = np.concatenate([score.columns for score in scores(problem, fitted, found)], axis=1)
+    norms = np.linalg.norm(columns, axis=0)
+    columns = columns[:, norms > 1e-9 * max(norms.max(initial=0.0), 1e-300)]
+    columns = columns / np.linalg.norm(columns, axis=0)
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    most = max(4, int(MOST_SHARE * problem.count))
+    keep = np.flatnonzero(values > 1e-4 * values[-1])[-most:]
+    return orthonormal(np.concatenate([fitted.jacobian, columns @ vectors[:, keep]], axis=1))
+
+
+def _pursuit(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
+    """Basis of the fitted parameters and of the responses that orthogonal matching pursuit picks."""
+    basis = orthonormal(fitted.jacobian)
+    columns = np.concatenate([score.columns for score in scores(problem, fitted, found)], axis=1)
+    columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-9)
+    gram = columns.T @ columns
+    slope = columns.T @ (fitted.residual - basis @ (basis.T @ fitted.residual))
+    chosen: list[int] = []
+    for _ in range(MOST_COLUMNS):
+        sizes = np.diag(gram)
+        worth = np.where(sizes > 1e-4, slope**2 / np.maximum(sizes, 1e-4), 0.0)
+        best = int(np.argmax(worth))
+        if worth[best] < WORTH:
+            break
+        chosen.append(best)
+        ratio = gram[best] / gram[best, best]
+        slope = slope - ratio * slope[best]
+        gram = gram - np.outer(gram[best], ratio)
+    return np.column_stack([basis, orthonormal(columns[:, chosen])])

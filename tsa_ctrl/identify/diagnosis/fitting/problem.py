@@ -1,0 +1,133 @@
+"""A hypothesis (base model and effects) turned into residuals that compare: whitened, nuisance projected out."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.data.prepare import Frame
+from tsa_ctrl.identify.diagnosis.hypotheses.base import Base, Coordinate
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Variant
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
+from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance, Projection
+from tsa_ctrl.model.catalogue import Value
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.model.predict import predict_each
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """The base model with these effects; `wide` frees recalibration from [uncertainty]."""
+
+    base: Base
+    variants: tuple[Variant, ...] = ()
+    wide: bool = False
+
+    @cached_property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        own = [c for variant in self.variants for c in variant.coordinates]
+        return (*self.base.coordinates(self.wide), *own)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(variant.effect for variant in self.variants)
+
+    @cached_property
+    def low(self) -> Array:
+        return np.array([c.low for c in self.coordinates])
+
+    @cached_property
+    def high(self) -> Array:
+        return np.array([c.high for c in self.coordinates])
+
+    @cached_property
+    def steps(self) -> Array:
+        return np.array([c.step for c in self.coordinates])
+
+    @cached_property
+    def rough(self) -> NDArray[np.bool_]:
+        """Coordinates along which the prediction jumps: those of effects without an amplitude."""
+        own = [not variant.amplitude for variant in self.variants for _ in variant.coordinates]
+        return np.array([False] * len(self.base.coordinates(self.wide)) + own, dtype=np.bool_)
+
+    def own(self, point: Array) -> list[Array]:
+        """The coordinates of each variant."""
+        parts, at = [], len(self.base.coordinates())
+        for variant in self.variants:
+            parts.append(point[at : at + len(variant.coordinates)])
+            at += len(variant.coordinates)
+        return parts
+
+    def effects(self, point: Array) -> dict[str, dict[str, Value]]:
+        return {v.effect: v.parameters(u) for v, u in zip(self.variants, self.own(point), strict=True)}
+
+    def model(self, point: Array) -> Model:
+        return self.base.build(point[: len(self.base.coordinates())], self.effects(point))
+
+    def plus(self, variant: Variant) -> Hypothesis:
+        return dataclasses.replace(self, variants=(*self.variants, variant))
+
+    def without(self, index: int) -> Hypothesis:
+        return dataclasses.replace(self, variants=self.variants[:index] + self.variants[index + 1 :])
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Measured torques against hypotheses, under one noise model."""
+
+    frame: Frame
+    base: Base
+    noise: Noise
+    nuisance: Nuisance
+    mask: NDArray[np.bool_]  # (n) samples that count
+
+    @cached_property
+    def projection(self) -> Projection:
+        """What takes the nuisance out of white vectors."""
+        return self.nuisance.projection(self.noise, self.mask, self.frame.slices)
+
+    @property
+    def count(self) -> int:
+        return int(self.mask.sum())
+
+    @cached_property
+    def blocks(self) -> NDArray[np.int64]:
+        """Block numbers of the samples that count, 0 .. B - 1."""
+        return np.unique(self.frame.blocks[self.mask], return_inverse=True)[1].astype(np.int64)
+
+    def predicted(self, model: Model) -> Array:
+        """The model's torque at the score rate, N*m, shape (n,)."""
+        return self.frame.stack(predict_each(model, [run.signals for run in self.frame.runs]))
+
+    def whiten(self, y: Array) -> Array:
+        """(n,) or (n, k) in N*m to white units over the samples that count, the nuisance projected out."""
+        return self.projection.apply(self.noise.whiten(y, self.frame.slices)[self.mask])
+
+    @cached_property
+    def measured(self) -> Array:
+        return self.whiten(self.frame.target)
+
+    def with_noise(self, noise: Noise) -> Problem:
+        return dataclasses.replace(self, noise=noise)
+
+
+def orthonormal(columns: Array, tolerance: float = 1e-7) -> Array:
+    """An orthonormal basis of the span of `columns` (n, k), shape (n, rank)."""
+    if columns.shape[1] == 0:
+        return columns
+    norms = np.linalg.norm(columns, axis=0)
+    scaled: Array = columns[:, norms > 0.0] / norms[norms > 0.0]
+    if scaled.shape[1] == 0:
+        return scaled
+    gram = scaled.T @ scaled
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > tolerance**2 * max(values[-1], 1e-300) + 1e-10
+    basis = scaled @ (vectors[:, keep] / np.sqrt(values[keep]))
+    gram = basis.T @ basis  # once more: the first pass leaves what the smallest values amplify
+    values, vectors = np.linalg.eigh(gram)
+    return np.asarray(basis @ (vectors / np.sqrt(values)))

@@ -1,0 +1,131 @@
+"""Which effect would explain a residual best: the exact responses of all candidates, one projection each.
+
+A response is the model's own difference with and without the effect, not its linearisation: a linearised delay brought
+a false second cause in ten of ten logs. Only amplitudes, which are nearly linear, are solved for; everything else is
+refined by a fit afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Variant
+from tsa_ctrl.model.functions import Array
+
+TRIAL = 0.02  # amplitude (in units of the torque) at which a nearly linear response is computed
+STRETCH = 1.6  # a grid point may stand for an effect so many times its own, before the fit refines it
+
+
+@dataclass(frozen=True)
+class Response:
+    """What one start of one variant adds to the prediction: (n, k) N*m at the score rate, per unit of amplitude."""
+
+    variant: Variant
+    start: Array
+    columns: Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a response promises: decrease of the sum of squares, and where to start the fit."""
+
+    variant: Variant
+    start: Array
+    gain: float
+    columns: Array  # (m, k) white, the fitted parameters projected out
+    whole: float  # decrease by the response as it is, neither shrunk nor stretched
+
+
+def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> list[Response]:
+    """The responses of each start of each variant beside the effects of `fitted`; impossible combinations left out."""
+    present = problem.predicted(fitted.hypothesis.model(fitted.point))
+    out = []
+    for variant in variants:
+        hypothesis = fitted.hypothesis.plus(variant)
+        for start in variant.starts:
+            begin = np.array(start)
+            try:
+                raw = [
+                    (problem.predicted(hypothesis.model(np.concatenate([fitted.point, moved]))) - present) / unit
+                    for moved, unit in _moves(variant, begin)
+                ]
+            except UsageError:
+                break
+            columns = np.column_stack(raw)
+            if np.all(np.isfinite(columns)):
+                out.append(Response(variant, begin, columns))
+    return out
+
+
+def _moves(variant: Variant, start: Array) -> list[tuple[Array, float]]:
+    if not variant.amplitude:
+        return [(start, 1.0)]
+    moves = []
+    for index in variant.amplitude:
+        unit = min(TRIAL, 0.5 * (variant.coordinates[index].high - start[index]))
+        moved = start.copy()
+        moved[index] += unit
+        moves.append((moved, unit))
+    return moves
+
+
+def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Score]:
+    """One score per response, whitened under the problem's noise."""
+    if not found:
+        return []
+    basis = orthonormal(fitted.jacobian)
+    residual = fitted.residual - basis @ (basis.T @ fitted.residual)
+    white = problem.whiten(np.concatenate([response.columns for response in found], axis=1))
+    white -= basis @ (basis.T @ white)
+    out, at = [], 0
+    for response in found:
+        columns = white[:, at : at + response.columns.shape[1]]
+        at += response.columns.shape[1]
+        measure = _amplitudes if response.variant.amplitude else _whole
+        start, gain = measure(response.variant, response.start, columns, residual)
+        whole = 2.0 * float(columns[:, 0] @ residual) - float(columns[:, 0] @ columns[:, 0])
+        out.append(Score(response.variant, start, gain, columns, gain if response.variant.amplitude else whole))
+    return out
+
+
+def best_by_effect(found: Iterable[Score]) -> list[Score]:
+    """The best start of each effect, best effect first."""
+    best: dict[str, Score] = {}
+    for score in found:
+        name = score.variant.effect
+        if name not in best or score.gain > best[name].gain:
+            best[name] = score
+    return sorted(best.values(), key=lambda score: -score.gain)
+
+
+def _whole(variant: Variant, start: Array, columns: Array, residual: Array) -> tuple[Array, float]:
+    """An effect without an amplitude: its response as it is, or stretched where a grid is coarse."""
+    size = float(columns[:, 0] @ columns[:, 0])
+    overlap = float(columns[:, 0] @ residual)
+    share = min(max(overlap / size, 0.0), STRETCH) if variant.coordinates and size > 1e-9 else 1.0
+    return start, 2.0 * share * overlap - share**2 * size
+
+
+def _amplitudes(variant: Variant, start: Array, columns: Array, residual: Array) -> tuple[Array, float]:
+    """The best amplitudes within their bounds; the others are solved anew beside one that a bound holds."""
+    index = list(variant.amplitude)
+    gram, slope = columns.T @ columns, columns.T @ residual
+    gram = gram + (1e-9 * float(np.trace(gram)) + 1e-12) * np.eye(len(gram))
+    low = np.array([variant.coordinates[i].low for i in index]) - start[index]
+    high = np.array([variant.coordinates[i].high for i in index]) - start[index]
+    free = np.linalg.solve(gram, slope)
+    size = np.clip(free, low, high)
+    for i in np.flatnonzero(size != free):
+        others = [j for j in range(len(size)) if j != i]
+        if others:
+            part = gram[np.ix_(others, others)]
+            size[others] = np.linalg.solve(part, slope[others] - gram[others, i] * size[i])
+    begin = start.copy()
+    begin[index] += size
+    return begin, float(2.0 * slope @ size - size @ gram @ size)

@@ -1,0 +1,217 @@
+"""What is always projected out: torque errors from a direction that the log does not tell.
+
+Near standstill the sign of a noisy velocity is wrong; that is no effect, but it fakes Stribeck friction and lags. Two
+kinds of columns take it out: E[sigma(v + eta)] - sigma(v) (closed form for Gaussian eta) at 1 and 2.5 times the
+velocity noise, and one column for each reversal's own moment, which no velocity of finite rate places better than a
+sample. The latter are many but short, and are kept as such.
+
+And what the noise of the measured motor torque does: a regressor with noise is trusted less than it deserves, and any
+effect that can stand in for it would be named. So its fast part, which is mostly noise, is projected out as well.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.sparse import csc_matrix
+from scipy.special import erf
+
+from tsa_ctrl.identify.diagnosis.data.prepare import Frame, Run
+from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
+from tsa_ctrl.model.effects.memory import TransportDelay
+from tsa_ctrl.model.effects.motor import VelocityLag
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import hold_direction, low_pass
+
+NOISE_FACTORS = (1.0, 2.5)  # of the velocity noise
+UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
+FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
+FASTEST = (3.0, 12.0, 25.0)  # Hz, further edges where nothing but structure is looked for
+STEP_CUTOFF = 8.0  # Hz, to tell steps from noise
+STEEP = 3.0  # times the rate of change that is exceeded a fifth of the time
+STEP_MARGIN = 0.04  # s
+MOST_COLUMNS = 800
+RESTART = 0.1  # s at the end of a standstill in which an encoder has not counted yet
+RIDGE = 1e-9  # of a column's square: keeps nearly equal columns apart
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One short column: `values` (N*m) from score sample `start` of the stack on, 0 elsewhere."""
+
+    start: int
+    values: Array
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """`smooth` (n, k) over all score samples, N*m, and short columns."""
+
+    smooth: Array
+    moments: tuple[Moment, ...] = ()
+
+    def projection(self, noise: Noise, mask: NDArray[np.bool_], slices: Sequence[slice]) -> Projection:
+        """What takes all columns out of vectors that are whitened and masked."""
+        where = np.cumsum(mask) - 1
+        rows, columns, data = [], [], []
+        used = 0
+        for moment in self.moments:
+            part = next(part for part in slices if part.start <= moment.start < part.stop)
+            start, white = noise.whiten_short(moment.start, moment.values, part)
+            inside = mask[start : start + len(white)]
+            size = float(np.linalg.norm(white[inside]))
+            if size <= 0.0:
+                continue
+            rows.append(where[start : start + len(white)][inside])
+            data.append(white[inside] / size)
+            columns.append(np.full(int(inside.sum()), used))
+            used += 1
+        count = int(mask.sum())
+        if used:
+            short = csc_matrix(
+                (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(count, used)
+            )
+            gram = (short.T @ short).toarray() + RIDGE * np.eye(used)
+            bare = Projection(short, cho_factor(gram), np.zeros((count, 0)))
+        else:
+            bare = Projection(None, None, np.zeros((count, 0)))
+        dense = bare.apply(noise.whiten(self.smooth, slices)[mask])
+        norms = np.linalg.norm(dense, axis=0)
+        kept = dense[:, norms > 1e-6 * max(float(norms.max(initial=0.0)), 1e-12)]
+        return Projection(bare.short, bare.factor, np.linalg.qr(kept)[0] if kept.shape[1] else kept)
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Takes the nuisance out of white vectors (m,) or (m, k)."""
+
+    short: csc_matrix | None
+    factor: tuple[Array, bool] | None
+    dense: Array  # (m, j) orthonormal, and orthogonal to the short columns
+
+    def apply(self, white: Array) -> Array:
+        if self.short is not None and self.factor is not None:
+            white = white - self.short @ cho_solve(self.factor, self.short.T @ white)
+        if self.dense.shape[1]:
+            white = white - self.dense @ (self.dense.T @ white)
+        return np.asarray(white)
+
+
+def nuisance(frame: Frame, base: Base, model: Model) -> Nuisance:
+    """Columns in N*m at the score rate; `model` gives the torque that hangs on the direction.
+
+    A lag of the velocity and a delay of the torque in `model` move the moments at which the direction is unknown.
+    """
+    smooth: list[list[Array]] = [[] for _ in NOISE_FACTORS]
+    patterns = []
+    for run in frame.runs:
+        weight = base.direction_weight(model, run.signals)
+        omega = _velocity(run, model)
+        for column, factor in zip(smooth, NOISE_FACTORS, strict=True):
+            column.append(_late(run, _expected(run, omega, weight, factor), model))
+        patterns.append(_late(run, np.where(uncertain(run, omega), weight, 0.0), model))
+    if base.target != "tau_m":
+        smooth += [
+            [_late(run, part, model) for run, part in zip(frame.runs, fast(frame, e), strict=True)] for e in FAST
+        ]
+    columns = np.column_stack([frame.stack(column) for column in smooth])
+    moments = _moments(frame, patterns)
+    if "backlash" in model.effects:
+        moments += _moments(frame, [_engaging(run, model) for run in frame.runs])
+    return Nuisance(columns[:, np.linalg.norm(columns, axis=0) > 0.0], moments)
+
+
+def _engaging(run: Run, model: Model) -> Array:
+    """The torque that play holds back, N*m, beside the moments at which it ends, which no sample places better."""
+    tight = dataclasses.replace(model, effects={k: v for k, v in model.effects.items() if k != "backlash"})
+    held = predict(model, run.signals) - predict(tight, run.signals)
+    flips = np.flatnonzero(np.diff(held != 0.0))
+    out = np.zeros(len(held))
+    for flip in flips:
+        near = slice(max(0, flip - 1), flip + 3)
+        out[near] = held[flip] or held[flip + 1]
+    return out
+
+
+def fast(frame: Frame, edge: float) -> list[Array]:
+    """The part of each run's motor torque above `edge` Hz, its steps taken out, at the compute rate."""
+    out = []
+    for run in frame.runs:
+        level = _without_steps(run.signals.tau_m, run.signals.period)
+        out.append(np.asarray(level - low_pass(level, run.signals.period, edge)))
+    return out
+
+
+def _without_steps(y: Array, period: float) -> Array:
+    """A signal that stands still while it changes much faster than it mostly does: what is left is slow, or noise."""
+    rate = np.abs(np.gradient(low_pass(y, period, STEP_CUTOFF)))
+    steep = rate > STEEP * np.quantile(rate, 0.8)
+    margin = round(STEP_MARGIN / period)
+    steep = np.convolve(steep, np.ones(2 * margin + 1), mode="same") > 0.5
+    return np.asarray(y[0] + np.cumsum(np.where(steep, 0.0, np.diff(y, prepend=y[0]))))
+
+
+def _velocity(run: Run, model: Model) -> Array:
+    """The joint's true velocity by the model, rad/s."""
+    lag = model.effects.get("velocity_lag")
+    if lag is None:
+        return run.signals.omega_j
+    return VelocityLag(float(lag["time_constant"])).true_velocity(run.signals.omega_j, run.signals.acceleration)
+
+
+def _late(run: Run, pattern: Array, model: Model) -> Array:
+    """A pattern in the true torque as the sensor shows it."""
+    late = model.effects.get("transport_delay")
+    return pattern if late is None else TransportDelay(float(late["delay"])).apply(pattern, run.signals.t)
+
+
+def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
+    """weight * (E[sigma(v + eta)] - sigma(v))."""
+    width = np.sqrt(2.0) * factor * run.velocity_error
+    known = width <= 0.0
+    expected = erf(omega / np.where(known, 1.0, width))
+    return np.where(known, 0.0, weight * (expected - hold_direction(omega)))
+
+
+def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
+    """Where the direction is not known, (n) at the compute rate: slower than the noise, and beside each reversal."""
+    out = np.abs(omega) < UNKNOWN * run.velocity_error
+    still = np.append(omega == 0.0, False)
+    late = np.zeros(len(omega), dtype=np.bool_)
+    margin = max(1, round(RESTART / run.signals.period))
+    for stop in np.flatnonzero(still[:-1] & ~still[1:]):
+        late[max(0, stop - margin) : stop + 1] = True
+    out &= ~still[:-1] | late  # a standstill is known to be one, but for its end
+    flips = np.flatnonzero(np.diff(hold_direction(omega)) != 0.0)
+    out[flips] = True
+    out[np.minimum(flips + 1, len(omega) - 1)] = True
+    return np.asarray(out)
+
+
+def _moments(frame: Frame, patterns: list[Array]) -> tuple[Moment, ...]:
+    """One column for each stretch in which a pattern is not 0, more for a long one; at most MOST_COLUMNS."""
+    stretches: list[tuple[int, int, Array]] = []
+    for part, run, pattern in zip(frame.slices, frame.runs, patterns, strict=True):
+        level = run.average(pattern)
+        inside = np.concatenate([[False], level != 0.0, [False]]).astype(np.int8)
+        edges = np.flatnonzero(np.diff(inside))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            stretches.append((part.start + int(start), int(stop - start), level[start:stop]))
+    pieces = max((length for _, length, _ in stretches), default=1)  # one column for each sample, if they are few
+    while pieces > 1 and sum(min(pieces, length) for _, length, _ in stretches) > MOST_COLUMNS:
+        pieces -= 1
+    stretches = sorted(stretches, key=lambda stretch: -stretch[1])[:MOST_COLUMNS]
+    moments = []
+    for start, length, level in stretches:
+        cuts = np.linspace(0, length, min(pieces, length) + 1).round().astype(int)
+        moments += [Moment(start + int(a), level[a:b]) for a, b in pairwise(cuts)]
+    return tuple(moments)

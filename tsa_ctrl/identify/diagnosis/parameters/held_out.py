@@ -1,0 +1,83 @@
+"""Errors on data that no fit has seen: as given, recalibrated, extended, and the floor that noise sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.data.prepare import Frame
+from tsa_ctrl.identify.diagnosis.data.split import Split
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
+from tsa_ctrl.identify.diagnosis.parameters.refit import refit
+from tsa_ctrl.identify.diagnosis.selection.extension import without
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.model.predict import predict
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """RMS in N*m over the held-out samples at the logs' own rate; `lost` without each cause, as a share of the gain."""
+
+    as_given: float
+    recalibrated: float
+    extended: float
+    noise_floor: float
+    lost: tuple[float, ...]
+
+    @property
+    def gain(self) -> float:
+        """(recalibrated^2 - extended^2) / (recalibrated^2 - floor^2); 0 where there is nothing to gain."""
+        possible = self.recalibrated**2 - self.noise_floor**2
+        won = self.recalibrated**2 - self.extended**2
+        return float(won / possible) if possible > 0.0 else 0.0
+
+
+def held_out(problem: Problem, base: Fit, found: Fit, split: Split, leftover_share: float) -> HeldOut:
+    """Fit on the fit samples, measure on the held ones. `leftover_share`: of the mean square that is no noise."""
+    frame = split.frame
+    recalibrated = refit(problem, base, split.fit).fitted
+    extended = refit(problem, found, split.fit).fitted if found.names else recalibrated
+    own = refit(problem, extended, split.held).fitted
+    samples = float(split.held.sum())
+    rms = {
+        "as_given": _rms(frame, frame_model(base.hypothesis), split.held),
+        "recalibrated": _rms(frame, recalibrated.hypothesis.model(recalibrated.point), split.held),
+        "extended": _rms(frame, extended.hypothesis.model(extended.point), split.held),
+    }
+    floor = _rms(frame, own.hypothesis.model(own.point), split.held) * np.sqrt(samples / (samples - len(own.point)))
+    floor *= np.sqrt(max(0.0, 1.0 - leftover_share))
+    won = max(rms["recalibrated"] ** 2 - rms["extended"] ** 2, 1e-300)
+    lost = []
+    for index in range(len(found.names)):
+        if len(found.names) == 1:
+            lost.append(1.0)
+            continue
+        smaller = refit(problem, without(problem, extended, index), split.fit).fitted
+        error = _rms(frame, smaller.hypothesis.model(smaller.point), split.held)
+        lost.append(float(np.clip((error**2 - rms["extended"] ** 2) / won, 0.0, 1.0)))
+    return HeldOut(**rms, noise_floor=float(min(floor, rms["extended"])), lost=tuple(lost))
+
+
+def frame_model(hypothesis: Hypothesis) -> Model:
+    """The model as given."""
+    return hypothesis.base.given
+
+
+def full_residuals(frame: Frame, model: Model) -> list[Array]:
+    """Measured minus predicted torque of each run at the log's own rate, N*m."""
+    return [run.full_target - predict(model, run.full) for run in frame.runs]
+
+
+def _rms(frame: Frame, model: Model, mask: NDArray[np.bool_]) -> float:
+    """Over the full-rate samples behind the masked score samples."""
+    total, count = 0.0, 0
+    for part, run, residual in zip(frame.slices, frame.runs, full_residuals(frame, model), strict=True):
+        inside = np.repeat(mask[part], run.full_bin)
+        inside = np.concatenate([inside, np.full(len(residual) - len(inside), bool(mask[part][-1]))])
+        total += float(np.sum(residual[inside] ** 2))
+        count += int(inside.sum())
+    return float(np.sqrt(total / max(count, 1)))

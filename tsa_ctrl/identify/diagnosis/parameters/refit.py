@@ -1,0 +1,172 @@
+"""The parameters that are shipped: least squares on the simulation error, with intervals.
+
+Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of the error that a user
+sees: shipped as they are, they cost up to the whole gain. So the causes found are fitted anew on the plain error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import white_noise
+from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.catalogue import CATALOGUE, Value
+from tsa_ctrl.model.functions import Array
+
+LEVEL = 0.95
+FREEDOM = 12.0  # degrees of freedom of the noise's density where it matters
+WIDEST = 3.0  # how much the blocks may widen an interval
+WIDEST_STEP = 0.1  # of a coordinate of the base, where nothing is known of it
+STEP = 0.05  # of a standard deviation, for derivatives of parameters
+
+
+@dataclass(frozen=True)
+class Refit:
+    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for LEVEL."""
+
+    fitted: Fit
+    covariance: Array
+    factor: float
+
+    def quantity(self, value: float, variance: float, unit: str, low: float, high: float) -> Quantity:
+        """Interval of a derived number; a positive one with a wide interval is taken as log-normal."""
+        half = self.factor * math.sqrt(max(variance, 0.0))
+        if low >= 0.0 and value > 0.0 and half > 0.2 * value:
+            ratio = math.exp(min(half / value, 5.0))
+            return Quantity(value, max(value / ratio, low), min(value * ratio, high), unit)
+        return Quantity(value, max(value - half, low), min(value + half, high), unit)
+
+
+def through_reversals(found: Fit) -> bool:
+    """Whether the hypothesis says what friction does in a reversal, so that none of its moments is unknown."""
+    return "presliding_hysteresis" in found.names
+
+
+def refit(
+    problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None, *, reversals: bool | None = None
+) -> Refit:
+    """Fit of the same hypothesis on the plain error over `mask` (default: the problem's own), started at `found`.
+
+    `reversals`: whether the moments of reversals count; default: where the hypothesis goes `through_reversals`. Errors
+    of two hypotheses compare only where it is the same for both.
+    """
+    plain = on_plain_error(problem, through_reversals(found) if reversals is None else reversals, mask)
+    best = fit(plain, found.hypothesis, found.point)
+    count = len(best.point)
+    covariance = np.zeros((count, count))
+    base = len(best.hypothesis.base.coordinates())
+    index = np.flatnonzero(best.free | (np.arange(count) < base))  # a bound says nothing of how sure x and T_p are
+    if index.size and plain.count:
+        covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
+    return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM)))
+
+
+def on_plain_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
+    """The problem whose residual is the simulation error, in units of the noise; see `refit`."""
+    used = problem.mask if mask is None else mask
+    plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
+    return dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0)))) if reversals else plain
+
+
+def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:
+    """Of the coordinates of `jacobian` (m, k): what noise of that colour spreads, or blocks if they differ by more.
+
+    A log has few blocks that are longer than its slow noise, so blocks alone come out too sure.
+    """
+    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10)
+    columns = np.zeros((len(plain.frame), jacobian.shape[1]))
+    columns[plain.mask] = jacobian
+    coloured = bread @ problem.noise.spread(columns, plain.frame.slices) @ bread / plain.noise.rms**2
+    number = int(plain.blocks[-1]) + 1
+    scores = np.zeros((number, jacobian.shape[1]))
+    np.add.at(scores, plain.blocks, jacobian * best.residual[:, None])
+    blocked = bread @ (scores.T @ scores * number / max(number - 1, 1)) @ bread
+    ratio = np.diag(blocked) / np.maximum(np.diag(coloured), 1e-300)
+    widened = np.sqrt(np.clip(ratio, 1.0, WIDEST**2))
+    return np.asarray(coloured * np.outer(widened, widened))
+
+
+def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
+    """Parameters of each effect with intervals, in the units of model files."""
+    out: dict[str, dict[str, Quantity | str]] = {}
+    hypothesis, point = result.fitted.hypothesis, result.fitted.point
+    at = len(hypothesis.base.coordinates())
+    for variant in hypothesis.variants:
+        index = np.arange(at, at + len(variant.coordinates))
+        at += len(variant.coordinates)
+        values = variant.parameters(point[index])
+        slopes = _gradients(result, variant.parameters, point[index], index)
+        spread = result.covariance[np.ix_(index, index)]
+        entry: dict[str, Quantity | str] = {}
+        for parameter in CATALOGUE[variant.effect].parameters:
+            value = values.get(parameter.name)
+            if value is None:
+                continue
+            if isinstance(value, str):
+                entry[parameter.name] = value
+                continue
+            if parameter.name in variant.untold:
+                entry[parameter.name] = Quantity(float(value), -math.inf, math.inf, parameter.unit)
+                continue
+            gradient = slopes.get(parameter.name, np.zeros(len(index)))
+            variance = float(gradient @ spread @ gradient)
+            low, high = (-math.inf, math.inf) if parameter.name == "phase" else (parameter.low, parameter.high)
+            entry[parameter.name] = result.quantity(float(value), variance, parameter.unit, low, high)
+        out[variant.effect] = entry
+    return out
+
+
+def _gradients(
+    result: Refit, parameters: Callable[[Array], dict[str, Value]], point: Array, index: NDArray[np.int64]
+) -> dict[str, Array]:
+    """d parameter / d coordinate by central differences of a fraction of a standard deviation."""
+    deviations = np.sqrt(np.maximum(np.diag(result.covariance)[index], 0.0))
+    out: dict[str, Array] = {}
+    for i, deviation in enumerate(deviations):
+        step = max(STEP * float(deviation), 1e-9)
+        up, down = point.copy(), point.copy()
+        up[i] += step
+        down[i] -= step
+        above, below = parameters(up), parameters(down)
+        for name, value in above.items():
+            if isinstance(value, str):
+                continue
+            change = float(value) - float(below[name])
+            if name == "phase":
+                change = (change + math.pi) % (2.0 * math.pi) - math.pi
+            out.setdefault(name, np.zeros(len(point)))[i] = change / (2.0 * step)
+    return out
+
+
+def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
+    """name: (nominal, quantity) of the base model's parameters and combinations."""
+    base = result.fitted.hypothesis.base
+    count = len(base.coordinates())
+    point = result.fitted.point[:count]
+    spread = result.covariance[:count, :count]
+    central = base.quantities(point)
+    gradients = {name: np.zeros(count) for name in central}
+    for i in range(count):
+        step = min(max(STEP * math.sqrt(max(spread[i, i], 0.0)), 1e-7), WIDEST_STEP)
+        up, down = point.copy(), point.copy()
+        up[i] += step
+        down[i] -= step
+        above, below = base.quantities(up), base.quantities(down)
+        for name in central:
+            gradients[name][i] = (above[name][1] - below[name][1]) / (2.0 * step)
+    out = {}
+    for name, (nominal, value, unit) in central.items():
+        variance = float(gradients[name] @ spread @ gradients[name])
+        low = -math.inf if name == "torque_offset" else 0.0
+        out[name] = (nominal, result.quantity(value, variance, unit, low, math.inf))
+    return out

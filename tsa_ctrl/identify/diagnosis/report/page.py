@@ -1,0 +1,118 @@
+"""Writes a diagnosis to a folder: diagnosis.json, extended.toml, experiment.csv, pictures, and report.html.
+
+The page is one file that opens without a network; all that it says in numbers stands in diagnosis.json.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from tsa_ctrl import __version__, settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
+from tsa_ctrl.identify.diagnosis.report.words import listed, spoken, summary_of
+from tsa_ctrl.identify.provenance import provenance
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import save_model
+
+JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
+WORDS = {
+    Verdict.CONSISTENT: "consistent: after recalibration nothing is left beyond noise",
+    Verdict.EXPLAINED: "explained: causes are named and nothing significant is left",
+    Verdict.PARTLY_EXPLAINED: "partly explained: causes are named, but structure is left",
+    Verdict.UNEXPLAINED: "unexplained: there is structure that nothing in the catalogue explains",
+    Verdict.INSUFFICIENT: "insufficient: the logs do not excite the system enough to say",
+}
+
+
+def write(result: Diagnosis, folder: str | Path, template: str | Path | None = None) -> None:
+    """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
+
+    Each file beside and renamed, so that a crash leaves whole files. `template`: the model file whose comments
+    extended.toml keeps. Raises UsageError when the folder cannot be written.
+    """
+    from tsa_ctrl.identify.diagnosis.report.pictures import plot  # matplotlib is slow to import
+
+    folder, template = Path(folder), None if template is None else Path(template)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".report.") as name:
+            pictures = {}
+            for caption, path in plot(result, Path(name)).items():
+                shutil.move(path, folder / path.name)
+                pictures[caption] = folder / path.name
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+    save_model(result.model, folder / MODEL, template, _provenance(result, template))
+    if result.experiment.t:
+        settings.write_text(folder / EXPERIMENT, result.experiment.csv())
+    settings.write_text(folder / PAGE, page(result, pictures))
+    settings.write_text(folder / JSON, result.to_json())
+
+
+def page(result: Diagnosis, pictures: dict[str, Path]) -> str:
+    """The text of report.html; `pictures` by caption are put into it."""
+    environment = Environment(
+        loader=PackageLoader("tsa_ctrl.identify.diagnosis.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(spoken=spoken, listed=listed, torque=_torque, percent=_percent, number=_number)
+    return environment.get_template("report.html.j2").render(
+        result=result,
+        data=result.to_dict(),
+        verdict=WORDS[result.verdict],
+        causes=[_cause(cause.effect, cause.parameters) for cause in result.causes],
+        pictures={caption: base64.b64encode(path.read_bytes()).decode("ascii") for caption, path in pictures.items()},
+        details=result.details,
+        experiment_file=EXPERIMENT if result.experiment.t else "",
+        version=__version__,
+    )
+
+
+def _cause(effect: str, parameters: Any) -> dict[str, Any]:
+    rows = []
+    for name, value in parameters.items():
+        if isinstance(value, Quantity):
+            if not math.isfinite(value.high - value.low):
+                interval = "not told by these logs"
+            else:
+                known = value.high > value.low
+                interval = f"{_number(value.low)} to {_number(value.high)}" if known else "given"
+            rows.append((name, _number(value.value), interval, "" if value.unit == "1" else value.unit))
+        else:
+            rows.append((name, value, "chosen", ""))
+    return {"summary": summary_of(effect), "rows": rows}
+
+
+def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
+    found = {
+        f"{cause.effect}.{name}": value
+        for cause in result.causes
+        for name, value in cause.parameters.items()
+        if isinstance(value, Quantity) and math.isfinite(value.high - value.low)
+    }
+    found |= {name: error.found for name, error in result.parameter_errors.items()}
+    logs = {} if result.details is None else dict(result.details.logs)
+    return provenance("diagnose", logs, template or result.model.source, found, verdict=result.verdict.value)
+
+
+def _torque(value: float | None) -> str:
+    return "unknown" if value is None else f"{1e3 * value:.4g} mN·m"
+
+
+def _percent(value: float | None) -> str:
+    return "unknown" if value is None else f"{100.0 * value:.0f} %"
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}"

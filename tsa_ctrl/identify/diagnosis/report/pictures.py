@@ -1,0 +1,225 @@
+"""The pictures of a diagnosis; they draw what `details` holds and compute nothing new but averages for the eye."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from tsa_ctrl.identify.diagnosis.report.details import Curves, Details
+from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
+from tsa_ctrl.identify.diagnosis.report.words import spoken
+from tsa_ctrl.model.functions import Array
+
+DPI = 110
+SEGMENT = 4.0  # s of a picture of the worst moments
+SEGMENTS = 3
+BINS = 40  # of a residual against a signal
+DOTS = 4000  # at most, of a scatter
+RANKED = 12
+MEASURED, GIVEN, CALIBRATED, EXTENDED = "black", "tab:red", "tab:orange", "tab:blue"
+
+Draw = Callable[[Diagnosis, Details], Figure]
+
+
+def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
+    """Write all pictures as PNG into `folder`; caption: path, in the order of the report. None of insufficient logs."""
+    if result.details is None:
+        return {}
+    pictures: tuple[tuple[str, str, Draw], ...] = (
+        ("worst.png", "Measured and simulated torque where the simulation is worst", _worst),
+        ("staircase.png", "Error on held-out data, from the model as given to the noise floor", _staircase),
+        ("ranking.png", "What each effect of the catalogue would explain alone", _ranking),
+        ("residual.png", "What is left, against speed, load, angle, time and temperature", _residual),
+        ("reversals.png", "What is left after reversals, against time and against displacement", _reversals),
+        ("autocorrelation.png", "Autocorrelation of what is left after whitening", _autocorrelation),
+        ("occupancy.png", "Where the logs have been: share of samples by speed and load", _occupancy),
+    )
+    made = {}
+    for name, caption, make in pictures:
+        path = folder / name
+        make(result, result.details).savefig(path, dpi=DPI, metadata={"Software": None})
+        made[caption] = path
+    return made
+
+
+def _figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(9.0, height), layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    axes = [axes for row in grid for axes in row]
+    for each in axes:
+        each.grid(alpha=0.25)
+        each.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
+def _worst(result: Diagnosis, details: Details) -> Figure:
+    segments = worst_segments(details)
+    figure, axes = _figure(len(segments), 1, 2.4 * len(segments) + 0.6)
+    for each, (curves, part) in zip(axes, segments, strict=True):
+        t = curves.t[part]
+        band = 2.0 * details.noise
+        middle = curves.extended[part]
+        each.fill_between(t, middle - band, middle + band, color=EXTENDED, alpha=0.15, lw=0, label="noise, 2 sigma")
+        each.plot(t, curves.measured[part], color=MEASURED, lw=1.6, label="measured")
+        each.plot(t, curves.as_given[part], color=GIVEN, lw=1.0, ls=":", label="as given")
+        each.plot(t, curves.recalibrated[part], color=CALIBRATED, lw=1.0, label="recalibrated")
+        if result.causes:
+            each.plot(t, middle, color=EXTENDED, lw=1.0, label="extended")
+        each.set_ylabel(f"{details.target} (N·m)")
+        each.set_title(curves.name, loc="left", fontsize=9)
+    axes[-1].set_xlabel("t (s)")
+    axes[0].legend(fontsize=8, ncols=5, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    return figure
+
+
+def worst_segments(details: Details) -> list[tuple[Curves, slice]]:
+    """Stretches of SEGMENT s with the largest error after recalibration, at most one overlapping another."""
+    width = max(2, round(SEGMENT / details.period))
+    scored = []
+    for number, curves in enumerate(details.curves):
+        error = np.square(curves.measured - curves.recalibrated)
+        for start in range(0, max(1, len(error) - width // 2), width):
+            part = slice(start, min(start + width, len(error)))
+            scored.append((-float(np.mean(error[part])), number, start, part))
+    chosen = sorted(scored, key=lambda entry: entry[:3])[:SEGMENTS]
+    return [(details.curves[number], part) for _, number, _, part in chosen]
+
+
+def _staircase(result: Diagnosis, details: Details) -> Figure:
+    steps = [("as given", result.rms.as_given, GIVEN), ("recalibrated", result.rms.recalibrated, CALIBRATED)]
+    if result.causes:
+        steps.append(("extended", result.rms.extended, EXTENDED))
+    steps.append(("noise floor", result.rms.noise_floor, "grey"))
+    figure, (axes,) = _figure(1, 1, 2.8)
+    for place, (name, value, colour) in enumerate(steps):
+        if value is not None:
+            axes.bar(place, 1e3 * value, color=colour, width=0.6)
+            axes.annotate(f"{1e3 * value:.3g}", (place, 1e3 * value), ha="center", va="bottom")
+        axes.text(place, 0.0, f"\n{name}", ha="center", va="top")
+    axes.set_xticks([])
+    axes.margins(y=0.15)
+    axes.set_ylabel("RMS error (mN·m)")
+    axes.set_title(f"held out: {details.held_out}", loc="left", fontsize=9)
+    return figure
+
+
+def _ranking(result: Diagnosis, details: Details) -> Figure:
+    ranked = details.ranking[:RANKED]
+    figure, (axes,) = _figure(1, 1, 0.32 * max(3, len(ranked)) + 1.0)
+    for place, entry in enumerate(ranked):
+        colour = "lightgrey" if entry.group < 0 else f"C{entry.group}"
+        axes.barh(place, entry.gain, color=colour, height=0.7)
+        if entry.group >= 0:
+            axes.text(entry.gain, place, f" cause {entry.group + 1} or a rival of it", va="center", fontsize=8)
+    axes.set_yticks(range(len(ranked)), [spoken(entry.effect) for entry in ranked], fontsize=9)
+    axes.margins(x=0.22)
+    axes.grid(visible=False, axis="y")
+    axes.invert_yaxis()
+    axes.set_xlabel("decrease of the mean square of the whitened error by this effect alone")
+    return figure
+
+
+def _span(values: Array) -> tuple[float, float]:
+    """Where all but a hundredth of them are, and a margin: single samples at reversals would hide the rest."""
+    low, high = (float(value) for value in np.quantile(values, [0.005, 0.995]))
+    margin = 0.15 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _residual(result: Diagnosis, details: Details) -> Figure:
+    error = _joined(details, lambda c: c.measured - c.recalibrated)
+    left = _joined(details, lambda c: c.measured - c.extended)
+    direction = _joined(details, lambda c: c.sigma)
+    signals = [
+        ("joint velocity (rad/s)", _joined(details, lambda c: c.omega)),
+        ("motor torque (N·m)", _joined(details, lambda c: c.tau_m)),
+        ("angle (rad)", _joined(details, lambda c: c.angle)),
+        ("t (s), logs one after another", np.arange(len(error)) * details.period),
+    ]
+    temperatures = [curves.temperature for curves in details.curves]
+    if all(values is not None for values in temperatures):
+        signals.append(("temperature (°C)", np.concatenate([v for v in temperatures if v is not None])))
+    rows = (len(signals) + 1) // 2
+    figure, axes = _figure(rows, 2, 2.7 * rows + 0.4)
+    step = max(1, len(error) // DOTS)
+    span = _span(1e3 * error)
+    for each, (name, signal) in zip(axes, signals, strict=False):
+        each.plot(signal[::step], 1e3 * error[::step], ".", ms=1.5, color="lightgrey")
+        for sign, colour in ((1.0, "tab:green"), (-1.0, "tab:purple")):
+            there = direction == sign
+            each.plot(
+                *_binned(signal[there], 1e3 * error[there]),
+                color=colour,
+                lw=1.4,
+                label=f"recalibrated, σ = {sign:+.0f}",
+            )
+            if result.causes:
+                each.plot(*_binned(signal[there], 1e3 * left[there]), color=colour, lw=1.2, ls="--", label="extended")
+        each.set_ylim(span)
+        each.set_xlabel(name)
+        each.set_ylabel("error (mN·m)")
+    for each in axes[len(signals) :]:
+        each.set_visible(False)
+    axes[0].legend(fontsize=7)
+    return figure
+
+
+def _reversals(result: Diagnosis, details: Details) -> Figure:
+    figure, axes = _figure(1, 2, 3.2)
+    error = _joined(details, lambda c: (c.measured - c.recalibrated) * c.sigma)
+    left = _joined(details, lambda c: (c.measured - c.extended) * c.sigma)
+    for each, signal, name in (
+        (axes[0], _joined(details, lambda c: c.elapsed), "time since the reversal (s)"),
+        (axes[1], _joined(details, lambda c: c.distance), "displacement since the reversal (rad)"),
+    ):
+        near = signal <= np.quantile(signal, 0.6)
+        each.plot(*_binned(signal[near], 1e3 * error[near]), color=CALIBRATED, label="recalibrated")
+        if result.causes:
+            each.plot(*_binned(signal[near], 1e3 * left[near]), color=EXTENDED, label="extended")
+        each.axhline(0.0, color="k", lw=0.5)
+        each.set_xlabel(name)
+        each.set_ylabel("σ · error, mean (mN·m)")
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+def _autocorrelation(result: Diagnosis, details: Details) -> Figure:
+    figure, (axes,) = _figure(1, 1, 2.6)
+    lags = np.arange(1, len(details.autocorrelation)) * details.period
+    axes.vlines(lags, 0.0, details.autocorrelation[1:], color=EXTENDED, lw=2)
+    axes.axhspan(-details.band, details.band, color="grey", alpha=0.25, lw=0, label="95 % of white noise")
+    axes.axhline(0.0, color="k", lw=0.5)
+    axes.set_xlabel("lag (s)")
+    axes.set_ylabel("autocorrelation")
+    axes.legend(fontsize=8)
+    return figure
+
+
+def _occupancy(result: Diagnosis, details: Details) -> Figure:
+    figure, (axes,) = _figure(1, 1, 3.4)
+    axes.grid(visible=False)
+    found = details.audit
+    share = 100.0 * np.ma.masked_equal(found.occupancy.T, 0.0)
+    image = axes.pcolormesh(found.speed_edges, found.load_edges, share, cmap="viridis")
+    figure.colorbar(image, ax=axes, label="share of the samples (%)")
+    axes.set_xlabel("velocity (rad/s)")
+    axes.set_ylabel("motor torque (N·m)")
+    axes.set_title(f"{found.seconds:.0f} s, {found.reversals} reversals", loc="left", fontsize=9)
+    return figure
+
+
+def _joined(details: Details, of: Callable[[Curves], Array]) -> Array:
+    return np.concatenate([of(curves) for curves in details.curves])
+
+
+def _binned(signal: Array, value: Array) -> tuple[Array, Array]:
+    """Means over BINS bins of equal numbers of samples."""
+    if len(signal) < BINS:
+        return signal, value
+    order = np.argsort(signal, kind="stable")
+    parts = np.array_split(order, BINS)
+    return np.array([signal[p].mean() for p in parts]), np.array([value[p].mean() for p in parts])

@@ -1,0 +1,147 @@
+"""What a diagnosis found: the object that `diagnose` returns and that `diagnosis.json` is written from."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from tsa_ctrl.identify.diagnosis.report.details import Details
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import Model
+
+SCHEMA = 1
+DIGITS = 6  # significant, of every number written: more is rounding of this machine
+
+
+class Verdict(Enum):
+    """What the logs say of the model."""
+
+    CONSISTENT = "consistent"
+    EXPLAINED = "explained"
+    PARTLY_EXPLAINED = "partly_explained"
+    UNEXPLAINED = "unexplained"
+    INSUFFICIENT = "insufficient"
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A claim: this effect acts, or one of `alternatives` in its place (none when the name is sure).
+
+    `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
+    lost without it. `parameters`: numbers with intervals, choices as words.
+    """
+
+    effect: str
+    alternatives: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, Quantity | str]
+    explained_fraction: float
+
+
+@dataclass(frozen=True)
+class ParameterError:
+    """A number of the base model: what the file says, and what the logs say."""
+
+    nominal: float
+    found: Quantity
+
+
+@dataclass(frozen=True)
+class Rms:
+    """Errors of the simulation in N*m over all held-out samples; None where nothing could be said."""
+
+    as_given: float | None = None
+    recalibrated: float | None = None
+    extended: float | None = None
+    noise_floor: float | None = None
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The motion that would settle what is open: in words, and as a set-point (t in s, tau_j_des in N*m)."""
+
+    text: str
+    t: tuple[float, ...] = ()
+    tau_j_des: tuple[float, ...] = ()
+
+    def csv(self) -> str:
+        """The set-point file as `tsa run` and `tsa tune` play it."""
+        rows = [f"{t:.4f},{torque:.6g}" for t, torque in zip(self.t, self.tau_j_des, strict=True)]
+        return "\n".join(["t,tau_j_des", *rows]) + "\n"
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of `diagnose`; `to_json` is the contents of diagnosis.json; `report.page.write` makes the whole report.
+
+    `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
+    named, or the given one when the logs say nothing. `details` holds the curves that `report.pictures.plot` draws.
+    """
+
+    verdict: Verdict
+    sentence: str
+    causes: tuple[Cause, ...]
+    parameter_errors: Mapping[str, ParameterError]
+    unexplained: str
+    not_testable: Mapping[str, str]
+    detection_limit: Mapping[str, float]
+    experiment: Experiment
+    rms: Rms
+    gain: float
+    model: Model
+    details: Details | None = field(default=None, compare=False, repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The public JSON object."""
+        return {
+            "schema": SCHEMA,
+            "verdict": self.verdict.value,
+            "causes": [
+                {
+                    "effect": cause.effect,
+                    "alternatives": list(cause.alternatives),
+                    "probability": _rounded(cause.probability),
+                    "parameters": {name: _plain(value) for name, value in cause.parameters.items()},
+                    "explained_fraction": _rounded(cause.explained_fraction),
+                }
+                for cause in self.causes
+            ],
+            "parameter_errors": {
+                name: {"nominal": _rounded(error.nominal), **_plain(error.found)}
+                for name, error in self.parameter_errors.items()
+            },
+            "unexplained": {"present": bool(self.unexplained), "description": self.unexplained},
+            "not_testable": dict(self.not_testable),
+            "detection_limit": {name: _rounded(value) for name, value in self.detection_limit.items()},
+            "experiment": self.experiment.text,
+            "rms": {
+                "as_given": _rounded(self.rms.as_given),
+                "recalibrated": _rounded(self.rms.recalibrated),
+                "extended": _rounded(self.rms.extended),
+                "noise_floor": _rounded(self.rms.noise_floor),
+                "unit": "N*m",
+                "held_out": True,
+            },
+            "gain": _rounded(self.gain),
+            "summary": self.sentence,
+        }
+
+    def to_json(self) -> str:
+        """The text of diagnosis.json; the same input gives the same text."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _rounded(x: float | None) -> float | None:
+    if x is None or not math.isfinite(x):
+        return None
+    return float(f"{x:.{DIGITS}g}")
+
+
+def _plain(value: Quantity | str) -> Any:
+    if isinstance(value, str):
+        return value
+    return {key: _rounded(x) if isinstance(x, float) else x for key, x in value.to_dict().items()}

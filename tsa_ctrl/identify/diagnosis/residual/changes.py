@@ -1,0 +1,142 @@
+"""What is left in time: steps, periodic parts, slow drift and bursts, which no function of the signals shows.
+
+Each is looked for alone, with the direction and with the load as a factor: a pretension that drops or beats shows only
+in what hangs on the direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
+from tsa_ctrl.identify.diagnosis.residual.dependence import LEAST_SHARE, Finding
+from tsa_ctrl.model.functions import Array
+
+STEP_TIMES = 60  # of all runs at which a step may be; at least 12 of each
+STEP_MARGIN = 0.06  # of the run's length at either end
+CHANCE = 1e-4  # that noise alone is found, per test
+DRAWS = 200
+LINE_BAND = (0.1, 25.0)  # Hz
+BURST = 0.25  # s
+BURST_SHARE = 0.03  # of the time: bursts may take
+BURST_ENERGY = 0.12  # of the mean square that they hold, above what noise puts there
+DRIFT = "a slow drift"  # its share is of the plain mean square
+REFERENCE_BAND = (0.4, 5.0)  # Hz, from which noise is continued to lower frequencies
+STEEPEST = 1.2  # power of 1/f that noise may have there
+DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have
+DRIFT_RATIO = 4.0  # of its power to the continued noise
+
+
+def steps(
+    residual: Array,
+    jacobian: Array,
+    factors: dict[str, Array],
+    slices: Sequence[slice],
+    times: Sequence[float],
+    whiten: Callable[[Array], Array],
+    rng: np.random.Generator,
+) -> Finding:
+    """A jump of the mean, of what hangs on the direction or on the load, at one moment of one run.
+
+    residual (m,) white, jacobian (m, p); factors: score-rate signals (n,) by name; times: length of each run, s.
+    """
+    columns, labels = [], []
+    for number, part in enumerate(slices):
+        count = part.stop - part.start
+        margin = max(2, round(STEP_MARGIN * count))
+        for at in np.unique(
+            np.linspace(margin, count - margin, max(12, STEP_TIMES // len(slices))).round().astype(int)
+        ):
+            for name, factor in factors.items():
+                column = np.zeros(len(factor))
+                column[part.start + at : part.stop] = factor[part.start + at : part.stop]
+                columns.append(column)
+                labels.append((number, at / count * times[number], name))
+    white = whiten(np.column_stack(columns))
+    basis = orthonormal(jacobian)
+    white -= basis @ (basis.T @ white)
+    rest = residual - basis @ (basis.T @ residual)
+    norms = np.linalg.norm(white, axis=0)
+    used = norms > 0.02 * float(norms.max())
+    white = white[:, used] / norms[used]
+    found = (white.T @ rest) ** 2
+    draws = np.max((white.T @ rng.standard_normal((len(rest), DRAWS))) ** 2, axis=0)
+    scale = float(np.std(draws)) * np.sqrt(6.0) / np.pi
+    limit = float(np.mean(draws)) - 0.5772 * scale - scale * np.log(CHANCE)
+    best = int(np.argmax(found))
+    run, moment, name = [label for label, use in zip(labels, used, strict=True) if use][best]
+    where = f" of log {run + 1}" if len(slices) > 1 else ""
+    share = float(found[best]) / float(rest @ rest)
+    return Finding(
+        f"a step in {name} at {moment:.1f} s{where}",
+        share,
+        float(np.sqrt(found[best])),
+        bool(found[best] > limit and share > LEAST_SHARE),
+    )
+
+
+def lines(residual: Array, factors: dict[str, Array], period: float) -> Finding:
+    """A periodic part: one line of the spectrum of the white residual, or of it times a factor (m,)."""
+    best = Finding("a periodic part", 0.0, 0.0, False)
+    frequency = np.fft.rfftfreq(len(residual), period)
+    inside = (frequency > LINE_BAND[0]) & (frequency < LINE_BAND[1])
+    for name, factor in factors.items():
+        signal = residual * factor / max(float(np.sqrt(np.mean(factor**2))), 1e-12)
+        power = np.abs(np.fft.rfft(signal)) ** 2 / float(signal @ signal)
+        power = np.where(inside, power, 0.0)
+        local = np.array([np.median(part) for part in np.array_split(power[inside], max(1, inside.sum() // 40))])
+        level = np.interp(
+            np.arange(int(inside.sum())), (np.arange(len(local)) + 0.5) * (inside.sum() / len(local)), local
+        )
+        ratio = power[inside] / np.maximum(level / np.log(2.0), 0.3 / len(residual) * 2.0)
+        at = int(np.argmax(ratio))
+        share = 2.0 * float(np.sum(power[inside][max(0, at - 1) : at + 2])) / len(residual)
+        score = float(ratio[at])
+        if score > best.score:
+            what = f"a part in {name} that oscillates at {frequency[inside][at]:.2g} Hz"
+            best = Finding(what, share, score, score > -np.log(CHANCE / max(inside.sum(), 1)) and share > LEAST_SHARE)
+    return best
+
+
+def bursts(residual: Array, period: float) -> Finding:
+    """Short stretches that hold far more than their share of the mean square."""
+    length = max(3, round(BURST / period))
+    count = len(residual) // length
+    energy = np.sort(np.sum(residual[: count * length].reshape(count, length) ** 2, axis=1))[::-1]
+    top = max(1, round(BURST_SHARE * count))
+    share = float(energy[:top].sum() / max(energy.sum(), 1e-300)) - top / count * 1.6
+    typical = float(np.median(energy))
+    score = float(energy[0]) / max(typical, 1e-300)
+    return Finding("bursts of large errors", share, score, share > BURST_ENERGY and score > 8.0)
+
+
+def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], period: float, rms: float) -> Finding:
+    """Slow wandering beyond what 1/f noise continues to: residual (n,) in N*m, not whitened; `rms` of the noise."""
+    excess, expected, lines_ = 0.0, 0.0, 0
+    for part in slices:
+        y = np.where(mask[part], residual[part], 0.0)
+        if mask[part].mean() < 0.9 or len(y) < 64:
+            continue
+        y = (y - y.mean()) * np.hanning(len(y))
+        frequency = np.fft.rfftfreq(len(y), period)
+        power = np.abs(np.fft.rfft(y)) ** 2 / (0.375 * len(y) ** 2) * 2.0
+        band = (frequency > REFERENCE_BAND[0]) & (frequency < REFERENCE_BAND[1])
+        slow = (frequency > 0.0) & (frequency < 0.2)
+        if band.sum() < 16 or not slow.any():
+            continue
+        x = np.log(frequency[band])
+        slope, level = np.polyfit(x, np.log(power[band]) + 0.5772, 1)
+        slope = min(0.0, max(slope, -STEEPEST))
+        level = float(np.mean(np.log(power[band]) + 0.5772 - slope * x))
+        expected += float(np.sum(np.exp(level + slope * np.log(np.maximum(frequency[slow], 0.2)))))
+        excess += float(np.sum(power[slow]))
+        lines_ += int(slow.sum())
+    if lines_ == 0 or expected <= 0.0:
+        return Finding(DRIFT, 0.0, 0.0, False)
+    ratio = excess / expected
+    share = (excess - expected) / rms**2
+    sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_)
+    return Finding(DRIFT, share, ratio, bool(sure and share > DRIFT_SHARE**2))

@@ -1,0 +1,90 @@
+"""Is anything left that no effect of the catalogue explains? Blocked cross-validation against two nulls.
+
+A family of columns is fitted to some blocks of the white residual and predicts the others. On noise it predicts worse
+than nothing; how much worse is drawn twice: with new noise, and with the residual's own blocks under random signs,
+which keeps whatever noise is really like within a block. What is left must beat both, and be large enough to matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
+from tsa_ctrl.identify.diagnosis.selection.evidence import FOLDS
+from tsa_ctrl.model.functions import Array
+
+DRAWS = 200
+RIDGES = (3.0, 30.0, 300.0)  # precision of a coefficient before the data, white units
+SURE = 5.0  # standard deviations of the null
+DISTINCT = 1e-2  # of a column's size: what two columns differ by less is the noise of what they are made from
+LEAST_SHARE = 0.04  # of the mean square of the white residual
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One test of what is left. `share` of the white residual's mean square is predicted on blocks not fitted on."""
+
+    what: str
+    share: float
+    score: float  # standard deviations above the null
+    found: bool
+
+
+def dependence(
+    residual: Array, jacobian: Array, columns: Mapping[str, Array], blocks: NDArray[np.int64], rng: np.random.Generator
+) -> list[Finding]:
+    """One finding per family. residual (m,) and columns (m, k) white; jacobian (m, p) of what was fitted."""
+    basis = orthonormal(jacobian)
+    rest = residual - basis @ (basis.T @ residual)
+    out = []
+    for what, family in columns.items():
+        free = orthonormal(family - basis @ (basis.T @ family), DISTINCT)
+        share, score = _predictable(rest, free * np.sqrt(len(rest) / max(free.shape[1], 1)), blocks, rng)
+        out.append(Finding(what, share, score, score > SURE and share > LEAST_SHARE))
+    return out
+
+
+def _predictable(
+    residual: Array, columns: Array, blocks: NDArray[np.int64], rng: np.random.Generator
+) -> tuple[float, float]:
+    """Share of the residual that is predicted on other blocks, and its distance from the nulls."""
+    count = int(blocks[-1]) + 1
+    k = columns.shape[1]
+    if k == 0:
+        return 0.0, 0.0
+    grams = np.zeros((count, k, k))
+    own = np.zeros((count, k))
+    noise = np.zeros((count, k, DRAWS))
+    for block in range(count):
+        inside = columns[blocks == block]
+        grams[block] = inside.T @ inside
+        own[block] = inside.T @ residual[blocks == block]
+        values, vectors = np.linalg.eigh(grams[block])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        noise[block] = root @ rng.standard_normal((k, DRAWS))
+    signs = rng.choice([-1.0, 1.0], (count, 1, DRAWS))
+    trials = np.concatenate([own[:, :, None], noise, own[:, :, None] * signs], axis=2)
+    gains = np.max([_cross_validated(grams, trials, ridge) for ridge in RIDGES], axis=0)
+    total = float(residual @ residual)
+    scores = []
+    for null in (gains[1 : 1 + DRAWS], gains[1 + DRAWS :]):
+        scores.append((gains[0] - float(np.mean(null))) / max(float(np.std(null)), 1e-9))
+    return float(gains[0]) / total, float(min(scores))
+
+
+def _cross_validated(grams: Array, slopes: Array, ridge: float) -> Array:
+    """Decrease of the sum of squares on blocks not fitted on, for each trial: (trials,)."""
+    folds = np.arange(len(grams)) % FOLDS
+    whole, total = grams.sum(axis=0), slopes.sum(axis=0)
+    out = np.zeros(slopes.shape[2])
+    for fold in range(FOLDS):
+        gram = grams[folds == fold].sum(axis=0)
+        slope = slopes[folds == fold].sum(axis=0)
+        left = whole - gram + ridge * np.eye(len(whole))
+        weights = np.linalg.solve(left, total - slope)
+        out += 2.0 * np.sum(weights * slope, axis=0) - np.sum(weights * (gram @ weights), axis=0)
+    return out

@@ -1,0 +1,174 @@
+"""Which other effects this log cannot exclude in place of a named one.
+
+A rival takes the place of the cause and everything is fitted anew; it stays an alternative unless it fits worse by more
+than noise explains, that of the blocks included. `parameter_error` is the rival that needs no effect: recalibration
+without regard to [uncertainty].
+
+Where most of what is left is structure, the simulation error decides (`misfit`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, safely
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Variant
+from tsa_ctrl.identify.diagnosis.parameters.refit import through_reversals
+from tsa_ctrl.identify.diagnosis.residual.features import angle
+from tsa_ctrl.identify.diagnosis.rivals.simulation_error import Misfit, plain_error
+from tsa_ctrl.identify.diagnosis.rivals.temperature_confound import warmth
+from tsa_ctrl.identify.diagnosis.selection.extension import from_the_file, rivals, without
+from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
+
+PARAMETER_ERROR = "parameter_error"
+SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
+MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
+INEXACT = 0.02  # of what the cause explains: inputs and filters are no better known than that
+MOST_INEXACT = 60.0  # white units, of that tolerance
+STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
+UNSEEN = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
+CLEARLY = 0.9  # of the mean square, below which another name simulates clearly better
+FITTED = 6  # rivals that are fitted in full
+
+
+@dataclass(frozen=True)
+class Rival:
+    """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
+
+    `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
+    vanished. `within_misfit`: the simulation error does not tell them apart, where most of what is left is structure.
+    """
+
+    name: str
+    fitted: Fit
+    worse: float
+    tolerance: float  # of `worse`, that errors of the inputs explain
+    limit: bool = False
+    within_misfit: bool = False
+
+    @property
+    def excluded(self) -> bool:
+        return self.limit or (self.worse > SURELY_WORSE + self.tolerance and not self.within_misfit)
+
+
+@dataclass(frozen=True)
+class Group:
+    """A cause with what it was compared to, best rival first; `probability` is that of the cause within its group."""
+
+    name: str
+    rivals: tuple[Rival, ...]
+
+    @property
+    def alternatives(self) -> tuple[Rival, ...]:
+        return tuple(rival for rival in self.rivals if not rival.excluded)
+
+    @property
+    def probability(self) -> float:
+        weights = [np.exp(-0.5 * max(rival.worse, 0.0)) for rival in self.alternatives]
+        return float(1.0 / (1.0 + sum(weights)))
+
+
+def groups(
+    problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]], structure: Misfit | None = None
+) -> list[Group]:
+    """One group for each cause of `fitted`. `structure`: what is left of it, where that is more than noise."""
+    return [_group(problem, fitted, index, catalogue, structure) for index in range(len(fitted.names))]
+
+
+def _group(
+    problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]], structure: Misfit | None
+) -> Group:
+    smaller = without(problem, fitted, index)
+    name = fitted.names[index]
+    fits: list[tuple[str, Fit | None]]
+    fits = [(rival.names[-1], rival) for rival in rivals(problem, smaller, catalogue, fitted.names, FITTED)]
+    wide = dataclasses.replace(smaller.hypothesis, wide=True)
+    if not np.all(smaller.free[: len(wide.base.coordinates())]):
+        fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
+    if name == "pretension_relaxation" and UNSEEN not in catalogue:
+        fits.append((UNSEEN, warmth(problem, fitted, smaller, index)))
+    others = [v for other, options in catalogue.items() if other not in fitted.names for v in options]
+    fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
+    tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
+    found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
+    limits = _limits(problem, name)
+    found = [
+        dataclasses.replace(
+            rival, limit=_vanished(rival.fitted) or (rival.name in limits and rival.worse > -PER_COORDINATE)
+        )
+        for rival in found
+    ]
+    if structure is not None:
+        found = _by_misfit(problem, found, structure, smaller, through_reversals(fitted))
+    best: dict[str, Rival] = {}  # of each name
+    for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
+        best.setdefault(rival.name, rival)
+    return Group(name, tuple(sorted(best.values(), key=lambda rival: rival.worse)))
+
+
+def better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
+    """The causes with an alternative in place of one, that simulates best and clearly better; None where none does.
+
+    For what is mostly structure: there the noise that whitens is no judge between alternatives.
+    """
+    reversals = through_reversals(fitted)
+    best, least = None, CLEARLY * plain_error(problem, fitted, reversals)
+    for group in grouped:
+        for rival in group.alternatives:
+            if rival.fitted.hypothesis.wide or rival.fitted.names[-1] != rival.name or rival.name == UNSEEN:
+                continue
+            error = plain_error(problem, rival.fitted, reversals)
+            if error < least:
+                best, least = rival.fitted, error
+    return best
+
+
+def _by_misfit(
+    problem: Problem, found: Sequence[Rival], structure: Misfit, smaller: Fit, reversals: bool
+) -> list[Rival]:
+    """The same, with what the simulation error says of those that noise would exclude."""
+    judged = []
+    without_any = plain_error(problem, smaller, reversals)
+    for rival in found:
+        # A warm-up that was not recorded is made up by `warmth`: no simulation of this log has it.
+        made_up = rival.name == UNSEEN and not problem.frame.has("temperature")
+        covers = rival.excluded and not made_up
+        covers = covers and structure.covers(plain_error(problem, rival.fitted, reversals), without_any)
+        judged.append(dataclasses.replace(rival, within_misfit=covers))
+    return judged
+
+
+def _vanished(rival: Fit) -> bool:
+    """Whether a rival does without what its name says: presliding over no distance is the angle's direction alone."""
+    hypothesis = rival.hypothesis
+    if not hypothesis.rough.any() or not hypothesis.rough[-1]:
+        return False
+    return bool(rival.point[-1] - hypothesis.low[-1] < hypothesis.steps[-1])
+
+
+def _limits(problem: Problem, name: str) -> set[str]:
+    """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
+    if name != "torque_offset":
+        return set()
+    moved = max(float(np.ptp(angle(run))) for run in problem.frame.runs) > STILL
+    return {"joint_stiffness", "gravity_load"} if moved else {"joint_stiffness"}
+
+
+def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: float = 0.0) -> Rival:
+    """How much worse `rival` fits; a further coordinate counts as in the selection.
+
+    In white noise the increase of the sum of squares has the deviation 2 |d|, where d is the difference of the
+    predictions; where the products of d with the residual add up to more within blocks, the increase counts less.
+    """
+    difference = fitted.residual - rival.residual
+    total = rival.rss - fitted.rss
+    within = np.bincount(problem.blocks, difference * fitted.residual)
+    expected = max(float(np.linalg.norm(difference)), 1e-9)
+    spread = min(max(1.0, float(np.linalg.norm(within - within.mean())) / expected), MOST_SPREAD)
+    extra = PER_COORDINATE * (len(rival.point) - len(fitted.point))
+    return Rival(name, rival, (total + min(extra, 0.0)) / spread**2, tolerance)
