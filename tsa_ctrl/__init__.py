@@ -1,7 +1,8 @@
 """Feedforward torque control of a joint driven through a pair of tendon-sheaths."""
 
-from tsa_ctrl.compile_cache import choose
+from tsa_ctrl.system.compile_cache import choose
+from tsa_ctrl.version import __version__
 
-__version__ = "0.1.0"
+__all__ = ["__version__"]
 
 choose()

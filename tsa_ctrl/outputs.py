@@ -1,8 +1,12 @@
-"""What a verb may write over: never what it reads; what else was there is kept beside it as `NAME.~N~`."""
+"""What a verb may write over: never what it reads; what else was there is kept beside it as `NAME.~N~`.
+
+What is written again and again gets a name with a date.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import datetime
 import fcntl
 import os
 import re
@@ -85,3 +89,14 @@ def sole_writer(folder: Path) -> Iterator[None]:
             (folder / LOCK).unlink()
     finally:
         os.close(handle)
+
+
+def untaken(folder: Path, kind: str, suffix: str = "", now: datetime.datetime | None = None) -> Path:
+    """A path that is not taken: FOLDER/KIND-20250131-142501SUFFIX, with a number before SUFFIX if need be."""
+    stem = f"{kind}-{now or datetime.datetime.now():%Y%m%d-%H%M%S}"
+    path = folder / f"{stem}{suffix}"
+    number = 1
+    while path.exists():
+        number += 1
+        path = folder / f"{stem}-{number}{suffix}"
+    return path

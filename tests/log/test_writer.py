@@ -19,7 +19,7 @@ from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.record import LogHealth, RingReader, RingWriter, WriterState
 from tsa_ctrl.log.writer import LogWriter
-from tsa_ctrl.system.files import untaken
+from tsa_ctrl.outputs import untaken
 
 
 @pytest.fixture

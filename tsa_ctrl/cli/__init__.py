@@ -11,9 +11,9 @@ from typing import Any
 
 import click
 
-from tsa_ctrl import __version__
 from tsa_ctrl.cli import completion
 from tsa_ctrl.errors import TsaError
+from tsa_ctrl.version import __version__
 
 VERBS: dict[str, str] = {
     "demo": "the whole system on this machine, and what compensation gains",

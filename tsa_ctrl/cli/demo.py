@@ -112,7 +112,7 @@ def _full_circle(
 
 
 def _folder(out: Path | None) -> Path:
-    from tsa_ctrl.system.files import untaken
+    from tsa_ctrl.outputs import untaken
 
     if out is None:
         out = untaken(Path("out"), "demo")

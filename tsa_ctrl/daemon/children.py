@@ -18,7 +18,7 @@ from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import RingWriter
-from tsa_ctrl.system.files import untaken
+from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.parent import terminal_blocked
 
 PATIENCE = 2.0  # s for the socket server to end

@@ -12,13 +12,13 @@ from typing import Any
 
 import msgspec
 
-from tsa_ctrl import __version__
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.drills.listener import ZERO_SHARE
 from tsa_ctrl.drills.trials import Outcome, Trial, leave_in_order, listening, run_trial
 from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.outputs import untaken
 from tsa_ctrl.settings import write_text
-from tsa_ctrl.system.files import untaken
+from tsa_ctrl.version import __version__
 
 SCHEMA = 1
 DEFAULT_SHARE = 0.1  # of the smallest rated torque

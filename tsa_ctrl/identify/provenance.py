@@ -6,9 +6,9 @@ import datetime
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tsa_ctrl import __version__
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.version import __version__
 
 
 def provenance(

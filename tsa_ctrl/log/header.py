@@ -6,7 +6,7 @@ import json
 import time
 from dataclasses import dataclass, field
 
-from tsa_ctrl import __version__
+from tsa_ctrl.version import __version__
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from tsa_ctrl import __version__
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.tune.procedure import Outcome
+from tsa_ctrl.version import __version__
 
 TEMPLATE = "page.html.j2"
 

@@ -16,7 +16,7 @@ from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.feedforward import Feedforward
-from tsa_ctrl.system.files import untaken
+from tsa_ctrl.outputs import untaken
 from tsa_ctrl.tune import model_file
 from tsa_ctrl.tune.controller_file import differ_in_slew_alone, with_slew
 from tsa_ctrl.tune.excitation import (

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from pathlib import Path
 
-from tsa_ctrl import __version__
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.fleet.executors import Workers
 from tsa_ctrl.identify.fleet.job import Done, Job, carry_out
 from tsa_ctrl.identify.fleet.ledger import Row, append, known_rows, write_table
 from tsa_ctrl.log.table import ENDINGS
+from tsa_ctrl.version import __version__
 
 AHEAD = 2  # jobs per worker that are handed out: enough that none waits, few enough to be kept in memory
 

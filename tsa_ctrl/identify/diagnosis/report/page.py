@@ -14,13 +14,14 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tsa_ctrl import __version__, settings
+from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import listed, spoken, summary_of
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.version import __version__
 
 JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
 WORDS = {

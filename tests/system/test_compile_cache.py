@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tsa_ctrl import compile_cache
+from tsa_ctrl.system import compile_cache
 
 
 @pytest.fixture(autouse=True)

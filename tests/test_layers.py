@@ -1,0 +1,227 @@
+"""The architecture, as a table of who may import whom, and what keeps it so: read from the source, nothing is run.
+
+A room is a folder of `tsa_ctrl` or a file beside the folders. A row says what a room may import; it may name a single
+file of another room, where the rest of that room is none of its business. Rows import from rows above them alone, so
+the table reads from the ground up, and a row names nothing that the room does not use. Every import counts: at the top
+of a file, inside a function, under TYPE_CHECKING.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+PACKAGE = ROOT / "tsa_ctrl"
+
+ROOMS: dict[str, str] = {
+    # the ground
+    "errors": "",
+    "version": "",
+    "settings": "errors",
+    "outputs": "errors",
+    "system": "errors",
+    # logs, sensors, the model: what both pipelines share
+    "log": "errors version outputs system",
+    "sensors": "errors system",
+    "model": "errors settings",
+    # the bus, from frames to SI
+    "bus": "",  # its door
+    "bus.settings": "",
+    "bus.wire": "errors system bus.settings",
+    "bus.canopen": "errors",
+    "bus.drive": "errors settings bus.settings bus.wire bus.canopen",
+    "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
+    # live: torque from a set-point, and what keeps it safe, which knows no law and no model
+    "safety": "bus.settings bus.canopen bus.live",
+    "control": "errors log.waypoints model bus.canopen bus.live safety",
+    "config": "errors settings system sensors model bus.settings bus.drive safety control",
+    "ipc": "errors system",
+    "daemon": "errors settings outputs system log sensors model bus safety control config ipc",
+    # offline: from logs to parameters and causes, without bus and loop
+    "identify": "errors version settings log model",
+    # the machine that answers: independent of everything that computes
+    "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
+    # for people
+    "doctor": "errors system bus.settings bus.wire bus.drive",
+    "bench": "errors system log ipc bus safety control config daemon doctor",
+    "drills": "errors version settings outputs system model bus safety control config daemon",
+    "dashboard": "errors ipc",
+    "tune": "errors version settings outputs system log model config ipc doctor identify",
+    "demo": "errors system log model bus.wire identify tune",
+    "cli": (
+        "errors version settings outputs system log model bus config ipc daemon identify plant "
+        "doctor bench drills dashboard tune demo"
+    ),
+    "__init__": "version system",
+    "__main__": "system cli",
+}
+
+# What is still to be mended. A line that is no longer true fails the test, so that it goes.
+CIRCLES: tuple[frozenset[str], ...] = (frozenset({"log.reader", "log.table"}),)
+MOST_LINES = 350
+LONG = frozenset(
+    {"identify.diagnosis.hypotheses.candidates", "identify.diagnosis.pipeline", "plant.chain", "plant.node"}
+)  # modules above it
+
+
+@cache
+def sources() -> dict[str, Path]:
+    """Every module of the package by its name without "tsa_ctrl."; a package has the name of its folder."""
+    return {
+        name.removesuffix(".__init__"): path
+        for path in PACKAGE.rglob("*.py")
+        if (name := ".".join(path.relative_to(PACKAGE).with_suffix("").parts))
+    }
+
+
+def imported(tree: ast.AST, known: frozenset[str]) -> Iterator[tuple[str, int]]:
+    """Modules of the package that a file imports, and the line; a name in a module is that module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"line {node.lineno}: a relative import; write the whole name"
+            whole = [f"{node.module}.{alias.name}" for alias in node.names]
+        elif isinstance(node, ast.Import):
+            whole = [alias.name for alias in node.names]
+        else:
+            continue
+        for name in whole:
+            if name == "tsa_ctrl" or name.startswith("tsa_ctrl."):
+                yield nearest(name.removeprefix("tsa_ctrl").removeprefix("."), known), node.lineno
+
+
+def nearest(name: str, known: frozenset[str]) -> str:
+    """The module that a dotted name is, or is in."""
+    while name and name not in known:
+        name = name.rpartition(".")[0]
+    return name or "__init__"
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in sources().items()}
+
+
+@cache
+def graph() -> dict[str, dict[str, int]]:
+    """Who imports whom, with the line."""
+    known = frozenset(sources())
+    found = {}
+    for name, tree in trees().items():
+        found[name] = {other: line for other, line in imported(tree, known) if other != name}
+    return found
+
+
+def room(module: str) -> str:
+    """The row of a module: the longest that it lies in."""
+    parts = module.split(".")
+    for length in range(len(parts), 0, -1):
+        if ".".join(parts[:length]) in ROOMS:
+            return ".".join(parts[:length])
+    raise AssertionError(f"tsa_ctrl/{module.replace('.', '/')}: lies in no room; give its folder a row in ROOMS")
+
+
+def entry(module: str, row: str) -> str | None:
+    """What in a row allows this module; None when nothing does."""
+    return next((name for name in row.split() if module == name or module.startswith(f"{name}.")), None)
+
+
+def test_a_room_imports_only_what_its_row_names() -> None:
+    """The table is the drawing of the architecture."""
+    wrong = [
+        f"tsa_ctrl/{sources()[module].relative_to(PACKAGE)}:{line}: {room(module)} imports {other}, allowed are: "
+        f"{ROOMS[room(module)] or 'nothing'}"
+        for module, others in graph().items()
+        for other, line in others.items()
+        if room(other) != room(module) and entry(other, ROOMS[room(module)]) is None
+    ]
+    assert not wrong, "\n" + "\n".join(wrong)
+
+
+def test_a_row_names_only_rows_above_it() -> None:
+    """Then no circle of rooms can be written down."""
+    rows = list(ROOMS)
+    for place, (name, row) in enumerate(ROOMS.items()):
+        for other in row.split():
+            inside = [place for place, row in enumerate(rows) if row == other or row.startswith(f"{other}.")]
+            assert max(inside or [rows.index(room(other))]) < place, f"{name} names {other}, which is not above it"
+
+
+def test_a_row_names_nothing_that_is_not_used() -> None:
+    """What nobody needs any longer is struck out."""
+    used = {(room(module), entry(other, ROOMS[room(module)])) for module, others in graph().items() for other in others}
+    idle = [f"{name}: {other}" for name, row in ROOMS.items() for other in row.split() if (name, other) not in used]
+    assert not idle
+
+
+def test_every_row_is_there() -> None:
+    """A room that is gone has no row."""
+    assert set(ROOMS) == {room(module) for module in graph()}
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    """But for those that are known, which are struck out when they are mended."""
+    assert set(circles(graph())) == set(CIRCLES)
+
+
+def circles(of: dict[str, dict[str, int]]) -> Iterator[frozenset[str]]:
+    """Groups of modules each of which is reached from each other one."""
+    reached = {name: reach(name, of) for name in of}
+    seen: set[str] = set()
+    for name in of:
+        group = {other for other in reached[name] if name in reached[other]}
+        if group and name not in seen:
+            seen |= group
+            yield frozenset(group)
+
+
+def reach(start: str, of: dict[str, dict[str, int]]) -> set[str]:
+    found: set[str] = set()
+    waiting = [start]
+    while waiting:
+        for other in of[waiting.pop()]:
+            if other not in found:
+                found.add(other)
+                waiting.append(other)
+    return found
+
+
+def test_no_module_is_too_long_to_be_read() -> None:
+    """But for those that are known, which are struck out when they are mended."""
+    assert {name for name, path in sources().items() if len(path.read_text("utf-8").splitlines()) > MOST_LINES} == LONG
+
+
+def test_the_package_imports_neither_tests_nor_tools() -> None:
+    for name, tree in trees().items():
+        for node in ast.walk(tree):
+            whole = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            whole += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            assert not {other.split(".")[0] for other in whole} & {"tests", "tools"}, name
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from tsa_ctrl.bus.live.rig import Rig", "bus.live.rig"),
+        ("from tsa_ctrl.bus.live import rig", "bus.live.rig"),
+        ("import tsa_ctrl.bus.live.rig", "bus.live.rig"),
+        ("def f():\n    from tsa_ctrl.bus.live import rig", "bus.live.rig"),
+        ("if TYPE_CHECKING:\n    from tsa_ctrl.bus.live.rig import Rig", "bus.live.rig"),
+        ("from tsa_ctrl.bus import live", "bus.live"),
+        ("from tsa_ctrl import __version__", "__init__"),
+        ("from tsa_ctrl import errors", "errors"),
+    ],
+)
+def test_every_way_to_import_is_seen(source: str, found: str) -> None:
+    known = frozenset({"errors", "bus", "bus.live", "bus.live.rig", "__init__"})
+    assert [name for name, _ in imported(ast.parse(source), known)] == [found]
+
+
+def test_a_circle_is_found_with_all_its_files() -> None:
+    of = {"a": {"b": 1}, "b": {"c": 1}, "c": {"a": 1, "d": 1}, "d": {}}
+    assert list(circles(of)) == [frozenset("abc")]
