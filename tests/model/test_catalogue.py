@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
+import numpy as np
 import pytest
 
-from tsa_ctrl.model.catalogue import CATALOGUE, Parameter, Stage, check_effects
+from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
+from tsa_ctrl.model.effects import EFFECTS
+from tsa_ctrl.model.effects.specification import Draw, Parameter, Specification, Stage
 
 STAGES = list(Stage)
 
@@ -29,6 +33,38 @@ def test_effects_within_a_stage_keep_their_order() -> None:
         assert [names.index(name) for name in group] == sorted(names.index(name) for name in group)
 
 
+def test_names_are_unique() -> None:
+    """No effect hides another."""
+    assert len(CATALOGUE) == len(EFFECTS)
+
+
+def test_parameters_are_read_from_the_class() -> None:
+    """Name and default of a field, unit and bounds of its annotation."""
+    last = CATALOGUE["torque_ripple"].parameters[-1]
+    assert last == Parameter("rad", low=-math.pi, high=math.pi, name="phase", default=0.0)
+
+
+@pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
+def test_every_parameter_has_its_annotation(spec: Specification) -> None:
+    """One for each field of the class, in its order."""
+    assert [p.name for p in spec.parameters] == [field.name for field in dataclasses.fields(spec.effect)]
+
+
+@pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
+def test_what_is_shown_and_hidden_is_allowed(spec: Specification) -> None:
+    """Parameters of the gallery, and ten draws of the demo, within the effect's bounds."""
+    rng = np.random.default_rng(3)
+    check_effects({spec.name: spec.shown.parameters}, "gallery")
+    for _ in range(10 if spec.demo else 0):
+        drawn = {key: size.value(rng) if isinstance(size, Draw) else size for key, size in (spec.demo or {}).items()}
+        check_effects({spec.name: drawn}, "demo")
+
+
+def test_names_of_excluded_effects_exist() -> None:
+    """An exclusion of a name that nobody has would exclude nothing."""
+    assert {other for spec in CATALOGUE.values() for other in spec.excludes} <= set(CATALOGUE)
+
+
 def test_defaults_are_filled_in() -> None:
     """A file need not say what the catalogue knows; what depends on the log stays out."""
     assert check_effects({"pretension_relaxation": {"relaxed_fraction": 0.1, "time_constant": 9}}, "file") == {
@@ -39,11 +75,11 @@ def test_defaults_are_filled_in() -> None:
 @pytest.mark.parametrize(
     ("parameter", "accepted", "refused"),
     [
-        (Parameter("k", "1", low=0.0), (0, 0.0, 5.0), (-1e-9, math.nan, math.inf, "1", True, None)),
-        (Parameter("k", "1", low=0.0, low_open=True), (1e-9,), (0.0,)),
-        (Parameter("k", "1", low=-2.0, high=2.0, low_open=True, high_open=True), (1.99,), (-2.0, 2.0)),
-        (Parameter("n", "1", low=1, integer=True), (1, 4.0), (0, 1.5)),
-        (Parameter("law", "1", choices=("a", "b")), ("a",), ("c", 1)),
+        (Parameter("1", low=0.0), (0, 0.0, 5.0), (-1e-9, math.nan, math.inf, "1", True, None)),
+        (Parameter("1", low=0.0, low_open=True), (1e-9,), (0.0,)),
+        (Parameter("1", low=-2.0, high=2.0, low_open=True, high_open=True), (1.99,), (-2.0, 2.0)),
+        (Parameter("1", low=1, integer=True), (1, 4.0), (0, 1.5)),
+        (Parameter("1", choices=("a", "b")), ("a",), ("c", 1)),
     ],
 )
 def test_bounds(parameter: Parameter, accepted: tuple[object, ...], refused: tuple[object, ...]) -> None:

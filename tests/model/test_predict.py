@@ -12,8 +12,7 @@ import pytest
 
 from tests.model.actuator import ACTUATOR, LOSS, SLOPE, signals, with_effect
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.catalogue import CATALOGUE
-from tsa_ctrl.model.composition import EFFECTS, Stack
+from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.parameters import RigidDrive
 from tsa_ctrl.model.predict import BLOCK, beyond_slack, missing_columns, predict
 from tsa_ctrl.model.signals import Signals
@@ -144,16 +143,7 @@ class TestColumns:
 
 
 class TestComposition:
-    """The effects and the catalogue are one list."""
-
-    def test_every_effect_of_the_catalogue_is_there(self) -> None:
-        """And no other."""
-        assert set(EFFECTS) == set(CATALOGUE)
-
-    @pytest.mark.parametrize("name", list(CATALOGUE))
-    def test_parameters_are_those_of_the_catalogue(self, name: str) -> None:
-        """Field names of the effect are the keys in model files."""
-        assert [f.name for f in dataclasses.fields(EFFECTS[name])] == [p.name for p in CATALOGUE[name].parameters]
+    """Effects enter by their stage."""
 
     def test_full_model_stands_alone(self) -> None:
         """Not together with slack, asymmetry or tension dependence."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,8 @@ import numpy as np
 
 from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.effects.specification import Draw
 from tsa_ctrl.model.parameters import TendonSheath
 
 OFF = 0.2  # nominal friction and pretension over the true ones, minus 1, either way
@@ -19,35 +21,7 @@ SECONDS = 20.0  # s until both repeat; all frequencies below are whole multiples
 MOTION = ((0.25, 0.35), (0.6, 0.20), (1.35, 0.08))  # Hz, rad: slow and fast strokes
 TORQUE = ((0.35, 0.25), (0.55, 0.25), (0.85, 0.25), (1.2, 0.25))  # Hz, N*m: none of the motion's frequencies
 
-Draw = Callable[[np.random.Generator], dict[str, Any]]
-
-
-def _signed(rng: np.random.Generator, low: float, high: float) -> float:
-    return float(rng.choice([-1.0, 1.0]) * rng.uniform(low, high))
-
-
-# Sizes between a tenth and a third of the half loop of the demo's rig, and what the loop can compensate.
-EFFECTS: Mapping[str, Draw] = {
-    "viscous_friction": lambda rng: {"coefficient": rng.uniform(0.08, 0.16)},
-    "stribeck_friction": lambda rng: {
-        "static_excess": rng.uniform(0.5, 0.9),
-        "stribeck_velocity": rng.uniform(0.25, 0.45),
-    },
-    "load_dependent_friction": lambda rng: {"coefficient": rng.uniform(0.15, 0.25)},
-    "sheath_asymmetry": lambda rng: {"relative_difference": _signed(rng, 0.8, 1.2)},
-    "direction_asymmetric_friction": lambda rng: {"viscous_difference": _signed(rng, 0.08, 0.16)},
-    "torque_offset": lambda rng: {"offset": _signed(rng, 0.08, 0.2)},
-    "torque_ripple": lambda rng: {
-        "amplitude": rng.uniform(0.06, 0.12),
-        "cycles_per_revolution": int(rng.integers(8, 17)),
-        "phase": rng.uniform(-3.0, 3.0),
-    },
-    "inertia": lambda rng: {"inertia": rng.uniform(0.015, 0.03)},
-    "gravity_load": lambda rng: {"amplitude": rng.uniform(0.2, 0.4), "phase": rng.uniform(-1.0, 1.0)},
-    "joint_stiffness": lambda rng: {"stiffness": rng.uniform(0.3, 0.6), "rest_angle": rng.uniform(-0.3, 0.3)},
-    "configuration_dependent_bending": lambda rng: {"bending_per_joint_angle": _signed(rng, 1.0, 1.6)},
-    "presliding_hysteresis": lambda rng: {"presliding_distance": rng.uniform(0.05, 0.1), "displacement": "motor"},
-}
+EFFECTS = tuple(name for name, spec in CATALOGUE.items() if spec.demo is not None)
 
 
 @dataclass(frozen=True)
@@ -87,8 +61,14 @@ def draw(seed: int, names: Sequence[str] = ()) -> Hidden:
             raise UsageError(f"demo: --hidden {name} is none of {', '.join(EFFECTS)}; choose one of these")
     rng = np.random.default_rng(seed)
     factors = {key: float(1.0 / (1.0 + rng.uniform(-OFF, OFF))) for key in ("friction_coefficient", "pretension")}
-    chosen = list(names) or [str(rng.choice(list(EFFECTS)))]
-    return Hidden({name: EFFECTS[name](rng) for name in chosen}, factors)
+    chosen = list(names) or [str(rng.choice(EFFECTS))]
+    return Hidden({name: _sized(name, rng) for name in chosen}, factors)
+
+
+def _sized(name: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Parameters of one effect, the drawn ones by `rng`."""
+    sizes = CATALOGUE[name].demo or {}
+    return {key: size.value(rng) if isinstance(size, Draw) else size for key, size in sizes.items()}
 
 
 def motion() -> Play:

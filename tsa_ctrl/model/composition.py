@@ -1,4 +1,4 @@
-"""A model's effects in the order of composition: one object per stage, built from the names of the catalogue.
+"""A model's effects in the order of composition: objects by stage, built from the names of the catalogue.
 
 Both pipelines go through here: `tsa_ctrl.model.predict` with arrays, `tsa_ctrl.model.feedforward` with floats.
 """
@@ -7,29 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model import path
 from tsa_ctrl.model.catalogue import CATALOGUE
-from tsa_ctrl.model.effects.friction import StribeckFriction, TensionDependentFriction, ThermalFrictionDrift
-from tsa_ctrl.model.effects.joint import (
-    DirectionAsymmetricFriction,
-    GravityLoad,
-    Inertia,
-    JointStiffness,
-    TorqueOffset,
-    ViscousFriction,
-)
-from tsa_ctrl.model.effects.load import LoadDependentFriction
+from tsa_ctrl.model.effects.friction import LoadDependentFriction, TensionDependentFriction
 from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
-from tsa_ctrl.model.effects.motor import MotorSideFriction, TorqueConstantError, TorqueRipple, VelocityLag
-from tsa_ctrl.model.effects.pretension import (
-    ConfigurationDependentBending,
-    PretensionRelaxation,
-    StiffnessNonlinearity,
-)
+from tsa_ctrl.model.effects.motor import VelocityLag
+from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import (
     Elongating,
@@ -44,37 +30,36 @@ from tsa_ctrl.model.parameters import Effects, TendonSheath
 
 T = TypeVar("T")
 
-EFFECTS: Mapping[str, type[Any]] = MappingProxyType(
-    {
-        "velocity_lag": VelocityLag,
-        "torque_constant_error": TorqueConstantError,
-        "torque_ripple": TorqueRipple,
-        "motor_side_friction": MotorSideFriction,
-        "configuration_dependent_bending": ConfigurationDependentBending,
-        "stiffness_nonlinearity": StiffnessNonlinearity,
-        "pretension_relaxation": PretensionRelaxation,
-        "stribeck_friction": StribeckFriction,
-        "thermal_friction_drift": ThermalFrictionDrift,
-        "tension_dependent_friction": TensionDependentFriction,
-        "presliding_hysteresis": PreslidingHysteresis,
-        "sheath_asymmetry": SheathAsymmetry,
-        "tendon_slack": TendonSlack,
-        "elongation_coupling": ElongationCoupling,
-        "load_dependent_friction": LoadDependentFriction,
-        "backlash": Backlash,
-        "viscous_friction": ViscousFriction,
-        "direction_asymmetric_friction": DirectionAsymmetricFriction,
-        "inertia": Inertia,
-        "gravity_load": GravityLoad,
-        "joint_stiffness": JointStiffness,
-        "torque_offset": TorqueOffset,
-        "transport_delay": TransportDelay,
-    }
-)
 
-MotorTorqueEffect = TorqueConstantError | TorqueRipple | MotorSideFriction
-FrictionEffect = StribeckFriction | ThermalFrictionDrift
-JointEffect = ViscousFriction | DirectionAsymmetricFriction | Inertia | GravityLoad | JointStiffness | TorqueOffset
+class MotorTorqueEffect(Protocol):
+    """Turns the reported motor torque into the one on the pulley, N*m."""
+
+    def apply(self, functions: Functions[F], tau_m: F, state: State[F]) -> F: ...
+    def invert(self, functions: Functions[F], tau_m: F, state: State[F]) -> F: ...
+
+
+class BendingEffect(Protocol):
+    """Changes the bending angle, rad."""
+
+    def bending(self, theta: F, state: State[F]) -> F: ...
+
+
+class PretensionEffect(Protocol):
+    """Changes the pretension, N."""
+
+    def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F: ...
+
+
+class FrictionEffect(Protocol):
+    """Gives a factor on the friction coefficient."""
+
+    def factor(self, functions: Functions[F], state: State[F]) -> F: ...
+
+
+class JointEffect(Protocol):
+    """Gives the torque that it takes on the joint's side, N*m."""
+
+    def torque(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
 @dataclass(frozen=True)
@@ -83,9 +68,8 @@ class Stack:
 
     velocity_lag: VelocityLag | None
     motor_torque: tuple[MotorTorqueEffect, ...]
-    bending: ConfigurationDependentBending | None
-    stiffness: StiffnessNonlinearity | None
-    relaxation: PretensionRelaxation | None
+    bending: tuple[BendingEffect, ...]
+    pretension: tuple[PretensionEffect, ...]
     friction: tuple[FrictionEffect, ...]
     tension_dependence: TensionDependentFriction | None
     presliding: PreslidingHysteresis | None
@@ -106,24 +90,22 @@ class Stack:
                 raise UsageError(
                     f"{source or 'model'}: [effects.{name}] cannot be combined with [effects.{clash[0]}]; remove one"
                 )
-        present = {name: EFFECTS[name](**effects[name]) for name in CATALOGUE if name in effects}
-        one = _Picker(present)
+        present = _Present({name: spec.effect(**effects[name]) for name, spec in CATALOGUE.items() if name in effects})
         return cls(
-            velocity_lag=one.of_type(VelocityLag),
-            motor_torque=tuple(e for e in present.values() if isinstance(e, MotorTorqueEffect)),
-            bending=one.of_type(ConfigurationDependentBending),
-            stiffness=one.of_type(StiffnessNonlinearity),
-            relaxation=one.of_type(PretensionRelaxation),
-            friction=tuple(e for e in present.values() if isinstance(e, FrictionEffect)),
-            tension_dependence=one.of_type(TensionDependentFriction),
-            presliding=one.of_type(PreslidingHysteresis),
-            asymmetry=one.of_type(SheathAsymmetry),
-            slack=one.of_type(TendonSlack),
-            elongation=one.of_type(ElongationCoupling),
-            load=one.of_type(LoadDependentFriction),
-            backlash=one.of_type(Backlash),
-            joint=tuple(e for e in present.values() if isinstance(e, JointEffect)),
-            delay=one.of_type(TransportDelay),
+            velocity_lag=present.one(VelocityLag),
+            motor_torque=present.at(Stage.MOTOR_TORQUE),
+            bending=present.at(Stage.BENDING),
+            pretension=present.at(Stage.PRETENSION),
+            friction=present.at(Stage.FRICTION),
+            tension_dependence=present.one(TensionDependentFriction),
+            presliding=present.one(PreslidingHysteresis),
+            asymmetry=present.one(SheathAsymmetry),
+            slack=present.one(TendonSlack),
+            elongation=present.one(ElongationCoupling),
+            load=present.one(LoadDependentFriction),
+            backlash=present.one(Backlash),
+            joint=present.at(Stage.JOINT),
+            delay=present.one(TransportDelay),
         )
 
     def transmission(self, model: TendonSheath) -> Transmission:
@@ -135,22 +117,27 @@ class Stack:
 
 
 @dataclass(frozen=True)
-class _Picker:
-    present: Mapping[str, object]
+class _Present:
+    """A model's effects by name, in the order of composition."""
 
-    def of_type(self, kind: type[T]) -> T | None:
-        return next((effect for effect in self.present.values() if isinstance(effect, kind)), None)
+    effects: Mapping[str, Any]
+
+    def one(self, kind: type[T]) -> T | None:
+        return next((effect for effect in self.effects.values() if isinstance(effect, kind)), None)
+
+    def at(self, stage: Stage) -> tuple[Any, ...]:
+        return tuple(effect for name, effect in self.effects.items() if CATALOGUE[name].stage is stage)
 
 
 def bending_and_pretension(functions: Functions[F], model: TendonSheath, stack: Stack, state: State[F]) -> tuple[F, F]:
     """Theta (rad, >= 0) and T_p (N, >= 0) after their effects."""
-    theta = state.theta if stack.bending is None else stack.bending.bending(state.theta, state)
-    pretension = path.pretension_at(functions, model, theta)
-    if stack.stiffness is not None:
-        pretension = functions.at_least(stack.stiffness.pretension(pretension, model.axial_stiffness), 0.0)
-    if stack.relaxation is not None:
-        pretension = functions.at_least(pretension * stack.relaxation.factor(functions, state), 0.0)
-    return functions.at_least(theta, 0.0), pretension
+    theta = state.theta
+    for bending in stack.bending:
+        theta = bending.bending(theta, state)
+    tension = path.pretension_at(functions, model, theta)
+    for effect in stack.pretension:
+        tension = functions.at_least(effect.pretension(functions, tension, state, model.axial_stiffness), 0.0)
+    return functions.at_least(theta, 0.0), tension
 
 
 def friction_angle(functions: Functions[F], model: TendonSheath, stack: Stack, state: State[F], theta: F) -> F:

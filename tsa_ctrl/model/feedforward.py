@@ -11,12 +11,12 @@ from collections.abc import Collection
 
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
+from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
 from tsa_ctrl.model.effects.memory import PreslidingState
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
-ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j; slower than the loop, faster than a joint
 LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which only overflow is left
 
 _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
@@ -189,14 +189,8 @@ class Feedforward:
 
 
 def _lacking(model: TendonSheath, effect: str, here: Collection[str]) -> tuple[str, ...]:
-    """The signals of which `effect` needs one and none is there; friction states need an angle."""
-    if effect == "presliding_hysteresis":
-        wanted = model.effects[effect].get("displacement")
-        needed: tuple[tuple[str, ...], ...] = {"motor": (("q_m",),), "joint": (("q_j",),)}.get(
-            str(wanted), (("q_m", "q_j"),)
-        )
-    else:
-        needed = CATALOGUE[effect].columns
+    """The signals of which `effect` needs one and none is there."""
+    needed = CATALOGUE[effect].needed_live(model.effects[effect])
     return next((names for names in needed if not any(name in here for name in names)), ())
 
 
@@ -214,13 +208,6 @@ def _notes(model: TendonSheath, signals: Collection[str]) -> list[str]:
         lacking = _lacking(model, name, here)
         if lacking:
             notes.append(f"{name}: not compensated, this axis does not measure {' or '.join(lacking)}")
-        elif name == "transport_delay":
-            notes.append(f"{name}: not compensated, {parameters['delay']} s cannot be undone ahead of time")
-        elif name == "backlash":
-            notes.append(f"{name}: not compensated, no torque crosses the play of {parameters['gap']} rad")
-        elif name == "velocity_lag":
-            notes.append(f"{name}: compensated in the velocity; the direction is led by the loop")
-        elif name == "inertia":
-            milliseconds = ACCELERATION_TIME * 1e3
-            notes.append(f"{name}: compensated with an acceleration from omega_j that is {milliseconds:g} ms late")
+        elif CATALOGUE[name].feedforward:
+            notes.append(f"{name}: {CATALOGUE[name].feedforward.format(**parameters)}")
     return notes

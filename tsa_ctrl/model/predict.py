@@ -15,7 +15,6 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
 from tsa_ctrl.model.effects.memory import integrate
-from tsa_ctrl.model.effects.motor import TorqueConstantError, TorqueRipple
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import Transmission
 from tsa_ctrl.model.functions import ARRAYS, Array
@@ -172,8 +171,7 @@ def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
     if stack.load is not None:
         tau_m = stack.load.required(ARRAYS, tau_m, state.sigma)
     for motor_effect in reversed(stack.motor_torque):
-        if isinstance(motor_effect, TorqueConstantError | TorqueRipple):
-            tau_m = motor_effect.invert(ARRAYS, tau_m, state)
+        tau_m = motor_effect.invert(ARRAYS, tau_m, state)
     if stack.delay is not None:
         tau_m = stack.delay.apply(tau_m, signals.t)
     return tau_m

@@ -1,1 +1,57 @@
-"""The catalogue's effects as small pieces, grouped by where they enter; `composition` puts them in order."""
+"""The effects by which measured data differ from (3.55)-(3.56), in their order of composition.
+
+An effect is a class with its formulas and its `specification`; to be known everywhere it stands in this tuple.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tsa_ctrl.model.effects.friction import (
+    LoadDependentFriction,
+    StribeckFriction,
+    TensionDependentFriction,
+    ThermalFrictionDrift,
+)
+from tsa_ctrl.model.effects.joint import (
+    DirectionAsymmetricFriction,
+    GravityLoad,
+    Inertia,
+    JointStiffness,
+    TorqueOffset,
+    ViscousFriction,
+)
+from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
+from tsa_ctrl.model.effects.motor import MotorSideFriction, TorqueConstantError, TorqueRipple, VelocityLag
+from tsa_ctrl.model.effects.pretension import (
+    ConfigurationDependentBending,
+    PretensionRelaxation,
+    StiffnessNonlinearity,
+)
+from tsa_ctrl.model.effects.transmission import ElongationCoupling, SheathAsymmetry, TendonSlack
+
+EFFECTS: tuple[type[Any], ...] = (
+    VelocityLag,
+    TorqueConstantError,
+    TorqueRipple,
+    MotorSideFriction,
+    ConfigurationDependentBending,
+    StiffnessNonlinearity,
+    PretensionRelaxation,
+    StribeckFriction,
+    ThermalFrictionDrift,
+    TensionDependentFriction,
+    PreslidingHysteresis,
+    SheathAsymmetry,
+    TendonSlack,
+    ElongationCoupling,
+    LoadDependentFriction,
+    Backlash,
+    ViscousFriction,
+    DirectionAsymmetricFriction,
+    Inertia,
+    GravityLoad,
+    JointStiffness,
+    TorqueOffset,
+    TransportDelay,
+)

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.specification import Draw, Parameter, Shown, Specification, Stage, non_negative
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import F, Functions
+
+ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j; slower than the loop, faster than a joint
 
 
 @dataclass(frozen=True)
 class ViscousFriction:
     """f = b omega."""
 
-    coefficient: float  # b, N*m*s/rad
+    coefficient: Annotated[float, non_negative("N*m*s/rad")]  # b
+
+    specification: ClassVar = Specification(
+        name="viscous_friction",
+        stage=Stage.JOINT,
+        summary="friction proportional to speed",
+        shown=Shown({"coefficient": 0.05}, "speed", "τ_J ← τ_J − b ω", short=True),
+        demo={"coefficient": Draw(0.08, 0.16)},
+    )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.coefficient * state.omega
@@ -22,7 +34,15 @@ class ViscousFriction:
 class DirectionAsymmetricFriction:
     """f = b abs(omega)."""
 
-    viscous_difference: float  # b, N*m*s/rad
+    viscous_difference: Annotated[float, Parameter("N*m*s/rad")]  # b
+
+    specification: ClassVar = Specification(
+        name="direction_asymmetric_friction",
+        stage=Stage.JOINT,
+        summary="friction proportional to speed that differs by direction",
+        shown=Shown({"viscous_difference": 0.05}, "speed", "τ_J ← τ_J − b |ω|", short=True),
+        demo={"viscous_difference": Draw(0.08, 0.16, signed=True)},
+    )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.viscous_difference * abs(state.omega)
@@ -32,7 +52,16 @@ class DirectionAsymmetricFriction:
 class Inertia:
     """f = J domega/dt; rotor and joint are one here."""
 
-    inertia: float  # J, kg*m^2
+    inertia: Annotated[float, non_negative("kg*m^2")]  # J
+
+    specification: ClassVar = Specification(
+        name="inertia",
+        stage=Stage.JOINT,
+        summary="torque that accelerates a mass",
+        feedforward=f"compensated with an acceleration from omega_j that is {1e3 * ACCELERATION_TIME:g} ms late",
+        shown=Shown({"inertia": 0.005}, "acceleration", "τ_J ← τ_J − J dω/dt", short=True),
+        demo={"inertia": Draw(0.015, 0.03)},
+    )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.inertia * state.acceleration
@@ -42,8 +71,17 @@ class Inertia:
 class GravityLoad:
     """f = A sin(q + phi)."""
 
-    amplitude: float  # A, N*m
-    phase: float = 0.0  # phi, rad
+    amplitude: Annotated[float, non_negative("N*m")]  # A
+    phase: Annotated[float, Parameter("rad")] = 0.0  # phi
+
+    specification: ClassVar = Specification(
+        name="gravity_load",
+        stage=Stage.JOINT,
+        summary="a weight on the joint",
+        columns=(("q_j",),),
+        shown=Shown({"amplitude": 0.15, "phase": 0.3}, "angle", "τ_J ← τ_J − A sin(q + φ)", short=True),
+        demo={"amplitude": Draw(0.2, 0.4), "phase": Draw(-1.0, 1.0)},
+    )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.amplitude * functions.sin(state.q_j + self.phase)
@@ -53,8 +91,17 @@ class GravityLoad:
 class JointStiffness:
     """f = k (q - q_0)."""
 
-    stiffness: float  # k, N*m/rad
-    rest_angle: float = 0.0  # q_0, rad
+    stiffness: Annotated[float, non_negative("N*m/rad")]  # k
+    rest_angle: Annotated[float, Parameter("rad")] = 0.0  # q_0
+
+    specification: ClassVar = Specification(
+        name="joint_stiffness",
+        stage=Stage.JOINT,
+        summary="a spring at the joint",
+        columns=(("q_j",),),
+        shown=Shown({"stiffness": 0.15, "rest_angle": 0.2}, "angle", "τ_J ← τ_J − k (q − q_0)", short=True),
+        demo={"stiffness": Draw(0.3, 0.6), "rest_angle": Draw(-0.3, 0.3)},
+    )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.stiffness * (state.q_j - self.rest_angle)
@@ -64,7 +111,15 @@ class JointStiffness:
 class TorqueOffset:
     """f = -c, that is tau_J += c."""
 
-    offset: float  # c, N*m
+    offset: Annotated[float, Parameter("N*m")]  # c
+
+    specification: ClassVar = Specification(
+        name="torque_offset",
+        stage=Stage.JOINT,
+        summary="a constant torque or an offset of a sensor",
+        shown=Shown({"offset": 0.05}, "time", "τ_J ← τ_J + c", short=True),
+        demo={"offset": Draw(0.08, 0.2, signed=True)},
+    )
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return -self.offset + 0.0 * state.omega  # shaped like the others

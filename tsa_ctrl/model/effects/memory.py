@@ -3,11 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from tsa_ctrl.model.effects.specification import (
+    Columns,
+    Draw,
+    Parameter,
+    Shown,
+    Specification,
+    Stage,
+    Value,
+    non_negative,
+    positive,
+)
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
@@ -18,6 +31,12 @@ _STILL = 0.1  # of the RMS speed: slower is standstill
 _NOISE_TO_STEP = 3.0  # counts that stand for white noise of one standard deviation
 
 
+def _followed(parameters: Mapping[str, Value]) -> Columns:
+    """The angle that the friction state follows in the loop, where no velocity is integrated."""
+    side = parameters.get("displacement")
+    return (("q_m",),) if side == "motor" else (("q_j",),) if side == "joint" else (("q_m", "q_j"),)
+
+
 @dataclass(frozen=True)
 class PreslidingHysteresis:
     """sigma becomes z everywhere: dz/ds = (1 - sign(ds) z)/q_p (Dahl), or the mean of N > 1 Maxwell-slip elements.
@@ -26,9 +45,19 @@ class PreslidingHysteresis:
     moving, else at 0. s is the motor's angle, or the joint's where the log has no motor angle.
     """
 
-    presliding_distance: float  # q_p, rad
-    elements: int = 1  # N, 1
-    displacement: str | None = None  # "motor" or "joint"; None: motor where there is one
+    presliding_distance: Annotated[float, positive("rad")]  # q_p
+    elements: Annotated[int, Parameter("1", low=1, integer=True)] = 1  # N
+    displacement: Annotated[str | None, Parameter(optional=True, choices=("motor", "joint"), fitted=False)] = None
+
+    specification: ClassVar = Specification(
+        name="presliding_hysteresis",
+        stage=Stage.DIRECTION,
+        summary="friction builds up over a displacement after a reversal",
+        columns=(("q_m", "q_j", "omega_j"),),
+        live_columns=_followed,
+        shown=Shown({"presliding_distance": 0.05}, "since", "dz/ds = (1 − sign(ds) z)/q_p", short=True),
+        demo={"presliding_distance": Draw(0.05, 0.1), "displacement": "motor"},
+    )
 
     def path(self, signals: Signals) -> Array:
         """s, rad; from omega_j when the joint's angle is wanted and is not in the log."""
@@ -92,7 +121,17 @@ class PreslidingState:
 class Backlash:
     """The tendon part of tau_J is 0 while abs(q - q_r) < gap, q_r the joint angle at the last reversal."""
 
-    gap: float  # rad
+    gap: Annotated[float, positive("rad")]
+
+    specification: ClassVar = Specification(
+        name="backlash",
+        stage=Stage.BACKLASH,
+        summary="play after each reversal",
+        columns=(("q_j",),),
+        rigid_drive=False,  # there is no tendon part that play could take away
+        feedforward="not compensated, no torque crosses the play of {gap} rad",
+        shown=Shown({"gap": 0.03}, "since", "tendon part 0 while |q − q_r| < gap", short=True),
+    )
 
     def inside(self, q_j: Array) -> npt.NDArray[np.bool_]:
         """Mask, shape (n,): where the play is open. A reversal counts beyond two encoder counts."""
@@ -105,7 +144,15 @@ class Backlash:
 class TransportDelay:
     """The measured torque is late: y(t) = y_true(t - T_d), linear between samples; the first value before the log."""
 
-    delay: float  # T_d, s
+    delay: Annotated[float, non_negative("s")]  # T_d
+
+    specification: ClassVar = Specification(
+        name="transport_delay",
+        stage=Stage.DELAY,
+        summary="the measured joint torque is late",
+        feedforward="not compensated, {delay} s cannot be undone ahead of time",
+        shown=Shown({"delay": 0.01}, "time", "τ_J(t) ← τ_J(t − T_d)", short=True),
+    )
 
     def apply(self, torque: Array, t: Array) -> Array:
         return np.asarray(np.interp(t - self.delay, t, torque))

@@ -6,7 +6,17 @@ Source: the catalogue of effects; T_p below 0 is slack and is cut off after each
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.specification import (
+    Draw,
+    Parameter,
+    Shown,
+    Specification,
+    Stage,
+    non_negative,
+    positive,
+)
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import F, Functions
 
@@ -15,7 +25,17 @@ from tsa_ctrl.model.functions import F, Functions
 class ConfigurationDependentBending:
     """Theta += k q; the path length and with it T_p follow by (3.50), (3.56): T_p += k_t (p + d/2) k q."""
 
-    bending_per_joint_angle: float  # k, rad/rad
+    bending_per_joint_angle: Annotated[float, Parameter("rad/rad")]  # k
+
+    specification: ClassVar = Specification(
+        name="configuration_dependent_bending",
+        stage=Stage.BENDING,
+        summary="the sheath's bending follows the joint angle",
+        columns=(("q_j",),),
+        rigid_drive=False,
+        shown=Shown({"bending_per_joint_angle": 0.3}, "angle", "Θ ← Θ + k q", short=True),
+        demo={"bending_per_joint_angle": Draw(1.0, 1.6, signed=True)},
+    )
 
     def bending(self, theta: F, state: State[F]) -> F:
         return theta + self.bending_per_joint_angle * state.q_j
@@ -25,9 +45,17 @@ class ConfigurationDependentBending:
 class StiffnessNonlinearity:
     """T_p = T_p0 (1 + k T_p0/EA): the tendon stiffens with tension."""
 
-    quadratic: float  # k, 1
+    quadratic: Annotated[float, Parameter("1")]  # k
 
-    def pretension(self, pretension: F, axial_stiffness: float) -> F:
+    specification: ClassVar = Specification(
+        name="stiffness_nonlinearity",
+        stage=Stage.PRETENSION,
+        summary="the tendon stiffens with tension",
+        rigid_drive=False,
+        shown=Shown({"quadratic": 100.0}, "theta", "T_p ← T_p (1 + k T_p / EA)"),
+    )
+
+    def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F:
         return pretension * (1.0 + self.quadratic / axial_stiffness * pretension)
 
 
@@ -35,10 +63,21 @@ class StiffnessNonlinearity:
 class PretensionRelaxation:
     """T_p *= 1 - c (1 - exp(-(t - t_0)/T)), or 1 - c log10(1 + (t - t_0)/T); nothing before t_0."""
 
-    relaxed_fraction: float  # c, 1
-    time_constant: float  # T, s
-    law: str = "exponential"
-    start_time: float | None = None  # t_0, s; None: the log's first sample
+    relaxed_fraction: Annotated[float, non_negative("1", high=1.0, high_open=True)]  # c
+    time_constant: Annotated[float, positive("s")]  # T
+    law: Annotated[str, Parameter(choices=("exponential", "logarithmic"), fitted=False)] = "exponential"
+    start_time: Annotated[float | None, Parameter("s", optional=True, fitted=False)] = None  # t_0; the first sample
+
+    specification: ClassVar = Specification(
+        name="pretension_relaxation",
+        stage=Stage.PRETENSION,
+        summary="the pretension creeps away with time",
+        rigid_drive=False,
+        shown=Shown({"relaxed_fraction": 0.2, "time_constant": 15.0}, "time", "T_p ← T_p (1 − c (1 − exp(−t/T)))"),
+    )
+
+    def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F:
+        return pretension * self.factor(functions, state)
 
     def factor(self, functions: Functions[F], state: State[F]) -> F:
         start = state.start if self.start_time is None else self.start_time

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated, ClassVar
 
 from tsa_ctrl.model import curvature, transmission
 from tsa_ctrl.model.effects.friction import TensionDependentFriction
+from tsa_ctrl.model.effects.specification import Draw, Parameter, Shown, Specification, Stage
 from tsa_ctrl.model.functions import SCALARS, F, Functions
 
 
@@ -18,7 +20,16 @@ from tsa_ctrl.model.functions import SCALARS, F, Functions
 class SheathAsymmetry:
     """x_a = x (1 + k/2), x_b = x (1 - k/2): equals exp(sigma k x/2) times (3.55)."""
 
-    relative_difference: float  # k, 1
+    relative_difference: Annotated[float, Parameter("1", low=-2.0, high=2.0, low_open=True, high_open=True)]  # k
+
+    specification: ClassVar = Specification(
+        name="sheath_asymmetry",
+        stage=Stage.TRANSMISSION,
+        summary="the two sheaths have different friction angles",
+        rigid_drive=False,
+        shown=Shown({"relative_difference": 0.3}, "load", "x_a, x_b ← x (1 ± k/2)"),
+        demo={"relative_difference": Draw(0.8, 1.2, signed=True)},
+    )
 
     def angles(self, x: F) -> tuple[F, F]:
         half = self.relative_difference / 2.0
@@ -28,6 +39,14 @@ class SheathAsymmetry:
 @dataclass(frozen=True)
 class TendonSlack:
     """Tensions are >= 0: beyond abs(tau_M) = 2 T_p r_M the other tendon carries tau_M/r_M alone."""
+
+    specification: ClassVar = Specification(
+        name="tendon_slack",
+        stage=Stage.TRANSMISSION,
+        summary="a tendon cannot push",
+        rigid_drive=False,
+        shown=Shown({}, "load", "T_1, T_3 ≥ 0"),
+    )
 
     def clip(self, functions: Functions[F], t1: F, t3: F) -> tuple[F, F]:
         return (
@@ -40,7 +59,16 @@ class TendonSlack:
 class ElongationCoupling:
     """The full model (3.53) in place of (3.55), for one of two curvature profiles."""
 
-    curvature_profile: str  # "uniform" or "motor_end"
+    curvature_profile: Annotated[str, Parameter(choices=("uniform", "motor_end"), fitted=False)]
+
+    specification: ClassVar = Specification(
+        name="elongation_coupling",
+        stage=Stage.TRANSMISSION,
+        summary="the full model (3.53): friction along the sheath couples into the pretension",
+        excludes=("tendon_slack", "sheath_asymmetry", "tension_dependent_friction"),
+        rigid_drive=False,
+        shown=Shown({"curvature_profile": "uniform"}, "load", "(3.53) in place of (3.55)"),
+    )
 
     def line(
         self, functions: Functions[F], x: F, pretension: F, radii: tuple[float, float], series: float

@@ -1,0 +1,171 @@
+"""What is said of an effect beside its formulas: written once, on its class, and read by everything that knows effects.
+
+Model files and their messages, the composition, the notes of the live inverse, the diagnosis, the demo and the gallery
+take from here what they need. The plant and the hidden cases of the tests have their own, so that one can be held
+against the other.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal, TypeAlias, get_type_hints
+
+import numpy as np
+
+Value: TypeAlias = float | int | str
+Columns: TypeAlias = tuple[tuple[str, ...], ...]  # of each inner tuple one column must be there
+
+
+class Stage(Enum):
+    """Where an effect enters; the order of the members is the order of composition."""
+
+    VELOCITY = "measured velocity"
+    MOTOR_TORQUE = "motor torque"
+    BENDING = "bending angle"
+    PRETENSION = "pretension"
+    FRICTION = "friction coefficient"
+    TENSION = "friction of one tendon by its tension"
+    DIRECTION = "direction"
+    TRANSMISSION = "transmission"
+    LOAD = "load-dependent friction"
+    BACKLASH = "backlash"
+    JOINT = "joint side"
+    DELAY = "delay of the measurement"
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect, as `Annotated[float, Parameter(unit, bounds)]` of its class.
+
+    Name and default are those of the annotated field. Without a default it is required, unless `optional`.
+    """
+
+    unit: str = "1"
+    low: float = -math.inf
+    high: float = math.inf
+    low_open: bool = False
+    high_open: bool = False
+    optional: bool = False  # may be absent: its default depends on the model or the log
+    choices: tuple[str, ...] = ()
+    integer: bool = False
+    fitted: bool = True  # False: given, never estimated from a log
+    name: str = ""
+    default: Value | None = None
+
+    def describe(self) -> str:
+        """Allowed values in words, for error messages."""
+        if self.choices:
+            return " or ".join(f'"{choice}"' for choice in self.choices)
+        kind = "a whole number" if self.integer else "a number"
+        bounds = []
+        if self.low > -math.inf:
+            bounds.append(f"{'above' if self.low_open else 'at least'} {self.low:g}")
+        if self.high < math.inf:
+            bounds.append(f"{'below' if self.high_open else 'at most'} {self.high:g}")
+        return " ".join([kind, " and ".join(bounds)]).strip() + (f" ({self.unit})" if self.unit != "1" else "")
+
+    def accepts(self, value: object) -> bool:
+        if self.choices:
+            return isinstance(value, str) and value in self.choices
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            return False
+        if self.integer and value != int(value):
+            return False
+        above = value > self.low if self.low_open else value >= self.low
+        below = value < self.high if self.high_open else value <= self.high
+        return above and below
+
+    def taken(self, value: Any) -> Value:
+        """An accepted value as the effect's class takes it."""
+        if self.choices:
+            return str(value)
+        return int(value) if self.integer else float(value)
+
+
+def non_negative(unit: str, **more: Any) -> Parameter:
+    """At least 0."""
+    return Parameter(unit, low=0.0, **more)
+
+
+def positive(unit: str, **more: Any) -> Parameter:
+    """Above 0."""
+    return Parameter(unit, low=0.0, low_open=True, **more)
+
+
+View: TypeAlias = Literal["speed", "load", "angle", "time", "motor", "since", "acceleration", "temperature", "theta"]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """How a picture shows an effect: with which parameters, against what it is recognised, by which equation."""
+
+    parameters: Mapping[str, Value]
+    view: View
+    equation: str
+    short: bool = False  # against time: a few reversals, not the whole log
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A size that the demo draws by seed, between `low` and `high`; of either sign, or a whole number below `high`."""
+
+    low: float
+    high: float
+    signed: bool = False
+    whole: bool = False
+
+    def value(self, rng: np.random.Generator) -> float:
+        if self.whole:
+            return int(rng.integers(int(self.low), int(self.high)))
+        sign = rng.choice([-1.0, 1.0]) if self.signed else 1.0
+        return float(sign * rng.uniform(self.low, self.high))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Specification:
+    """One effect: its name and stage, its sentence for a person, what it needs, and how it is undone, shown and hidden.
+
+    `columns`: what a log must have; `live_columns`, by the effect's parameters: what the loop must measure, where that
+    is not the same. `feedforward`: what the live inverse cannot do, with {parameter} in it; empty when it is exact.
+    `demo`: sizes that the full circle of `tsa demo` may hide, between a tenth and a third of its rig's half loop.
+    """
+
+    name: str
+    stage: Stage
+    summary: str
+    shown: Shown
+    columns: Columns = ()
+    live_columns: Callable[[Mapping[str, Value]], Columns] | None = None
+    excludes: tuple[str, ...] = ()
+    rigid_drive: bool = True  # has a meaning for a plain drive (kind = "rigid_drive")
+    feedforward: str = ""
+    demo: Mapping[str, Draw | Value] | None = None
+    parameters: tuple[Parameter, ...] = ()  # those of the class
+    effect: Callable[..., Any] = field(default=dict)  # the class
+
+    @classmethod
+    def of(cls, effect: type[Any]) -> Specification:
+        """That of an effect's class, with the parameters that its fields say."""
+        own: Specification = effect.specification
+        return dataclasses.replace(own, parameters=_parameters(effect), effect=effect)
+
+    def parameter(self, name: str) -> Parameter:
+        return next(p for p in self.parameters if p.name == name)
+
+    def needed_live(self, parameters: Mapping[str, Value]) -> Columns:
+        """The signals that the loop must measure."""
+        return self.columns if self.live_columns is None else self.live_columns(parameters)
+
+
+def _parameters(effect: type[Any]) -> tuple[Parameter, ...]:
+    hints = get_type_hints(effect, include_extras=True)
+    found = []
+    for entry in dataclasses.fields(effect):
+        parameter: Parameter = hints[entry.name].__metadata__[0]
+        default = None if entry.default is dataclasses.MISSING else entry.default
+        found.append(dataclasses.replace(parameter, name=entry.name, default=default))
+    return tuple(found)
