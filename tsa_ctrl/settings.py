@@ -66,7 +66,36 @@ def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
     try:
         return msgspec.convert(data, kind, strict=True)
     except msgspec.ValidationError as error:
+        found, wanted = file_kind(data), FILES.get(kind.__name__)
+        if found is not None and wanted is not None and found != wanted:
+            raise UsageError(f"{where}: this is {found}; {wanted} is wanted here") from None
         raise UsageError(f"{where}: {explain(str(error), kind)}") from None
+
+
+# What each file of the project is called, by the class that reads it.
+FILES = {
+    "ControllerFile": "a controller file",
+    "PlantSettings": "a plant file",
+    "ActuatorFile": "an actuator model",
+    "RigidDriveFile": "an actuator model",
+    "DriveProfile": "a drive profile",
+    "Backup": "a drive's backup",
+}
+
+
+def file_kind(data: dict[str, Any]) -> str | None:
+    """Which of the project's files parsed TOML is, by the tables that only that one has; None when it is none."""
+    axis = data.get("axis")
+    first = axis[0] if isinstance(axis, list) and axis and isinstance(axis[0], dict) else {}
+    if data.keys() & {"actuator", "tendon", "sheath", "pretension"}:
+        return FILES["ActuatorFile"]
+    if "physics" in data or first.keys() & {"actuator", "perturbation", "motor", "joint", "motion"}:
+        return FILES["PlantSettings"]
+    if data.keys() & {"controller", "realtime"} or first.keys() & {"model", "limits", "setpoint"}:
+        return FILES["ControllerFile"]
+    if data.keys() & {"reactions", "identity", "units"}:
+        return FILES["DriveProfile"]
+    return FILES["Backup"] if "object" in data else None
 
 
 def load(path: str | Path, kind: type[T]) -> T:
