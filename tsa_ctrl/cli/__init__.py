@@ -16,6 +16,7 @@ from tsa_ctrl.errors import TsaError
 from tsa_ctrl.version import __version__
 
 VERBS: dict[str, str] = {
+    "init": "commented example files for a rig, or for a desk",
     "demo": "the whole system on this machine, and what compensation gains",
     "run": "the daemon: bring the drive up, run the loop, log",
     "plant": "simulated drives and joints as CANopen nodes on a bus",

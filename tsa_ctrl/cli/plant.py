@@ -33,6 +33,8 @@ def command(
         return 2 if answer.startswith("error") else 0
     if configuration is None:
         raise click.UsageError("Missing argument 'PLANT.toml'.")
+    if not check:
+        click.echo("plant: starting", err=True)
     from tsa_ctrl.plant import process  # compiled code, not loaded for a question
 
     if check:

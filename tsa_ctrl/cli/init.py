@@ -1,0 +1,100 @@
+"""`tsa init`: the example files of the package, commented, as a start for a rig or for a desk."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+
+from tsa_ctrl.errors import UsageError
+
+SHIPPED = Path(__file__).parents[1] / "shipped"
+MOTION = "motion.csv"
+COMMENTS = 33  # column in which the example files' comments begin
+_HEADER = re.compile(r"(?:# )?\[\[?(?P<table>[a-z_.]+)\]\]?")
+_KEY = re.compile(r"(?:# )?(?P<key>[a-z_]+) = [^#]*(?P<comment>#.*)?$")
+
+# On a desk: no CAN, no rights, a crowded machine. Stalls of 10 ms and more are borne, and nothing moves but numbers.
+DESK_BUS = {"interface": '"udp_multicast"', "channel": '"239.255.74.1"'}  # RFC 2365: of this machine alone
+DESK = {
+    "controller.toml": {
+        "controller": {"rate": "250.0", "settle_cycles": "20"},
+        "bus": DESK_BUS,
+        "bus.supervision": {"tolerated_misses": "50", "tolerated_drops": "50"},
+        "realtime": {"allow_without": "true"},
+        "axis.drive": {"host_timeout": "0.5", "rpdo_timeout": "0.2", "heartbeat_timeout": "1.0"},
+    },
+    "plant.toml": {"bus": DESK_BUS},
+}
+
+
+@click.command(
+    "init",
+    epilog="Example: tsa init --desk mine",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+@click.argument("folder", metavar="[DIR]", default=".", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--desk", is_flag=True, help="For trying it without CAN: a bus over UDP multicast, no real-time rights.")
+def command(folder: Path, desk: bool) -> None:
+    """Write controller, plant, actuator model, drive profiles, service and a motion to DIR, every key commented.
+
+    Nothing that is there is replaced.
+    """
+    texts = {path.relative_to(SHIPPED): path.read_text(encoding="utf-8") for path in _shipped()}
+    if desk:
+        for name, changes in DESK.items():
+            texts[Path(name)] = with_values(texts[Path(name)], changes)
+    taken = [str(folder / name) for name in (*texts, Path(MOTION)) if (folder / name).exists()]
+    if taken:
+        raise UsageError(f"{taken[0]}: is there already, nothing was written; choose another folder: tsa init DIR")
+    try:
+        (folder / "drives").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from None
+    _write(folder, texts)
+    for name in (*texts, MOTION):
+        click.echo(f"written: {folder / name}")
+    click.echo("next, in two terminals (the second once the plant says ready):" if desk else "next:")
+    if desk:
+        click.echo(f"  tsa plant {folder / 'plant.toml'}\n  tsa run {folder / 'controller.toml'} --seconds 20")
+    else:
+        click.echo(f"  tsa run --check {folder / 'controller.toml'}\n  tsa doctor {folder / 'controller.toml'}")
+
+
+def _shipped() -> list[Path]:
+    return sorted(path for path in SHIPPED.rglob("*") if path.suffix in (".toml", ".service"))
+
+
+def with_values(text: str, changes: Mapping[str, Mapping[str, str]]) -> str:
+    """A commented file with the keys of these tables set where they stand, as keys or as comments.
+
+    Raises KeyError for a key that the file does not show.
+    """
+    open_keys = {(table, key) for table, keys in changes.items() for key in keys}
+    lines, table = [], ""
+    for line in text.splitlines():
+        header = _HEADER.match(line)
+        if header:
+            table = header["table"]
+            line = line.removeprefix("# ") if table in changes else line
+        key = _KEY.match(line)
+        if key and (table, key["key"]) in open_keys:
+            open_keys.remove((table, key["key"]))
+            line = f"{key['key']} = {changes[table][key['key']]}".ljust(COMMENTS) + (key["comment"] or "")
+        lines.append(line)
+    if open_keys:
+        raise KeyError(*open_keys)
+    return "\n".join(lines) + "\n"
+
+
+def _write(folder: Path, texts: dict[Path, str]) -> None:
+    from tsa_ctrl.demo.motion import gait
+    from tsa_ctrl.settings import write_text
+
+    for name, text in texts.items():
+        write_text(folder / name, text)
+    play = gait()
+    rows = (f"{t:.3f},{tau:.6g},{q:.6g}" for t, tau, q in zip(play.t, play.tau_j_des, play.q_j, strict=True))
+    write_text(folder / MOTION, "t,tau_j_des,q_j\n" + "\n".join(rows) + "\n")
