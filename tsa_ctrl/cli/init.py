@@ -18,7 +18,7 @@ _KEY = re.compile(r"(?:# )?(?P<key>[a-z_]+) = [^#]*(?P<comment>#.*)?$")
 
 # On a desk: no CAN, no rights, a crowded machine. Stalls of 10 ms and more are borne, and nothing moves but numbers.
 DESK_BUS = {"interface": '"udp_multicast"', "channel": '"239.255.74.1"'}  # RFC 2365: of this machine alone
-DESK = {
+DESK: dict[str, dict[str, dict[str, str]]] = {
     "controller.toml": {
         "controller": {"rate": "250.0", "settle_cycles": "20"},
         "bus": DESK_BUS,
