@@ -54,8 +54,8 @@ def command(folder: Path, desk: bool) -> None:
     except OSError as error:
         raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another folder") from None
     _write(folder, texts)
-    for name in (*texts, MOTION):
-        click.echo(f"written: {folder / name}")
+    for path in (*texts, Path(MOTION)):
+        click.echo(f"written: {folder / path}")
     click.echo("next, in two terminals (the second once the plant says ready):" if desk else "next:")
     if desk:
         click.echo(f"  tsa plant {folder / 'plant.toml'}\n  tsa run {folder / 'controller.toml'} --seconds 20")
