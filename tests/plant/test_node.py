@@ -73,15 +73,15 @@ def test_heartbeat_consumer_begins_with_the_first_heartbeat(bench: Bench) -> Non
 
 
 def test_a_new_start_ends_a_communication_error(bench: Bench) -> None:
-    bench.unit.drive.emergency(0x8130, 0x10)
+    bench.unit.drive.node.emergency(0x8130, 0x10)
     assert bench.upload(1, 0x1001, 0, "B") == 0x11
     bench.send(0x000, b"\x82\x01")
     assert bench.upload(1, 0x1001, 0, "B") == 0
 
 
 def test_emcy_is_kept_in_the_history(bench: Bench) -> None:
-    bench.unit.drive.emergency(0x4310, 0x08, b"\x01\x02\x03\x04\x05")
-    bench.unit.drive.emergency(0x8130, 0x10)
+    bench.unit.drive.node.emergency(0x4310, 0x08, b"\x01\x02\x03\x04\x05")
+    bench.unit.drive.node.emergency(0x8130, 0x10)
     assert bench.bus.sent[-2:] == [
         (0x081, bytes.fromhex("1043090102030405")),
         (0x081, bytes.fromhex("3081190000000000")),

@@ -16,12 +16,16 @@ class AbortCode(IntEnum):
     TOGGLE_BIT = 0x05030000
     TIMED_OUT = 0x05040000
     UNKNOWN_COMMAND = 0x05040001
+    BLOCK_SIZE = 0x05040002
+    SEQUENCE = 0x05040003
+    CRC = 0x05040004
     OUT_OF_MEMORY = 0x05040005
     WRITE_ONLY = 0x06010001
     READ_ONLY = 0x06010002
     NO_OBJECT = 0x06020000
     NOT_MAPPABLE = 0x06040041
     PDO_LENGTH = 0x06040042
+    INCOMPATIBLE = 0x06040043
     LENGTH = 0x06070010
     TOO_LONG = 0x06070012
     TOO_SHORT = 0x06070013
@@ -31,6 +35,20 @@ class AbortCode(IntEnum):
     TOO_LOW = 0x06090032
     CANNOT_STORE = 0x08000020
     DEVICE_STATE = 0x08000022
+
+
+_RESTRICTED = (  # first and last identifier that no communication object may be given (CiA 301, 7.3.5)
+    (0x000, 0x07F),
+    (0x101, 0x180),
+    (0x581, 0x5FF),
+    (0x601, 0x67F),
+    (0x6E0, 0x7FF),
+)
+
+
+def is_restricted(can_id: int) -> bool:
+    """Whether an identifier belongs to NMT, SDO, heartbeat or LSS, or is kept for later."""
+    return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 
 class SdoAbort(Exception):  # noqa: N818, the standard's word
@@ -71,7 +89,10 @@ class Access(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One line of the dictionary; `low`/`high` narrow the type, `mappable` allows it in a PDO."""
+    """One line of the dictionary; `low`/`high` narrow the type, `mappable` allows it in a PDO.
+
+    `plus_node`: the node id is added to the default, as to the identifiers of the predefined connection set.
+    """
 
     index: int
     sub: int
@@ -81,6 +102,7 @@ class Entry:
     mappable: bool = False
     low: int | None = None
     high: int | None = None
+    plus_node: bool = False
 
     @property
     def key(self) -> Key:
@@ -91,9 +113,12 @@ class ObjectDictionary:
     """Values by (index, sub-index). `values` holds the numbers; the node itself writes there without checks.
 
     A hook of `on_write` is called with the new value after all checks and before it is stored; it may raise SdoAbort.
+    `stored`: values kept through a power cycle, in place of the defaults.
     """
 
-    def __init__(self, entries: Iterable[Entry]) -> None:
+    def __init__(self, entries: Iterable[Entry], node_id: int = 0) -> None:
+        self.node_id = node_id
+        self.stored: dict[Key, int] = {}
         self.entries: dict[Key, Entry] = {}
         self.values: dict[Key, int] = {}
         self.texts: dict[Key, str] = {}
@@ -106,7 +131,12 @@ class ObjectDictionary:
         if isinstance(entry.default, str):
             self.texts[entry.key] = entry.default
         else:
-            self.values[entry.key] = entry.default
+            self.values[entry.key] = self.power_on_value(entry)
+
+    def power_on_value(self, entry: Entry) -> int:
+        """What an object of numbers holds after power-on."""
+        assert isinstance(entry.default, int)
+        return self.stored.get(entry.key, entry.default + (self.node_id if entry.plus_node else 0))
 
     def remove(self, index: int, sub: int | None = None) -> None:
         """Take an object away, or one sub-index of it, as on a drive that does not have it."""
@@ -121,7 +151,7 @@ class ObjectDictionary:
         """Power-on values of the objects with an index in [first, last]."""
         for key, entry in self.entries.items():
             if first <= key[0] <= last and isinstance(entry.default, int):
-                self.values[key] = entry.default
+                self.values[key] = self.power_on_value(entry)
 
     def find(self, key: Key) -> Entry:
         entry = self.entries.get(key)

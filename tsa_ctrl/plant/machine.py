@@ -17,6 +17,7 @@ from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.drive import Drive
+from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.faults import FaultPlan, Target, check_fault
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.outlet import Outlet
@@ -46,7 +47,8 @@ class AxisNodes:
 
     @property
     def nodes(self) -> tuple[Node, ...]:
-        return tuple(self.by_kind.values())
+        """The drive's first; one of several axes is there for each of them."""
+        return tuple(self.by_kind[kind] for kind in ("drive", "encoder", "torque_sensor") if kind in self.by_kind)
 
 
 @dataclass
@@ -58,19 +60,36 @@ class Counts:
     skipped: float = 0.0  # s of real time that the mechanics did not follow
 
 
-def build_axis(
+def build_axes(plant: PlantSettings, send: Send, clock: Callable[[], float]) -> list[AxisNodes]:
+    """Axes and nodes, not yet booted; each with noise of its own from the plant's seed."""
+    units: list[AxisNodes] = []
+    devices: dict[int | None, list[AxisNodes]] = {}
+    for place, settings in enumerate(plant.axis):
+        unit = _build_axis(settings, plant, send, clock, place)
+        units.append(unit)
+        devices.setdefault(settings.drive.node_id, []).append(unit)
+    for members in devices.values():
+        outlet = members[0].outlets["drive"]
+        node = DriveNode([unit.drive for unit in members], outlet)
+        for unit in members:
+            unit.by_kind["drive"] = node
+            unit.outlets["drive"] = outlet
+    return units
+
+
+def _build_axis(
     settings: AxisSettings, plant: PlantSettings, send: Send, clock: Callable[[], float], place: int
 ) -> AxisNodes:
-    """Axis and nodes, not yet booted; each with noise of its own from the plant's seed."""
+    """One axis with its sensors' nodes; its drive is not yet in a node."""
     axis = Axis(settings, plant.physics)
 
     def noise(number: int) -> random.Random:
         return random.Random(plant.physics.seed * 1000 + place * 10 + number)
 
     outlets = {kind: Outlet(send, clock, noise(5 + i)) for i, kind in enumerate(("drive", "encoder", "torque_sensor"))}
-    drive = Drive(settings.drive, axis.readings, axis.command, noise(0), outlets["drive"])
+    drive = Drive(settings.drive, axis.readings, axis.command, noise(0))
     encoder = sensor = None
-    nodes: dict[str, Node] = {"drive": drive}
+    nodes: dict[str, Node] = {}
     if settings.encoder.present:
         nodes["encoder"] = encoder = Encoder(settings.encoder, axis.readings, outlets["encoder"])
     if settings.torque_sensor.present:
@@ -87,7 +106,8 @@ class Machine:
         self.bus = bus
         self.clock = clock
         self.counts = Counts()
-        self.axes = [build_axis(axis, plant, bus.send, clock, place) for place, axis in enumerate(plant.axis)]
+        self.axes = build_axes(plant, bus.send, clock)
+        self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
         self.faults = FaultPlan()
         self.flood_rate = 0.0  # frames/s of identifiers that nobody uses
         self.housekeeping: Callable[[float], None] = lambda now: None
@@ -100,17 +120,17 @@ class Machine:
         for unit in self.axes:
             unit.axis.advance(1e-9)  # compiles, or loads what was compiled before
             unit.drive.before_change = self._bring_up(unit.axis)
-            for node in unit.nodes:
-                node.reroute = self._reroute
+        for node in self.nodes:
+            node.reroute = self._reroute
         self._reroute()
 
     def start(self) -> None:
         """Power on: every node boots."""
         self._epoch = self.clock()
         self._next_tick = self._epoch
+        for node in self.nodes:
+            node.boot(self._epoch)
         for unit in self.axes:
-            for node in unit.nodes:
-                node.boot(self._epoch)
             for fault in unit.axis.settings.fault:
                 self.faults.schedule(self._epoch + fault.at, self._beginning(unit, fault))
 
@@ -152,9 +172,8 @@ class Machine:
         self.faults.tick(now)
         if self.flood_rate > 0.0:
             self._flood(now)
-        for unit in self.axes:
-            for node in unit.nodes:
-                node.tick(now)
+        for node in self.nodes:
+            node.tick(now)
         self._record(now)
         self.housekeeping(now)
 
@@ -240,10 +259,9 @@ class Machine:
 
     def _reroute(self) -> None:
         routes: dict[int, list[Node]] = {}
-        for unit in self.axes:
-            for node in unit.nodes:
-                for can_id in node.routes:
-                    routes.setdefault(can_id, []).append(node)
+        for node in self.nodes:
+            for can_id in node.routes:
+                routes.setdefault(can_id, []).append(node)
         self._routes = {can_id: tuple(nodes) for can_id, nodes in routes.items()}
 
     def _record(self, now: float) -> None:

@@ -13,6 +13,7 @@ from enum import Enum
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDictionary, SdoAbort, Type
 
 INVALID = 0x80000000  # COB-ID bit 31: the PDO does not exist
+NO_REMOTE = 0x40000000  # COB-ID bit 30 of a TPDO: not to be asked for by a remote frame
 _DUMMIES = {entry.number: entry for entry in Type if entry.size}  # 0x0002..0x0007 fill gaps in an RPDO
 
 
@@ -25,7 +26,7 @@ class Direction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class PdoDefault:
-    """What a PDO is after power-on: COB-ID (with bit 31 when it is off), type, mapped objects."""
+    """What a PDO is after power-on: COB-ID less the node id (bit 31 when it is off), type, mapped objects."""
 
     cob_id: int
     transmission: int = 255
@@ -59,9 +60,10 @@ class Pdo:
 
     def _add_entries(self, default: PdoDefault) -> None:
         c, m = self.communication, self.mapping
+        no_remote = NO_REMOTE if self.direction is Direction.TPDO else 0
         entries = [
             Entry(c, 0, Type.U8, Access.CONST, 5),
-            Entry(c, 1, Type.U32, Access.RW, default.cob_id),
+            Entry(c, 1, Type.U32, Access.RW, default.cob_id | no_remote, plus_node=bool(default.cob_id & 0x7FF)),
             Entry(c, 2, Type.U8, Access.RW, default.transmission),
             Entry(c, 3, Type.U16, Access.RW, 0),  # inhibit time, 100 us
             Entry(c, 5, Type.U16, Access.RW, 0),  # event timer, ms

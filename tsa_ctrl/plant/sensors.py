@@ -49,8 +49,8 @@ class Encoder(Node):
             Entry(0x6031, 4, Type.U16, ro, SPEED_DIVIDER),
             Entry(0x6501, 0, Type.U32, ro, settings.counts_per_revolution),
         )
-        tpdos = (PdoDefault(0x180 + node, 1, ((0x6004, 0),)), PdoDefault(INVALID | 0x280 + node, 1, ()))
-        identity = Identity(ENCODER_DEVICE_TYPE, settings.name, settings.vendor, settings.product)
+        tpdos = tuple(enumerate((PdoDefault(0x180, 1, ((0x6004, 0),)), PdoDefault(INVALID | 0x280, 1, ()))))
+        identity = Identity(ENCODER_DEVICE_TYPE, settings.name, settings.vendor, settings.product, serial=node)
         super().__init__(node, identity, entries, tpdos, (), send)
 
     def sample(self) -> None:
@@ -88,8 +88,8 @@ class TorqueSensor(Node):
             Entry(0x9130, 1, Type.I32, ro, mappable=True),
             Entry(0x9130, 2, Type.I32, ro, mappable=True),
         )
-        tpdos = (PdoDefault(0x180 + node, 1, ((0x9130, 1),)), PdoDefault(INVALID | 0x280 + node, 1, ()))
-        identity = Identity(TORQUE_SENSOR_DEVICE_TYPE, settings.name, settings.vendor, settings.product)
+        tpdos = tuple(enumerate((PdoDefault(0x180, 1, ((0x9130, 1),)), PdoDefault(INVALID | 0x280, 1, ()))))
+        identity = Identity(TORQUE_SENSOR_DEVICE_TYPE, settings.name, settings.vendor, settings.product, serial=node)
         super().__init__(node, identity, entries, tpdos, (), send)
 
     def sample(self) -> None:

@@ -12,6 +12,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import check_effects
+from tsa_ctrl.plant.quirks import Quirks
 
 NodeId = Annotated[int, Meta(ge=1, le=127)]
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -19,7 +20,6 @@ NonNegative = Annotated[float, Meta(ge=0.0)]
 Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
-ObjectName = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9]{1,3})?$")]
 Counts = Annotated[int, Meta(ge=1, le=1 << 31)]
 
 
@@ -42,14 +42,16 @@ class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     start: Literal["power_on", "first_enable"] = "power_on"  # when imposed motion and time-dependent effects begin
 
 
-class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """CiA 402 drive and its motor's electronics."""
+class DriveSettings(Quirks, frozen=True, kw_only=True):
+    """CiA 402 drive and its motor's electronics; what it does otherwise than the standard is in `Quirks`."""
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
+    slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device of several axes, which share a node id
     kind: Literal["generic", "epos4", "elmo_gold"] = "generic"  # the drive that it impersonates, see `persona`
     name: str = "simulated drive"
     vendor: Word = 0x00000F0F
     product: Word = 0x0402
+    serial_number: Word | None = None  # default: the node id
     rated_torque: Positive = 1.0  # N*m of the motor
     rated_torque_unit: Positive = 1e-3  # N*m per digit of 0x6076
     gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
@@ -60,9 +62,6 @@ class DriveSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     torque_time_constant: NonNegative = 0.5e-3  # s, current loop
     peak_torque: Positive = 3.0  # N*m at the motor, what the power stage can do
     torque_noise: NonNegative = 2e-3  # N*m at the pulley, standard deviation of 0x6077
-    watchdogs: bool = True  # false: it takes its time-outs, reports them, and does nothing else
-    objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
-    absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
 
 
 class MotorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -244,13 +243,22 @@ def check_curvature(points: list[tuple[float, float]], where: str) -> None:
 
 def _check_unique(axes: list[AxisSettings], path: Path) -> None:
     used: dict[int | None, str] = {}
+    slots: dict[tuple[int | None, int], str] = {}
     names: set[str] = set()
     for axis in axes:
         if axis.name in names:
             raise UsageError(f"{path}: two axes are called '{axis.name}'; give each a name of its own")
         names.add(axis.name)
-        ids = [axis.drive.node_id, *(node.node_id for node in (axis.encoder, axis.torque_sensor) if node.present)]
-        for node_id in ids:
+        sensors = [node.node_id for node in (axis.encoder, axis.torque_sensor) if node.present]
+        place = (axis.drive.node_id, axis.drive.slot)
+        if place in slots:
+            raise UsageError(
+                f"{path}: axis '{axis.name}': slot {axis.drive.slot} of node {axis.drive.node_id} is already that of "
+                f"axis '{slots[place]}'; give each axis of one device a slot of its own"
+            )
+        shared = any(node_id == axis.drive.node_id for node_id, _ in slots)
+        slots[place] = axis.name
+        for node_id in sensors if shared else [axis.drive.node_id, *sensors]:
             if node_id in used:
                 raise UsageError(
                     f"{path}: axis '{axis.name}': node {node_id} is already {used[node_id]}; "
