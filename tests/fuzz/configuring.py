@@ -48,6 +48,9 @@ class SpoiledBus:
     def fault(self) -> BusFault | None:
         return self._bus.fault
 
+    def clock(self) -> float:
+        return self._bus.clock()
+
     def send(self, can_id: int, data: bytes) -> bool:
         self.sent.append((can_id, data))
         if self._draw.random() < 0.2 * self._rate:
