@@ -10,7 +10,6 @@ import math
 import random
 from collections.abc import Callable, MutableMapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -19,12 +18,10 @@ from tsa_ctrl.plant.dictionary import AbortCode, Key, SdoAbort
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, AxisValues, mode_numbers, shifted, unit_code
 from tsa_ctrl.plant.emergency import EmcyCode
 from tsa_ctrl.plant.nmt import NmtState
+from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.persona import CURRENT, LIMIT, PERSONAS
 from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
-
-if TYPE_CHECKING:
-    from tsa_ctrl.plant.drive_node import DriveNode
 
 CST = 10  # cyclic synchronous torque mode
 _RPM = 2.0 * math.pi / 60.0  # rad/s
@@ -90,7 +87,7 @@ class Drive:
         self.before_change: Callable[[float], None] = lambda now: None
         self.values: MutableMapping[Key, int]
 
-    def attach(self, node: DriveNode) -> None:
+    def attach(self, node: Node) -> None:
         """Become an axis of this node."""
         self.node = node
         offset = (self.settings.slot - 1) * AXIS_OFFSET
