@@ -27,7 +27,7 @@ ROOMS: dict[str, str] = {
     "outputs": "errors",
     "system": "errors",
     # logs, sensors, the model: what both pipelines share
-    "log": "errors version outputs system",
+    "log": "errors version settings outputs system",
     "sensors": "errors system",
     "model": "errors settings",
     # the bus, from frames to SI

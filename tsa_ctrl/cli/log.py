@@ -71,3 +71,43 @@ def convert(log: str, out: Path) -> None:
         click.echo(str(file.path))
         for note in file.notes:
             click.echo(f"note: {note}", err=True)
+
+
+@command.command("import", epilog="Example: tsa log import measured.txt --column 'tau_m=Strom|A*0.12' --out mine")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--map", "map_file", type=click.Path(path_type=Path), help="Mapping file, as an import writes it.")
+@click.option(
+    "--column",
+    "given",
+    multiple=True,
+    metavar="NAME=HEADER[|UNIT[*SCALE]]",
+    help="Where one of our columns comes from; repeatable, above the mapping file.",
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for CSV, mapping, model, picture.")
+@click.option("--yes", is_flag=True, help="Do not ask whether it was understood rightly.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
+def import_(file: Path, map_file: Path | None, given: tuple[str, ...], out: Path, yes: bool, as_json: bool) -> None:
+    """Turn a table of another program, FILE, into a log that every verb reads.
+
+    Separator, decimal sign, encoding, names and units are told from the file; what is not told so, or not rightly, is
+    given by --column or --map. Shows what was understood, then writes the log in SI, the mapping, a model file to
+    fill in, and a picture.
+    """
+    from tsa_ctrl.cli import log_import
+
+    done = log_import.understand(file, map_file, given)
+    if not as_json:
+        log_import.show(done)
+    asked = sys.stdin.isatty() and sys.stdout.isatty() and not (yes or as_json or map_file is not None)
+    if asked and not click.confirm("is that right?", default=True):
+        raise click.ClickException("nothing was written; say it by --column or --map")
+    written = log_import.write(done, out)
+    if as_json:
+        click.echo(json.dumps(log_import.as_dict(done, written), allow_nan=False))
+        return
+    for path in (written.log, written.mapping, written.model, written.picture):
+        if path is not None:
+            click.echo(f"written: {path}")
+    verb = "diagnose" if "tau_m" in done.columns else "log info"
+    more = f" --model {out / 'model.toml'} --out {out / 'diagnosis'}" if verb == "diagnose" else ""
+    click.echo(f"next: put your own figures into {out / 'model.toml'}, then: tsa {verb} {written.log}{more}")

@@ -1,0 +1,141 @@
+"""Tables that other programs wrote: what they show is understood, what they do not show is asked for in one line."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.cli import main
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.foreign import mapping
+from tsa_ctrl.log.foreign.text import read_foreign
+from tsa_ctrl.log.table import read_table
+
+GERMAN = (
+    "Messung;Prüfstand 3\nDatum;31.01.2025\n\n"
+    "Zeit [ms];Winkel Motor [°];Drehzahl Motor [U/min];Strom Motor [A];Temperatur [°C];Kommentar\n"
+    + "".join(f"{5 * i};{1.5 * i:.2f};60,0;{0.25 * (i % 3):.3f};25,0;ok\n".replace(".", ",") for i in range(20))
+)
+
+
+def run(*line: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["log", "import", *line])
+    return int(ended.value.code or 0)
+
+
+def test_a_german_table_becomes_a_log_in_si(tmp_path: Path) -> None:
+    (tmp_path / "mess.txt").write_text(GERMAN, encoding="cp1252")
+    given = ("--column", "tau_m=Strom Motor [A]|A*0.12", "--out", str(tmp_path / "out"))
+    assert run(str(tmp_path / "mess.txt"), *given) == 0
+    columns = read_table(tmp_path / "out/mess.csv").columns
+    np.testing.assert_allclose(columns["t"], np.arange(20) * 0.005, atol=1e-12)
+    np.testing.assert_allclose(columns["q_m"], np.radians(1.5 * np.arange(20)), atol=1e-12)
+    np.testing.assert_allclose(columns["omega_m"], 2.0 * math.pi)
+    np.testing.assert_allclose(columns["tau_m"], 0.12 * 0.25 * (np.arange(20) % 3), atol=1e-12)
+
+
+def test_the_mapping_that_is_written_does_the_same_again(tmp_path: Path) -> None:
+    (tmp_path / "mess.txt").write_text(GERMAN, encoding="cp1252")
+    first = ("--column", "tau_m=Strom Motor [A]|A*0.12", "--out", str(tmp_path / "a"))
+    assert run(str(tmp_path / "mess.txt"), *first) == 0
+    again = ("--map", str(tmp_path / "a/mess-map.toml"), "--out", str(tmp_path / "b"))
+    assert run(str(tmp_path / "mess.txt"), *again) == 0
+    assert (tmp_path / "a/mess.csv").read_bytes() == (tmp_path / "b/mess.csv").read_bytes()
+
+
+def test_a_unit_of_the_device_wants_a_scale_and_says_which(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mess.txt").write_text(GERMAN, encoding="cp1252")
+    assert run(str(tmp_path / "mess.txt"), "--out", str(tmp_path / "out")) == 2
+    said = capsys.readouterr().err
+    assert "give scale (N*m per A)" in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_json_says_what_was_taken_and_what_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "mess.txt").write_text(GERMAN, encoding="cp1252")
+    line = ("--column", "tau_m=Strom Motor [A]|A*0.12", "--out", str(tmp_path / "out"), "--json")
+    assert run(str(tmp_path / "mess.txt"), *line) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["schema"], said["rows"], said["not_taken"]) == (1, 20, ["Kommentar"])
+    assert said["columns"]["tau_m"] == {"from": "Strom Motor [A]", "unit": "A", "scale": 0.12, "offset": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding", "separator", "decimal"),
+    [
+        ("t,tau_m\n0.0,1.5\n0.1,2.5\n", "utf-8-sig", ",", "."),
+        ("t\ttau_m\n0,0\t1,5\n0,1\t2,5\n", "utf-16", "\t", ","),
+        ("t tau_m\n0.0  1.5\n0.1  2.5\n", "utf-8-sig", " ", "."),
+        ('"t";"tau_m"\n"0,0";"1,5"\n"0,1";"2,5"\n', "utf-8-sig", ";", ","),
+    ],
+)
+def test_separator_decimal_sign_and_encoding_are_told_from_the_text(
+    text: str, encoding: str, separator: str, decimal: str, tmp_path: Path
+) -> None:
+    (tmp_path / "x.txt").write_text(text, encoding=encoding)
+    table = read_foreign(tmp_path / "x.txt")
+    assert (table.shape.separator, table.shape.decimal) == (separator, decimal)
+    np.testing.assert_array_equal(table.numbers("tau_m"), [1.5, 2.5])
+
+
+def test_a_line_of_units_below_the_names_is_taken_for_that(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("time;motor torque;motor speed\ns;mNm;rpm\n0;500;60\n0.01;600;60\n")
+    table = read_foreign(tmp_path / "x.csv")
+    found = {m.name: m.scale for m in mapping.resolve(table, mapping.guess(table, {}), "x")}
+    assert found == pytest.approx({"t": 1.0, "tau_m": 1e-3, "omega_m": math.pi / 30})
+
+
+def test_dates_become_seconds_from_the_first(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text(
+        "Timestamp,motor torque [Nm]\n2025-01-31 14:25:01.500,1\n2025-01-31 14:25:01.625,2\n"
+    )
+    table = read_foreign(tmp_path / "x.csv")
+    (time,) = [m for m in mapping.resolve(table, mapping.guess(table, {}), "x") if m.name == "t"]
+    np.testing.assert_allclose(time.values(table), [0.0, 0.125], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        ("tau_n=b", "did you mean 'tau_m'"),
+        ("tau_m=B", "its columns are 't', 'b'"),
+        ("tau_m=b|furlong", "unit 'furlong' is not known; allowed are N*m"),
+        ("tau_m=b|A*0", "the scale not 0"),
+        ("tau_m", "write NAME=HEADER"),
+    ],
+)
+def test_a_wrong_mapping_is_one_line_with_what_is_allowed(
+    column: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "x.csv").write_text("t,b\n0,1\n1,2\n")
+    assert run(str(tmp_path / "x.csv"), "--column", column, "--out", str(tmp_path / "out")) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "is empty"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is no text"),
+        (b"just words\nand more words\n", "no row of numbers|one column only"),
+        (b"1,2\n3,4\n", "no line of names"),
+    ],
+)
+def test_what_is_no_table_is_refused_in_words(data: bytes, said: str, tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_bytes(data)
+    with pytest.raises(UsageError, match=said):
+        read_foreign(tmp_path / "x.csv")
+
+
+def test_a_cell_that_is_no_number_is_named_by_its_line(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("# by hand\nt,tau_m\n0,1\n1,zwei\n")
+    with pytest.raises(UsageError, match="column 'tau_m', line 4: 'zwei'"):
+        read_foreign(tmp_path / "x.csv").numbers("tau_m")

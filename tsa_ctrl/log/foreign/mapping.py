@@ -1,0 +1,259 @@
+"""From foreign columns to ours: which one is which, in what unit; guessed from their names, or as a file says.
+
+A mapping file (TOML) has `[table]` (encoding, separator, decimal, header) and one `[column.NAME]` for each of our
+columns with `from` (the foreign name), `unit`, and where the unit needs them `scale` (SI per unit) and `offset` (SI).
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
+from tsa_ctrl.log.foreign.text import ForeignTable, Shape
+
+DATE = "date"  # the unit of a column of dates and times
+
+# SI per unit, by the unit of our column. What depends on the device (A, %, counts) is not here: it needs `scale`.
+UNITS: dict[str, dict[str, float]] = {
+    "s": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, DATE: 1.0},
+    "N*m": {
+        "N*m": 1.0, "Nm": 1.0, "N·m": 1.0, "N m": 1.0, "N.m": 1.0, "mNm": 1e-3, "mN*m": 1e-3, "mN·m": 1e-3,
+        "Ncm": 1e-2, "N*cm": 1e-2, "Nmm": 1e-3, "N*mm": 1e-3, "kNm": 1e3, "kgcm": 9.80665e-2, "ozin": 7.0615518e-3,
+        "lbin": 0.1129848, "lbft": 1.3558179,
+    },
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "°": math.pi / 180, "grad": math.pi / 180,
+            "rev": 2 * math.pi, "turn": 2 * math.pi, "U": 2 * math.pi},
+    "rad/s": {
+        "rad/s": 1.0, "mrad/s": 1e-3, "deg/s": math.pi / 180, "°/s": math.pi / 180, "dps": math.pi / 180,
+        "rpm": math.pi / 30, "1/min": math.pi / 30, "U/min": math.pi / 30, "min^-1": math.pi / 30,
+        "rev/s": 2 * math.pi, "Hz": 2 * math.pi, "mrpm": math.pi / 30e3,
+    },
+    "rad/s^2": {"rad/s^2": 1.0, "rad/s²": 1.0, "deg/s^2": math.pi / 180, "°/s²": math.pi / 180},
+    "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "kgf": 9.80665, "lbf": 4.4482216},
+    "degC": {"degC": 1.0, "°C": 1.0, "C": 1.0, "K": 1.0, "°F": 5 / 9, "F": 5 / 9},
+}  # fmt: skip
+SHIFT = {"K": -273.15, "°F": -160 / 9, "F": -160 / 9}  # degC, added after the scale
+DEVICE_UNITS = {"a": "N*m per A", "ma": "N*m per mA", "%": "SI per %", "permille": "SI per mille",
+                "‰": "SI per mille", "counts": "rad per count", "cnt": "rad per count", "inc": "rad per increment",
+                "v": "SI per V", "mv": "SI per mV", "digits": "SI per digit"}  # fmt: skip
+
+# Words of foreign names, all of one group needed; German and English, as recorded by drives, bridges and lab tools.
+_MOTOR = ("motor", "drive", "antrieb", "driver", "mot", "_m", "input", "actuator")
+_JOINT = ("joint", "gelenk", "load", "output", "abtrieb", "jaw", "last", "_j", "knee", "knie", "elbow")
+_TORQUE = ("torque", "drehmoment", "moment", "tau", "trq", "mom")
+_CURRENT = ("current", "strom", "iq", "i_q")
+_ANGLE = ("angle", "winkel", "position", "pos", "theta", "phi", "q_", "lage")
+_SPEED = ("velocity", "speed", "geschwindigkeit", "drehzahl", "omega", "vel", "rpm", "qd", "dq")
+WORDS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "t": (("time", "zeit", "timestamp", "t_s", "clock"),),
+    "tau_j_des": (_TORQUE, ("desired", "setpoint", "set-point", "soll", "reference", "target", "wanted", "ref")),
+    "tau_m": ((*_TORQUE, *_CURRENT), _MOTOR),
+    "tau_j": (_TORQUE, _JOINT),
+    "q_m": (_ANGLE, _MOTOR),
+    "q_j": (_ANGLE, _JOINT),
+    "omega_m": (_SPEED, _MOTOR),
+    "omega_j": (_SPEED, _JOINT),
+    "temperature": (("temperature", "temperatur", "temp"),),
+    "theta": (("bending", "biegung", "biegewinkel", "sheath"),),
+}
+
+
+class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[table] of a mapping file; what is not given is told from the table."""
+
+    encoding: str | None = None
+    separator: str | None = None  # one character, or " " for any white space
+    decimal: str | None = None  # "." or ","
+    header: Annotated[int, Meta(ge=1)] | None = None  # line of the names, counted from 1
+
+
+class ColumnSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, rename={"source": "from"}):
+    """[column.NAME] of a mapping file."""
+
+    source: str
+    unit: str
+    scale: float | None = None  # SI per unit; needed where the unit is the device's own
+    offset: float = 0.0  # SI, added
+
+
+class MapFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A mapping file."""
+
+    table: TableSettings = TableSettings()
+    column: dict[str, ColumnSettings] = {}
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """One of our columns: where it comes from, and SI = scale * value + offset."""
+
+    name: str
+    source: str
+    unit: str
+    scale: float
+    offset: float
+
+    def values(self, table: ForeignTable) -> NDArray[np.float64]:
+        """The column in SI; raises UsageError naming the line of what is no number."""
+        if self.unit == DATE:
+            return table.times(self.source)
+        return table.numbers(self.source) * self.scale + self.offset
+
+
+def shape_of(file: MapFile, told: Shape) -> Shape:
+    """What the mapping file says of the text, and what the text shows where it says nothing."""
+    given = file.table
+    return Shape(
+        given.encoding or told.encoding,
+        given.separator or told.separator,
+        given.decimal or told.decimal,
+        given.header or told.header,
+    )
+
+
+def load_map(path: Path) -> MapFile:
+    """Read a mapping file; raises UsageError."""
+    return settings.load(path, MapFile)
+
+
+def parse_column(text: str) -> tuple[str, ColumnSettings]:
+    """`NAME=FOREIGN NAME` or `NAME=FOREIGN NAME|UNIT` or `...|UNIT*SCALE` of the command line; raises UsageError."""
+    name, separator, rest = text.partition("=")
+    source, _, unit = rest.partition("|")
+    unit, _, scale = unit.rpartition("*") if re.search(r"\*[-+.\d]", unit) else (unit, "", "")
+    try:
+        if not separator or not name or not source:
+            raise ValueError
+        return name, ColumnSettings(source=source, unit=unit, scale=float(scale) if scale else None)
+    except ValueError:
+        raise UsageError(
+            f"--column: found '{text}'; write NAME=HEADER, NAME=HEADER|UNIT or NAME=HEADER|UNIT*SCALE, for example "
+            "t='Zeit [s]' or tau_m='Strom|A*0.12'"
+        ) from None
+
+
+def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str) -> list[Mapped]:
+    """What is given, checked against the table; raises UsageError naming what is there and what is allowed."""
+    found = []
+    for name, wanted in given.items():
+        if name not in BY_NAME and name not in ("acceleration_j", "acceleration_m"):
+            near = difflib.get_close_matches(name, SIGNAL_NAMES, n=1)
+            advice = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(SIGNAL_NAMES)}"
+            raise UsageError(f"{where}: unknown column '{name}'; {advice}")
+        source = _source(table, wanted.source, where)
+        unit = wanted.unit or unit_in(source, table, name) or ""
+        found.append(_mapped(name, source, unit, wanted.scale, wanted.offset, where))
+    return found
+
+
+def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str, ColumnSettings]:
+    """Columns that their names tell, beside those in `taken`; one whose unit is not known is left out."""
+    used = {settings.source for settings in taken.values()}
+    found: dict[str, ColumnSettings] = {}
+    for source in table.names:
+        if source in used:
+            continue
+        name = _name_of(source)
+        if name is None or name in taken or name in found:
+            continue
+        unit = DATE if name == "t" and table.is_date(source) else unit_in(source, table, name)
+        if unit is not None:
+            found[name] = ColumnSettings(source=source, unit=unit)
+    return found
+
+
+def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
+    """The unit that a foreign name carries in brackets or after its last slash or underscore; ours where it is ours."""
+    if source in BY_NAME:
+        return BY_NAME[source].unit
+    found = re.search(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$", source)
+    if found:
+        return found[1]
+    if name == "t" and table.is_date(source):
+        return DATE
+    tail = re.search(r"[ _/]([^ _]+)$", source)
+    known = UNITS.get(_unit_of(name), {})
+    if tail and (tail[1] in known or tail[1].lower() in DEVICE_UNITS):
+        return tail[1]
+    return None
+
+
+def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
+    """The mapping as a file that does the same again."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document.add(tomlkit.comment(f"How the columns of {table.path.name} become ours: tsa log import ... --map THIS"))
+    shape = tomlkit.table()
+    for key in ("encoding", "separator", "decimal", "header"):
+        shape[key] = getattr(table.shape, key)
+    document["table"] = shape
+    columns = tomlkit.table(is_super_table=True)
+    for column in mapped:
+        entry = tomlkit.table()
+        entry["from"], entry["unit"] = column.source, column.unit
+        if column.unit != DATE and UNITS.get(_unit_of(column.name), {}).get(column.unit) != column.scale:
+            entry["scale"] = column.scale
+        offset = column.offset - SHIFT.get(column.unit, 0.0)
+        if offset:
+            entry["offset"] = offset
+        columns[column.name] = entry
+    document["column"] = columns
+    return str(tomlkit.dumps(document))
+
+
+def _name_of(source: str) -> str | None:
+    bare = re.sub(r"[\[(<{].*$", "", source).strip()
+    if bare in BY_NAME:
+        return bare
+    low = f" {bare.lower()} "
+    if low.strip() in ("t", "s", "sec", "seconds"):
+        return "t"
+    for name, groups in WORDS.items():
+        if all(any(word in low for word in group) for group in groups):
+            return name
+    return None
+
+
+def _unit_of(name: str) -> str:
+    return BY_NAME[name].unit if name in BY_NAME else "rad/s^2"
+
+
+def _source(table: ForeignTable, wanted: str, where: str) -> str:
+    if wanted in table.names:
+        return wanted
+    near = difflib.get_close_matches(wanted, table.names, n=1)
+    advice = f"did you mean '{near[0]}'?" if near else f"its columns are {', '.join(repr(n) for n in table.names)}"
+    raise UsageError(f"{where}: {table.path} has no column '{wanted}'; {advice}")
+
+
+def _mapped(name: str, source: str, unit: str, scale: float | None, offset: float, where: str) -> Mapped:
+    known: Mapping[str, Any] = UNITS.get(_unit_of(name), {"1": 1.0})
+    here = f"{where}: {name} from '{source}'"
+    if scale is None:
+        if unit.lower() in DEVICE_UNITS:
+            raise UsageError(
+                f"{here}: the unit '{unit}' is the device's own; give scale ({DEVICE_UNITS[unit.lower()]})"
+            )
+        if unit not in known:
+            found = f"unit '{unit}' is not known" if unit else "no unit"
+            raise UsageError(
+                f"{here}: {found}; allowed are {', '.join(known)}, or any other with scale ({_unit_of(name)} per unit)"
+            )
+        scale = float(known[unit])
+    if not math.isfinite(scale) or scale == 0.0 or not math.isfinite(offset):
+        raise UsageError(f"{here}: scale {scale:g} with offset {offset:g}; give finite numbers, the scale not 0")
+    return Mapped(name, source, unit, scale, offset + SHIFT.get(unit, 0.0))

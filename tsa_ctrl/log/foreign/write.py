@@ -1,0 +1,118 @@
+"""What an import leaves: canonical CSV, the mapping that was understood, a model-file skeleton and a picture."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl import outputs, settings
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.columns import BY_NAME
+from tsa_ctrl.log.csv_out import CsvFile
+from tsa_ctrl.log.foreign.mapping import Mapped, dump_map
+from tsa_ctrl.log.foreign.text import ForeignTable
+
+ROWS = 16384  # written at once
+POINTS = 4000  # drawn per curve
+Columns = Mapping[str, NDArray[np.float64]]
+
+RIGID = """# A plain drive: tau_M = J domega/dt + tau_c sign(omega) + b omega + c. What is not
+# given is a cause when found.
+[actuator]
+kind = "rigid_drive"
+coulomb_friction = {coulomb:.3g}{pad}# N*m: half of the torque's usual size in this log; your best guess instead
+# inertia = 1e-4                 # kg*m^2
+# viscous_friction = 0.0         # N*m*s/rad
+# torque_offset = 0.0            # N*m
+"""
+
+
+@dataclass(frozen=True)
+class Imported:
+    """The files written, by what they are."""
+
+    log: Path
+    mapping: Path
+    model: Path | None  # None: there was one
+    picture: Path
+
+
+def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.float64]]:
+    """The columns in SI, time from 0 at the first row; raises UsageError naming the line of what is no number."""
+    columns = {column.name: column.values(table) for column in sorted(mapped, key=lambda column: column.name != "t")}
+    t = columns["t"]
+    if t.size and np.isfinite(t[0]):
+        columns["t"] = t - t[0]
+    return columns
+
+
+def write(folder: Path, table: ForeignTable, mapped: list[Mapped], columns: Columns, skeleton: Path) -> Imported:
+    """Write all of it to `folder`; `skeleton` is the commented model file of a tendon-sheath. Raises UsageError."""
+    stem = table.path.name.split(".")[0]
+    log, mapping, model = folder / f"{stem}.csv", folder / f"{stem}-map.toml", folder / "model.toml"
+    picture = folder / f"{stem}.png"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
+    for path in (log, mapping, picture):
+        outputs.refuse_inputs(path, [table.path])
+    _write_csv(log, columns)
+    outputs.keep(mapping)
+    settings.write_text(mapping, dump_map(table, mapped))
+    made = None
+    if not model.exists():
+        made = model
+        settings.write_text(model, _skeleton(columns, skeleton))
+    _draw(picture, table, columns)
+    return Imported(log, mapping, made, picture)
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    beside = path.with_name(f".{path.name}.part")
+    length = len(columns["t"])
+    try:
+        with contextlib.closing(CsvFile(beside, list(columns))) as file:
+            for start in range(0, length, ROWS):
+                file.write(np.column_stack([values[start : start + ROWS] for values in columns.values()]))
+        outputs.move_into(beside, path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
+    finally:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+
+
+def _skeleton(columns: Columns, tendon_sheath: Path) -> str:
+    if "tau_j" in columns:
+        text = tendon_sheath.read_text(encoding="utf-8")
+        return "# A SKELETON: radii, tendon and sheath are those of an example; put in yours.\n" + text
+    tau = columns.get("tau_m", np.zeros(1))
+    coulomb = 0.5 * float(np.nanmedian(np.abs(tau))) if tau.size else 0.0
+    value = f"{coulomb:.3g}"
+    return RIGID.format(coulomb=coulomb, pad=" " * max(1, 33 - len(f"coulomb_friction = {value}")))
+
+
+def _draw(path: Path, table: ForeignTable, columns: Columns) -> None:
+    from matplotlib.figure import Figure
+
+    names = [name for name in columns if name != "t"]
+    figure = Figure(figsize=(9.0, 1.0 + 1.5 * len(names)), layout="constrained")
+    step = max(1, len(columns["t"]) // POINTS)
+    for i, name in enumerate(names, start=1):
+        axes = figure.add_subplot(len(names), 1, i)
+        axes.plot(columns["t"][::step], columns[name][::step], linewidth=0.8)
+        unit = BY_NAME[name].unit if name in BY_NAME else "rad/s^2"
+        axes.set_ylabel(f"{name}\n{unit}")
+        axes.grid(alpha=0.3)
+        if i == len(names):
+            axes.set_xlabel("t, s")
+    figure.suptitle(f"{table.path.name} as it was understood")
+    beside = path.with_name(f".{path.name}")
+    figure.savefig(beside, dpi=110)
+    outputs.move_into(beside, path)
