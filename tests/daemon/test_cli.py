@@ -183,3 +183,15 @@ def test_sparkline_spans_the_extremes() -> None:
 
     assert sparkline(deque([0.0, 1.0, float("nan"), 0.5])) == "▁█ ▅"
     assert sparkline(deque([float("nan")])) == ""
+
+
+def test_a_narrow_terminal_shows_every_name_and_no_empty_past(
+    serving: Serving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 60 columns the names are whole; the recent past needs a wider one."""
+    monkeypatch.setenv("COLUMNS", "60")
+    output = call(serving, "status").output
+    for name in ("tau_j_des", "friction_term", "friction_angle", "compensation"):
+        assert name in output
+    assert "past" not in output
+    assert max(len(line) for line in output.splitlines() if "│" in line) <= 60

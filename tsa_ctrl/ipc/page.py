@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import select
+import shutil
 import sys
 import termios
 import tty
@@ -27,6 +28,7 @@ HISTORY = 60  # values in a sparkline
 STEP = 0.02  # of a parameter's range per key press
 DECADES = 1000.0  # between the bounds of a parameter that is moved by a share of its value instead
 SHARE = 0.1
+WIDE = 100  # columns of a terminal from which there is room for the recent past
 STALE = 0.5  # s without news from the loop
 BARS = " ▁▂▃▄▅▆▇█"
 SHOWN = (
@@ -104,11 +106,14 @@ class Page:
 
     def _axis(self, axis: dict[str, Any]) -> Table:
         title = f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}"
-        table = Table("", "value", "unit", "past", "parameter", "set to", title=title, title_justify="left")
+        past = shutil.get_terminal_size().columns >= WIDE
+        table = Table(title=title, title_justify="left")
+        for heading in ("", "value", "unit", *(["past"] if past else []), "parameter", "set to"):
+            table.add_column(heading, no_wrap=heading != "past")
         chosen = self.parameters()[self._chosen][:2] if self.parameters() else ("", "")
         live = [(name, figures) for name, figures in axis["parameters"].items() if figures["low"] is not None]
         for row in range(max(len(SHOWN), len(live))):
-            cells: list[str | Text] = ["", "", "", ""]
+            cells: list[str | Text] = ["", "", ""] + [""] * past
             if row < len(SHOWN):
                 name, unit = SHOWN[row]
                 value = axis[name]
@@ -116,8 +121,9 @@ class Page:
                     name,
                     "-" if value is None else f"{value:.4f}",
                     unit,
-                    sparkline(self._past[axis["name"], name]),
                 ]
+                if past:
+                    cells.append(sparkline(self._past[axis["name"], name]))
             if row < len(live):
                 name, figures = live[row]
                 style = "reverse" if (axis["name"], name) == chosen else ""
