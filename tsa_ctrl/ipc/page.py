@@ -113,7 +113,7 @@ class Page:
         chosen = self.parameters()[self._chosen][:2] if self.parameters() else ("", "")
         live = [(name, figures) for name, figures in axis["parameters"].items() if figures["low"] is not None]
         for row in range(max(len(SHOWN), len(live))):
-            cells: list[str | Text] = ["", "", ""] + [""] * past
+            cells: list[str | Text] = ["" for _ in range(3 + past)]
             if row < len(SHOWN):
                 name, unit = SHOWN[row]
                 value = axis[name]
