@@ -47,6 +47,8 @@ ROOMS: dict[str, str] = {
     "identify": "errors version settings log model",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
+    # both of them in one process, in time of their own
+    "virtual": "errors outputs log bus.wire bus.live safety control config ipc daemon plant",
     # for people
     "doctor": "errors system bus.settings bus.wire bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
@@ -55,10 +57,10 @@ ROOMS: dict[str, str] = {
     "tune": "errors version settings outputs system log model config ipc doctor identify",
     "demo": "errors system log model bus.wire identify tune",
     "cli": (
-        "errors version settings outputs system log model bus config ipc daemon identify plant "
+        "errors version settings outputs system log model bus config ipc daemon identify plant virtual "
         "doctor bench drills dashboard tune demo"
     ),
-    "__init__": "version system",
+    "__init__": "version system virtual",
     "__main__": "system cli",
 }
 

@@ -1,8 +1,24 @@
 """Feedforward torque control of a joint driven through a pair of tendon-sheaths."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from tsa_ctrl.system.compile_cache import choose
 from tsa_ctrl.version import __version__
 
-__all__ = ["__version__"]
+if TYPE_CHECKING:
+    from tsa_ctrl.virtual.simulation import simulate_loop
+
+__all__ = ["__version__", "simulate_loop"]
 
 choose()
+
+
+def __getattr__(name: str) -> object:
+    """Loaded on first use: the command line must not wait for what it does not need."""
+    if name == "simulate_loop":
+        from tsa_ctrl.virtual.simulation import simulate_loop
+
+        return simulate_loop
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

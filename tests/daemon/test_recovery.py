@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 
 from tests.bus.fake import FakeBus
+from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon import run
+from tsa_ctrl.daemon import operation
+from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import BusError, TsaError, UsageError
 
@@ -38,8 +40,10 @@ def test_a_bring_up_that_fails_again_leaves_the_fault_latched(error: TsaError, m
     def fails(*arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr(run, "bring_up", fails)
+    monkeypatch.setattr(operation, "bring_up", fails)
     loop = Loop()
-    daemon = run.Daemon(load_configuration(CONFIG), lambda line: None)
-    daemon._recover(FakeBus(), None, (), loop, math.inf)  # type: ignore[arg-type]
+    configuration = load_configuration(CONFIG)
+    file = configuration.file
+    rig = Rig(FakeBus(), file.bus, file.axes, configuration.profiles)
+    Operation(configuration, rig, (), loop)._recover(math.inf)  # type: ignore[arg-type]
     assert loop.told == [f"recovery failed: {error}", LoopPhase.FAULTED]

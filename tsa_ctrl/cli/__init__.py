@@ -25,6 +25,7 @@ VERBS: dict[str, str] = {
     "stop": "ramp a running daemon's torque to zero and end it",
     "tune": "guided procedure: excite, estimate, show, verify, write",
     "calibrate": "estimate friction angle and pretension from logs",
+    "simulate-loop": "the real loop on the simulated plant, in virtual time",
     "simulate": "predict the joint torque for a log and print the error",
     "diagnose": "what the simulation gets wrong, why, and what it gains to know",
     "doctor": "is this machine fit to run the loop",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 
 from tsa_ctrl.bus.live.rig import Rig
@@ -14,11 +13,11 @@ def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: flo
     """Ramp what was last sent to 0 within `stop_time` s, as far as each supervisor still permits torque."""
     steps = max(1, round(stop_time / period))
     last = [axis.terms.tau_m_cmd for axis in axes]
-    start = time.monotonic()
+    start = rig.wait(0.0)
     for step in range(1, steps + 1):
-        time.sleep(max(0.0, start + step * period - time.monotonic()))
-        rig.sync()
-        now = rig.collect(time.monotonic() + 0.6 * period)
+        begin = rig.wait(start + step * period)
+        rig.sync(begin)
+        now = rig.collect(begin + 0.6 * period)
         share = 1.0 - step / steps
         for axis, torque in zip(axes, last, strict=True):
             controlword, permitted, _ = axis.supervisor.update(

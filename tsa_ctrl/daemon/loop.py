@@ -46,6 +46,7 @@ class Loop:
         self.events = events
         self.cycles = 0
         self.late = 0  # cycles begun later than half a period
+        self.stop_began = math.inf  # s of the log's time, when the torque began to ramp to 0 for good
         self.recover = False  # the bus has to be brought up again before `run` goes on
         self._clock = clock
         self._rig = rig
@@ -170,6 +171,7 @@ class Loop:
         phase = self.phase
         if self._stop is not None and phase is not LoopPhase.STOPPING:
             self.cause = self.cause or self._stop
+            self.stop_began = self._t(planned)
             for axis in self._axes:
                 axis.stop()
             self._enter(LoopPhase.STOPPING, planned)

@@ -8,28 +8,20 @@ import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
 
-from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.connect import open_bus
-from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.children import Children
-from tsa_ctrl.daemon.descent import descend
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
-from tsa_ctrl.daemon.phase import LoopPhase
-from tsa_ctrl.daemon.summary import NodeCount, Summary
+from tsa_ctrl.daemon.operation import Operation, Say
+from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.histogram import coarse, distribution
 from tsa_ctrl.system.notify import Notifier
 
-Say = Callable[[str], None]
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 
@@ -68,7 +60,6 @@ class Daemon:
         self._say = say
         self._loop: Loop | None = None
         self._early_stop: str | None = None
-        self._unconfirmed: list[str] = []
         self._notifier = Notifier()
 
     def run(self, seconds: float) -> Summary:
@@ -104,13 +95,23 @@ class Daemon:
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )
+                    operation = Operation(
+                        configuration, rig, axes, loop, self._say, self._notifier.no_loop, self._configured
+                    )
+                    realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
                     try:
-                        self._operate(bus, rig, axes, loop, seconds)
+                        operation.run(seconds, self._reset_faults, lambda: self._enter(loop))
                     finally:
                         realtime.release()
             finally:
                 children.end()
-            summary = self._summary(rig, loop, children, str(rights))
+            log = children.log
+            summary = operation.summary(
+                children.mailbox,
+                str(rights),
+                None if log is None else str(log.path.resolve()),
+                0 if log is None else log.health().written,
+            )
             try:
                 summary.save()
             except UsageError as error:  # a full disk is no reason to lose the summary itself
@@ -120,53 +121,11 @@ class Daemon:
             bus.close()
             self._notifier.close()
 
-    def _operate(self, bus: Bus, rig: Rig, axes: tuple[ControlAxis, ...], loop: Loop, seconds: float) -> None:
-        """Bring up, run, bring up again when asked to; then descend, whatever happened."""
-        configuration = self._configuration
-        period = configuration.period
-        realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
-        try:
-            self._bring_up(bus, rig, self._reset_faults)
-            if not self._configured:
-                prove(rig, period)
-            self._loop = loop
-            if self._early_stop is not None:
-                loop.stop(self._early_stop)
-            try:
-                loop.run(seconds)
-                while loop.recover:
-                    self._recover(bus, rig, axes, loop, seconds)
-            except Exception:
-                with contextlib.suppress(Exception):  # the first cause is the one to tell, and shut_down follows anyway
-                    descend(rig, axes, period, configuration.file.controller.stop_time)
-                raise
-        finally:
-            self._unconfirmed = shut_down(rig, period)
-            loop.last_words(self._unconfirmed)
-
-    def _bring_up(self, bus: Bus, rig: Rig, reset_faults: bool) -> None:
-        configuration = self._configuration
-        file = configuration.file
-        if not self._configured:
-            report = bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period, reset_faults)
-            for line in report.lines():
-                self._say(line)
-        rig.start()
-
-    def _recover(self, bus: Bus, rig: Rig, axes: tuple[ControlAxis, ...], loop: Loop, seconds: float) -> None:
-        """Configure all nodes anew, as at the start; a failure leaves the fault latched and is told."""
-        bus.clear_fault()
-        try:
-            with self._notifier.no_loop():
-                self._bring_up(bus, rig, reset_faults=False)  # the supervisors do it
-        except TsaError as error:  # a drive that was exchanged may contradict the configuration, too
-            loop.note(f"recovery failed: {error}")
-            loop.run(seconds, LoopPhase.FAULTED)
-            return
-        for axis in axes:
-            axis.supervisor.configured(axis.image)
-        loop.reset_faults()
-        loop.run(seconds, LoopPhase.RESETTING)
+    def _enter(self, loop: Loop) -> None:
+        """From here on a signal goes to the loop; one that came before stops it at once."""
+        self._loop = loop
+        if self._early_stop is not None:
+            loop.stop(self._early_stop)
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
@@ -186,41 +145,3 @@ class Daemon:
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
-
-    def _summary(self, rig: Rig, loop: Loop, children: Children, rights: str) -> Summary:
-        configuration = self._configuration
-        mailbox, log = children.mailbox, children.log
-        first = loop.events.first_fault
-        health = None if log is None else log.health()
-        records = loop.cycles * len(rig.axes)
-        return Summary(
-            bus=configuration.file.bus.channel,
-            rate=configuration.file.controller.rate,
-            start=loop.start,
-            cause=loop.cause or "ended",
-            failed=first is not None or bool(self._unconfirmed),
-            planned=loop.planned,
-            sent=loop.cycles,
-            skipped=loop.skipped,
-            overruns=loop.overruns,
-            late=loop.late,
-            dropped=rig.bus.counters.dropped,
-            error_frames=rig.error_frames,
-            flooded=rig.flooded,
-            load=(configuration.load.least, configuration.load.worst),
-            rights=rights,
-            lateness=distribution(mailbox.lateness),
-            work=distribution(mailbox.work),
-            lateness_bins=coarse(mailbox.lateness),
-            work_bins=coarse(mailbox.work),
-            nodes=tuple(
-                NodeCount(axis.name, str(node), node.missed, node.late, node.repeated, node.malformed)
-                for axis in rig.axes
-                for node in axis.image.nodes
-            ),
-            events=loop.events.all,
-            unconfirmed=tuple(self._unconfirmed),
-            log=None if log is None else str(log.path.resolve()),
-            log_written=0 if health is None else health.written,
-            log_lost=0 if health is None else records - health.written,
-        )

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.wire.link import set_up
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.drive import Drive
@@ -21,7 +21,7 @@ from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.faults import FaultPlan, Target, check_fault
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.outlet import Outlet
-from tsa_ctrl.plant.record import Recorder
+from tsa_ctrl.plant.record import Record
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
 from tsa_ctrl.plant.settings import AxisSettings, FaultSettings, PlantSettings
 
@@ -108,10 +108,11 @@ class Machine:
         self.counts = Counts()
         self.axes = build_axes(plant, bus.send, clock)
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
+        self._outlets = tuple({id(out): out for unit in self.axes for out in unit.outlets.values()}.values())
         self.faults = FaultPlan()
         self.flood_rate = 0.0  # frames/s of identifiers that nobody uses
         self.housekeeping: Callable[[float], None] = lambda now: None
-        self.recorder: Recorder | None = None
+        self.recorder: Record | None = None
         self._flood_due = 0.0
         self._heard: deque[tuple[float, int, bytes]] = deque(maxlen=_HEARD)  # SYNC and RPDOs
         self._epoch = clock()
@@ -137,17 +138,26 @@ class Machine:
     def run(self, stop: Callable[[], bool]) -> None:
         """Answer the bus and let time pass; raises BusError when the interface is gone."""
         while not stop():
-            due = [at for unit in self.axes for outlet in unit.outlets.values() if (at := outlet.due) is not None]
-            frame = self.bus.recv(max(0.0, min((self._next_tick, *due)) - self.clock()))
-            now = self.clock()
-            if due:
-                self._release(now)
-            if frame is not None:
-                self.handle(*frame, now)
-            elif self.bus.fault is not None:
+            frame = self.bus.recv(max(0.0, self.due - self.clock()))
+            self.step(frame, self.clock())
+            if frame is None and self.bus.fault is not None:
                 self._bus_fault(self.bus.fault)
-            if now >= self._next_tick:
-                self.tick(now)
+
+    @property
+    def due(self) -> float:
+        """When something happens here although no frame comes, s of the clock."""
+        delayed = [at for outlet in self._outlets if (at := outlet.due) is not None]
+        return min(self._next_tick, *delayed) if delayed else self._next_tick
+
+    def step(self, frame: Frame | None, now: float) -> None:
+        """What is due at `now`, and a frame that has arrived."""
+        for outlet in self._outlets:
+            if outlet.waiting:
+                outlet.release(now)
+        if frame is not None:
+            self.handle(*frame, now)
+        if now >= self._next_tick:
+            self.tick(now)
 
     def handle(self, can_id: int, data: bytes, now: float) -> None:
         """One frame from the bus."""
@@ -179,15 +189,19 @@ class Machine:
 
     def begin_fault(self, axis: str | None, fault: FaultSettings, now: float) -> None:
         """Start a fault `fault.at` s from now; axis None is the first one. Raises UsageError."""
-        named = {unit.axis.name: unit for unit in self.axes}
-        unit = self.axes[0] if axis is None else named.get(axis)
-        if unit is None:
-            raise UsageError(f"axis '{axis}': no such axis; there are {', '.join(named)}")
-        begin = self._beginning(unit, fault)
+        begin = self.beginning(axis, fault)
         if fault.at > 0.0:
             self.faults.schedule(now + fault.at, begin)
         else:
             begin(now)
+
+    def beginning(self, axis: str | None, fault: FaultSettings) -> Callable[[float], None]:
+        """What starts a fault at the time that it is given, s of the clock. Raises UsageError."""
+        named = {unit.axis.name: unit for unit in self.axes}
+        unit = self.axes[0] if axis is None else named.get(axis)
+        if unit is None:
+            raise UsageError(f"axis '{axis}': no such axis; there are {', '.join(named)}")
+        return self._beginning(unit, fault)
 
     def _beginning(self, unit: AxisNodes, fault: FaultSettings) -> Callable[[float], None]:
         kind = check_fault(fault, f"axis '{unit.axis.name}'")
@@ -233,11 +247,6 @@ class Machine:
         stale = [(can_id, data) for at, can_id, data in self._heard if at >= since]
         for can_id, data in stale:
             self.handle(can_id, data, now)
-
-    def _release(self, now: float) -> None:
-        for unit in self.axes:
-            for outlet in unit.outlets.values():
-                outlet.release(now)
 
     def _flood(self, now: float) -> None:
         if self._flood_due < now - _FLOOD_BURST:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TextIO
+from typing import Protocol, TextIO
 
 from tsa_ctrl.errors import UsageError
 
@@ -33,6 +33,14 @@ COLUMNS: tuple[tuple[str, str], ...] = (
     ("temperature", "deg C"),
 )
 _FLUSH = 0.25  # s
+
+
+class Record(Protocol):
+    """Where a machine leaves its truth: on disk, or in memory."""
+
+    def due(self, t: float) -> bool: ...
+    def row(self, values: Sequence[float]) -> None: ...
+    def flush(self, clock: float) -> None: ...
 
 
 class Recorder:

@@ -1,0 +1,54 @@
+"""Controller, plant and actuator files of a small rig for runs in virtual time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from tests.plant.bench import ACTUATOR
+
+Tables = dict[str, Any]
+
+
+def merged(tables: Tables, changes: Mapping[str, Any]) -> Tables:
+    """`changes` over `tables`, table by table."""
+    result = dict(tables)
+    for key, value in changes.items():
+        inner = result.get(key)
+        result[key] = merged(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
+    return result
+
+
+def controller(**changes: Any) -> Tables:
+    """One axis with encoder and torque sensor that wants 0.5 N*m; `changes` go to its [[axis]], `file` to the file."""
+    file = changes.pop("file", {})
+    axis = {
+        "name": "knee",
+        "model": "actuator.toml",
+        "drive": {"node_id": 1, "max_torque": 3.0},
+        "encoder": {"node_id": 32},
+        "torque_sensor": {"node_id": 64},
+        "setpoint": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5},
+        "law": {"fade_in": 0.2},
+        "limits": {"torque": 2.5},
+    }
+    return merged({"controller": {"settle_cycles": 20}, "axis": [merged(axis, changes)]}, file)
+
+
+def plant(**changes: Any) -> Tables:
+    """The plant of that axis, its motion a gait; `changes` go to its [[axis]]."""
+    return {"physics": {"start": "first_enable"}, "axis": [merged({"name": "joint"}, changes)]}
+
+
+def write(
+    folder: Path, controller_tables: Tables | None = None, plant_tables: Tables | None = None
+) -> tuple[Path, Path]:
+    """The three files; returns controller and plant."""
+    (folder / "actuator.toml").write_text(ACTUATOR, encoding="utf-8")
+    paths = folder / "controller.toml", folder / "plant.toml"
+    for path, tables in zip(paths, (controller_tables or controller(), plant_tables or plant()), strict=True):
+        path.write_text(tomlkit.dumps(tables), encoding="utf-8")
+    return paths

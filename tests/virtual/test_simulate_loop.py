@@ -1,0 +1,158 @@
+"""The real loop on the real plant, in virtual time."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.virtual.files import controller, plant, write
+from tsa_ctrl import simulate_loop
+from tsa_ctrl.cli import main
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.log.table import read_table
+from tsa_ctrl.virtual.script import Change, Fault, parse_fault_option, parse_set_option
+
+
+def test_the_whole_run_from_bring_up_to_shut_down(tmp_path: Path) -> None:
+    result = simulate_loop(*write(tmp_path), 1.0)
+    assert result.summary.cause == "1 s are over"
+    assert not result.summary.failed
+    assert result.summary.late == result.summary.skipped == result.summary.missed_pdo == 0
+    assert result.log["tau_m_cmd"][-1] == 0.0
+    assert np.diff(result.log["t"]) == pytest.approx(1e-3)
+    assert set(result.truth["enabled"]) == {0.0, 1.0}
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path) -> None:
+    files = write(tmp_path)
+    for name in "ab":
+        simulate_loop(*files, 0.5, out=tmp_path / name, record=tmp_path / f"{name}.csv")
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert (tmp_path / "a" / "tsa.mcap").read_bytes() == (tmp_path / "b" / "tsa.mcap").read_bytes()
+
+
+def test_another_seed_gives_other_noise(tmp_path: Path) -> None:
+    files = write(tmp_path)
+    first, second = (simulate_loop(*files, 0.3, seed=seed).log["tau_j"] for seed in (1, 2))
+    assert not np.array_equal(first, second)
+
+
+def test_nobody_sleeps_and_no_thread_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def never(*arguments: object) -> None:
+        raise AssertionError("in virtual time nobody waits")
+
+    files = write(tmp_path)
+    monkeypatch.setattr(time, "sleep", never)
+    monkeypatch.setattr(threading.Thread, "start", never)
+    assert simulate_loop(*files, 0.3).summary.sent > 300
+
+
+def test_the_log_file_holds_what_is_returned(tmp_path: Path) -> None:
+    result = simulate_loop(*write(tmp_path), 0.5, out=tmp_path / "out")
+    table = read_table(tmp_path / "out" / "tsa.mcap").columns
+    for name in ("t", "tau_j_des", "tau_m_cmd", "tau_j", "q_j", "sigma"):
+        assert np.array_equal(table[name], result.log[name], equal_nan=True), name
+
+
+def test_a_log_of_before_is_kept_beside(tmp_path: Path) -> None:
+    files = write(tmp_path)
+    simulate_loop(*files, 0.3, out=tmp_path, seed=1)
+    before = (tmp_path / "tsa.mcap").read_bytes()
+    simulate_loop(*files, 0.3, out=tmp_path, seed=2)
+    assert (tmp_path / "tsa.mcap.~1~").read_bytes() == before
+
+
+def test_a_synchronous_command_acts_one_period_after_its_measurement(tmp_path: Path) -> None:
+    tables = controller(setpoint={"kind": "step", "amplitude": 0.5, "at": 0.3, "rate": 10_000.0})
+    result = simulate_loop(*write(tmp_path, tables, plant(motion={"kind": "still"})), 0.6)
+    sent = result.log["t"][np.argmax(np.abs(result.log["tau_m_cmd"]) > 0.1)] + result.axes[0].start
+    acted = result.truth["clock"][np.argmax(np.abs(result.truth["command"]) > 0.1)]
+    assert 1.0e-3 < acted - sent < 1.1e-3
+
+
+def test_a_command_on_arrival_acts_within_the_period(tmp_path: Path) -> None:
+    tables = controller(
+        setpoint={"kind": "step", "amplitude": 0.5, "at": 0.3, "rate": 10_000.0}, file={"bus": {"rpdo": "arrival"}}
+    )
+    result = simulate_loop(*write(tmp_path, tables, plant(motion={"kind": "still"})), 0.6)
+    row = np.argmax(np.abs(result.log["tau_m_cmd"]) > 0.1)
+    after = result.truth["clock"] > result.axes[0].start + result.log["t"][row] + 0.9e-3
+    assert abs(result.truth["tau_m"][np.argmax(after)]) > 0.1  # the current loop has had half a period
+
+
+def test_a_parameter_changes_at_its_time(tmp_path: Path) -> None:
+    tables = controller(setpoint={"kind": "constant", "offset": 0.5})
+    result = simulate_loop(*write(tmp_path, tables), 1.5, changes=[Change("setpoint_gain", 0.9, 1.0)])
+    t, wanted = result.log["t"], result.log["tau_j_des"]
+    assert wanted[(t > 0.5) & (t < 1.0)] == pytest.approx(0.5)
+    assert wanted[(t > 1.3) & (t < 1.4)] == pytest.approx(0.45)
+
+
+def test_a_fault_begins_at_its_time_and_is_told(tmp_path: Path) -> None:
+    result = simulate_loop(*write(tmp_path), 1.0, faults=[Fault("fault", 0.7)])
+    (axis,) = result.axes
+    assert axis.faults[0].startswith("emergency: drive node 1")
+    first = next(event for event in result.summary.events if event.fault)
+    assert 0.7 <= first.t < 0.71
+
+
+def test_nodes_that_do_not_answer_are_a_bus_error(tmp_path: Path) -> None:
+    files = write(tmp_path, plant_tables=plant(drive={"node_id": 5}))
+    with pytest.raises(BusError, match="no answer from axis 'knee' drive node 1"):
+        simulate_loop(*files, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("option", "text", "found"),
+    [
+        ("--set", "compensation=0.5", "is not NAME=VALUE@T"),
+        ("--set", "compensation@2", "is not NAME=VALUE@T"),
+        ("--set", "compensation=nan@2", "is not NAME=VALUE@T"),
+        ("--set", "speed=1@2", "no parameter 'speed'"),
+        ("--set", "compensation=7@2", "out of bounds"),
+        ("--set", "hip.slew=7@2", "no axis 'hip'"),
+        ("--fault", "torn_tendon", "is not LINE@T"),
+        ("--fault", "torn_tendon@-1", "is not LINE@T"),
+        ("--fault", "torn@1", "unknown fault 'torn'"),
+    ],
+)
+def test_a_wrong_option_is_one_line(
+    option: str, text: str, found: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    controller_file, plant_file = write(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate-loop", str(controller_file), str(plant_file), "--seconds", "1", option, text])
+    assert ended.value.code == 2
+    out, err = capsys.readouterr()
+    assert found in err
+    assert err.count("\n") == 1
+    assert out == ""
+
+
+def test_options_are_read() -> None:
+    assert parse_fault_option("torn_tendon axis=joint@2.5") == Fault("torn_tendon axis=joint", 2.5)
+    assert parse_set_option("knee.slew=60@1") == Change("knee.slew", 60.0, 1.0)
+
+
+def test_seconds_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="seconds nan: allowed is above 0"):
+        simulate_loop(*write(tmp_path), float("nan"))
+
+
+def test_the_verb_prints_its_json_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    controller_file, plant_file = write(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate-loop", str(controller_file), str(plant_file), "--seconds", "0.6", "--json"])
+    assert ended.value.code == 0
+    data = json.loads(capsys.readouterr().out)
+    (axis,) = data["axes"]
+    assert axis["name"] == "knee"
+    assert axis["unit"] == "N*m"
+    assert axis["state"] == "operation_enabled"
+    assert 0.0 < axis["rms"] <= axis["peak"]
+    assert axis["limit_reasons"]["NONE"] > 500

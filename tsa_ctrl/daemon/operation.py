@@ -1,0 +1,135 @@
+"""What a run does with a bus: bring-up, loop, a new bring-up when it is asked for, and the one way down.
+
+Nothing here asks the operating system for anything or knows what time it is: the bus says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.live.prove import prove
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.config import Configuration
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.daemon.descent import descend
+from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.daemon.summary import NodeCount, Summary
+from tsa_ctrl.errors import TsaError
+from tsa_ctrl.ipc.mailbox import Mailbox
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.system.histogram import coarse, distribution
+
+Say = Callable[[str], None]
+
+
+class Operation:
+    """One run of a rig that has been put together; `unconfirmed`: drives that did not say that they are off."""
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        rig: Rig,
+        axes: Sequence[ControlAxis],
+        loop: Loop,
+        say: Say = lambda line: None,
+        no_loop: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
+        configured: bool = False,
+    ) -> None:
+        """`no_loop` surrounds a new bring-up; `configured`: nothing is written to the nodes, see `daemon.run`."""
+        self.unconfirmed: list[str] = []
+        self._configuration = configuration
+        self._rig = rig
+        self._axes = axes
+        self._loop = loop
+        self._say = say
+        self._no_loop = no_loop
+        self._configured = configured
+
+    def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
+        """Bring up, run, bring up again when asked to; then descend, whatever happened.
+
+        `ready` is called once, right before the first cycle. Raises UsageError or BusError for what fails before.
+        """
+        period = self._configuration.period
+        try:
+            self._bring_up(reset_faults)
+            if not self._configured:
+                prove(self._rig, period)
+            ready()
+            try:
+                self._loop.run(seconds)
+                while self._loop.recover:
+                    self._recover(seconds)
+            except Exception:
+                with contextlib.suppress(Exception):  # the first cause is the one to tell, and shut_down follows anyway
+                    descend(self._rig, self._axes, period, self._configuration.file.controller.stop_time)
+                raise
+        finally:
+            self.unconfirmed = shut_down(self._rig, period)
+            self._loop.last_words(self.unconfirmed)
+
+    def _bring_up(self, reset_faults: bool) -> None:
+        configuration = self._configuration
+        file = configuration.file
+        if not self._configured:
+            report = bring_up(
+                self._rig.bus, file.bus, file.axes, configuration.profiles, configuration.period, reset_faults
+            )
+            for line in report.lines():
+                self._say(line)
+        self._rig.start()
+
+    def _recover(self, seconds: float) -> None:
+        """Configure all nodes anew, as at the start; a failure leaves the fault latched and is told."""
+        loop = self._loop
+        self._rig.bus.clear_fault()
+        try:
+            with self._no_loop():
+                self._bring_up(reset_faults=False)  # the supervisors do it
+        except TsaError as error:  # a drive that was exchanged may contradict the configuration, too
+            loop.note(f"recovery failed: {error}")
+            loop.run(seconds, LoopPhase.FAULTED)
+            return
+        for axis in self._axes:
+            axis.supervisor.configured(axis.image)
+        loop.reset_faults()
+        loop.run(seconds, LoopPhase.RESETTING)
+
+    def summary(self, mailbox: Mailbox, rights: str, log: str | None = None, written: int = 0) -> Summary:
+        """What the run was like; `log` is the file in which `written` records are."""
+        configuration, rig, loop = self._configuration, self._rig, self._loop
+        return Summary(
+            bus=configuration.file.bus.channel,
+            rate=configuration.file.controller.rate,
+            start=loop.start,
+            cause=loop.cause or "ended",
+            failed=loop.events.first_fault is not None or bool(self.unconfirmed),
+            planned=loop.planned,
+            sent=loop.cycles,
+            skipped=loop.skipped,
+            overruns=loop.overruns,
+            late=loop.late,
+            dropped=rig.bus.counters.dropped,
+            error_frames=rig.error_frames,
+            flooded=rig.flooded,
+            load=(configuration.load.least, configuration.load.worst),
+            rights=rights,
+            lateness=distribution(mailbox.lateness),
+            work=distribution(mailbox.work),
+            lateness_bins=coarse(mailbox.lateness),
+            work_bins=coarse(mailbox.work),
+            nodes=tuple(
+                NodeCount(axis.name, str(node), node.missed, node.late, node.repeated, node.malformed)
+                for axis in rig.axes
+                for node in axis.image.nodes
+            ),
+            events=loop.events.all,
+            unconfirmed=tuple(self.unconfirmed),
+            log=log,
+            log_written=written,
+            log_lost=0 if log is None else loop.cycles * len(rig.axes) - written,
+        )

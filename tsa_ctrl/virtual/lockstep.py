@@ -1,0 +1,211 @@
+"""A CAN bus in the process, and its time: it passes only while somebody waits for it.
+
+The wire carries one frame at a time, (47 + 8 n) bits long; of those that wait, the lowest identifier goes next (CAN
+arbitration), and who sent it never hears it. Whoever waits on the host's end lets happen, in the order of time, what is
+due until then: frames that arrive, the machine's timers, and what was scheduled. So the same calls give the same bytes.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
+
+NAME = "virtual time"
+_OVERHEAD, _PER_BYTE = 47, 8  # bits of a frame with an 11-bit identifier, interframe space included, without stuffing
+
+Action = Callable[[float], None]
+
+
+class Nodes(Protocol):
+    """What hangs on the other end of the wire: the simulated machine."""
+
+    @property
+    def due(self) -> float:
+        """When something happens there although no frame comes, s."""
+        ...
+
+    def step(self, frame: Frame | None, now: float) -> None:
+        """What is due at `now`, and a frame that has arrived."""
+        ...
+
+
+class Wire:
+    """The time (`now`, s), the frames on their way between the two ends, and what is scheduled."""
+
+    def __init__(self, bitrate: float, queue: int = 128) -> None:
+        """`bitrate` in bit/s; `queue`: frames of one end that may wait, more are dropped."""
+        self.now = 0.0
+        self.host = HostEnd(self)
+        self.plant = End(self)
+        self._bit = 1.0 / bitrate
+        self._queue = queue
+        self._nodes: Nodes | None = None
+        self._waiting: list[tuple[int, int, bytes, End]] = []  # identifier, order of sending, data, sender
+        self._sent = 0
+        self._frame: tuple[int, bytes, End] | None = None  # on the wire
+        self._arrives = math.inf  # when it is through, s
+        self._scheduled = itertools.count()
+        self._script: list[tuple[float, int, Action]] = []
+
+    def attach(self, nodes: Nodes) -> None:
+        """Put the machine on the plant's end."""
+        self._nodes = nodes
+
+    def at(self, time: float, action: Action) -> None:
+        """Call `action(time)` when the clock gets there; at once, when it is past, as soon as somebody waits."""
+        heapq.heappush(self._script, (time, next(self._scheduled), action))
+
+    def send(self, sender: End, can_id: int, data: bytes) -> bool:
+        """Put a frame on the wire, or in the queue for it; False when that is full or the interface is down."""
+        if sender.fault is not None or sender.queued >= self._queue:
+            sender.counters.dropped += 1
+            return False
+        sender.counters.sent += 1
+        if self._frame is None:
+            self._begin(can_id, data, sender)
+        else:
+            self._sent += 1
+            sender.queued += 1
+            heapq.heappush(self._waiting, (can_id, self._sent, data, sender))
+        return True
+
+    def flush(self, sender: End) -> None:
+        """Forget what `sender` has queued: its interface is down."""
+        self._waiting = [entry for entry in self._waiting if entry[3] is not sender]
+        heapq.heapify(self._waiting)
+        sender.queued = 0
+
+    def pass_until(self, until: float, wanted: Callable[[], bool] | None = None) -> None:
+        """Let time pass to `until`, or to when `wanted` says so after something has happened."""
+        nodes = self._nodes
+        assert nodes is not None
+        while True:
+            due = nodes.due
+            script = self._script[0][0] if self._script else math.inf
+            time = min(self._arrives, due, script)
+            if time > until:
+                break
+            self.now = now = max(self.now, time)
+            if script <= time:
+                heapq.heappop(self._script)[2](now)
+            elif self._frame is not None and self._arrives <= time:
+                self._deliver(nodes, now)
+            else:
+                nodes.step(None, now)
+            if wanted is not None and wanted():
+                return
+        self.now = max(self.now, until)
+
+    def _begin(self, can_id: int, data: bytes, sender: End) -> None:
+        self._frame = (can_id, data, sender)
+        self._arrives = self.now + (_OVERHEAD + _PER_BYTE * len(data)) * self._bit
+
+    def _deliver(self, nodes: Nodes, now: float) -> None:
+        assert self._frame is not None
+        can_id, data, sender = self._frame
+        if self._waiting:
+            next_id, _, next_data, next_sender = heapq.heappop(self._waiting)
+            next_sender.queued -= 1
+            self._begin(next_id, next_data, next_sender)
+        else:
+            self._frame, self._arrives = None, math.inf
+        if sender is self.host:
+            if self.plant.fault is None:
+                nodes.step((can_id, data), now)
+        else:
+            self.host.arrived(can_id, data)
+
+
+class End:
+    """One end of the wire; the plant's, which is told by `Nodes.step` what arrives. See `bus.seam.Bus`."""
+
+    def __init__(self, wire: Wire) -> None:
+        self.name = NAME
+        self.counters = Counters()
+        self.fault: BusFault | None = None
+        self.queued = 0
+        self._wire = wire
+        self._received: deque[Frame] = deque()
+        self._accepted: frozenset[int] | None = None
+        self._bell = 0
+        self._rang = False
+
+    def clock(self) -> float:
+        return self._wire.now
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        return self._wire.send(self, can_id, data)
+
+    def recv(self, timeout: float) -> Frame | None:
+        return self._received.popleft() if self._received else None
+
+    def gather(self, until: float, most: int) -> list[Frame]:
+        received = self._received
+        if len(received) <= most:
+            frames = list(received)
+            received.clear()
+            return frames
+        return [received.popleft() for _ in range(most)]
+
+    def listen_for(self, can_id: int) -> None:
+        self._bell = can_id
+
+    def expect(self, until: float) -> None:
+        """No timer is needed."""
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        return self.gather(0.0, most)
+
+    def accept(self, can_ids: Iterable[int] | None) -> None:
+        self._accepted = None if can_ids is None else frozenset(can_ids)
+
+    def flush(self) -> int:
+        return len(self.gather(0.0, len(self._received)))
+
+    def clear_fault(self) -> None:
+        self.fault = None
+
+    def fileno(self) -> int:
+        return -1
+
+    def close(self) -> None:
+        """There is nothing to release."""
+
+
+class HostEnd(End):
+    """The controller's end: time passes while it waits here."""
+
+    def arrived(self, can_id: int, data: bytes) -> None:
+        """A frame is through."""
+        if self.fault is None and (self._accepted is None or can_id in self._accepted or can_id > 0x7FF):
+            self._received.append((can_id, data))
+            if can_id == self._bell:
+                self._rang = True
+
+    def recv(self, timeout: float) -> Frame | None:
+        if not self._received and timeout > 0.0:
+            self._wire.pass_until(self._wire.now + timeout, self._something)
+        return super().recv(timeout)
+
+    def gather(self, until: float, most: int) -> list[Frame]:
+        if until > self._wire.now:
+            self._wire.pass_until(until)
+        return super().gather(until, most)
+
+    def answers(self, timeout: float, most: int) -> list[Frame]:
+        self._rang = any(can_id == self._bell for can_id, _ in self._received)
+        if not self._rang and timeout > 0.0:
+            self._wire.pass_until(self._wire.now + timeout, self._heard)
+        return super().gather(0.0, most)
+
+    def _something(self) -> bool:
+        return bool(self._received) or self.fault is not None
+
+    def _heard(self) -> bool:
+        return self._rang or self.fault is not None

@@ -1,0 +1,115 @@
+"""What a simulated run gave: log and truth as arrays, and the error of the delivered joint torque."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.daemon.assembly import STATES
+from tsa_ctrl.daemon.summary import Summary
+from tsa_ctrl.safety.limiter import Reason
+
+Columns = dict[str, NDArray[np.float64]]
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class AxisResult:
+    """One axis: `log` and `truth` by column name, (n,) and (m,); `start` is the truth's `clock` at t = 0 of the log."""
+
+    name: str
+    log: Columns
+    truth: Columns
+    start: float  # s
+    fade_in: float  # s
+    until: float  # s of the log, when the run began to stop
+    faults: tuple[str, ...]
+
+    @cached_property
+    def delivered(self) -> NDArray[np.float64]:
+        """Joint torque that the plant delivers at each cycle's SYNC, N*m, (n,)."""
+        clock = self.truth["clock"]
+        rows = np.searchsorted(clock, self.start + self.log["t"] + self.log["lateness"])
+        return self.truth["tau_j"][np.minimum(rows, clock.size - 1)]
+
+    @cached_property
+    def counted(self) -> NDArray[np.bool_]:
+        """Cycles in which errors count, (n,): with torque, from the end of each fade-in to the begin of the stop."""
+        t, reason = self.log["t"], self.log["limit_reason"]
+        on = (reason != Reason.DISABLED.value) & (t < self.until)
+        begins = np.flatnonzero(on & ~np.concatenate(([False], on[:-1])))
+        counted: NDArray[np.bool_] = on.copy()
+        for begin in begins.tolist():
+            counted &= ~((t >= t[begin]) & (t < t[begin] + self.fade_in))
+        return counted
+
+    @cached_property
+    def error(self) -> NDArray[np.float64]:
+        """Delivered joint torque less the one wanted, N*m, over the cycles that count."""
+        return (self.delivered - self.log["tau_j_des"])[self.counted]
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready: null where no cycle counts."""
+        error, speed = np.abs(self.error), np.abs(self.truth["omega_j"])
+        reasons = Counter(Reason(int(code)).name for code in self.log["limit_reason"].tolist())
+        states = self.log["state"][self.log["t"] <= self.until]  # before the drive was disabled, as every run ends
+        return {
+            "name": self.name,
+            "rms": _rms(error),
+            "p99": float(np.percentile(error, 99.0)) if error.size else None,
+            "peak": float(error.max()) if error.size else None,
+            "joint_speed_rms": _rms(speed),
+            "joint_speed_peak": float(speed.max()) if speed.size else None,
+            "unit": "N*m",
+            "state": STATES[int(states[-1])].value if states.size else None,
+            "faults": list(self.faults),
+            "limit_reasons": {name: reasons[name] for name in sorted(reasons)},
+        }
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """One run; `axes` in the controller's order. `log` and `truth` are those of the first axis."""
+
+    seconds: float
+    axes: tuple[AxisResult, ...]
+    summary: Summary
+    record: Path | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def log(self) -> Columns:
+        return self.axes[0].log
+
+    @property
+    def truth(self) -> Columns:
+        return self.axes[0].truth
+
+    def axis(self, name: str) -> AxisResult:
+        """The axis of this name; raises KeyError."""
+        return {axis.name: axis for axis in self.axes}[name]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The public JSON object of `tsa simulate-loop --json`."""
+        return {
+            "schema": SCHEMA,
+            "seconds": self.seconds,
+            "axes": [axis.to_dict() for axis in self.axes],
+            "log": self.summary.log,
+            "record": None if self.record is None else str(self.record),
+            "cause": self.summary.cause,
+            "failed": self.summary.failed,
+            "events": [vars(event) for event in self.summary.events],
+            "notes": list(self.notes),
+        }
+
+
+def _rms(values: NDArray[np.float64]) -> float | None:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else None
