@@ -11,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.model.actuator import ACTUATOR, with_effect
+from tests.model.test_curvature import S_BENT
 from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.curvature import NAMED
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import TendonSheath
@@ -51,7 +53,7 @@ INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
     ),
     "sheath_asymmetry": st.fixed_dictionaries({"relative_difference": numbers(-0.8, 0.8)}),
     "tendon_slack": st.just({}),
-    "elongation_coupling": st.fixed_dictionaries({"curvature_profile": st.sampled_from(["uniform", "motor_end"])}),
+    "elongation_coupling": st.fixed_dictionaries({"curvature_profile": st.sampled_from([*NAMED, S_BENT])}),
     "load_dependent_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.5)}),
     "viscous_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.3)}),
     "direction_asymmetric_friction": st.fixed_dictionaries({"viscous_difference": numbers(-0.2, 0.2)}),

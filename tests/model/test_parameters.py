@@ -51,6 +51,21 @@ def test_derived_quantities() -> None:
     assert ACTUATOR.friction_angle == pytest.approx(0.26)
     assert ACTUATOR.tendon_stiffness == pytest.approx(50e3)
     assert ACTUATOR.series_length == 0.0
+    assert ACTUATOR.pretension_slope == pytest.approx(35.0)  # N/rad: 50 kN/m * 0.7 mm/rad
+
+
+def test_series_spring_softens() -> None:
+    """k_t = 1/(l_us/EA + 1/k_s): the reason for the mechanism's name."""
+    soft = dataclasses.replace(ACTUATOR, series_stiffness=50e3)
+    assert soft.pretension_slope == pytest.approx(0.5 * ACTUATOR.pretension_slope)
+
+
+def test_place_of_the_series_spring(tmp_path: Path) -> None:
+    """At the motor's end unless the file says otherwise."""
+    for line, at_joint in (("", False), ('series_position = "motor"\n', False), ('series_position = "joint"\n', True)):
+        model = loaded(tmp_path, changed("[sheath]", f"series_stiffness = 2e4\n{line}[sheath]"))
+        assert isinstance(model, TendonSheath)
+        assert model.series_at_joint is at_joint
 
 
 def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
@@ -72,6 +87,12 @@ def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
         ("axial_stiffness = 60e3", "# gone", "key 'axial_stiffness' is missing"),
         ("value = 45.0", "# value", "no pretension; give"),
         ("# unstrained_bending_angle", "unstrained_bending_angle", "both .* are given; keep one"),
+        ("# series_position", "series_position", "series_position without series_stiffness; give that"),
+        (
+            "[sheath]",
+            'series_stiffness = 2e4\nseries_position = "middle"\n[sheath]',
+            "tendon.series_position: .*middle",
+        ),
     ],
 )
 def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -96,6 +117,10 @@ def test_wrong_file_is_one_line(tmp_path: Path, old: str, new: str, message: str
         ("[effects.torque_ripple]\namplitude = 0.1\ncycles_per_revolution = 2.5", "a whole number at least 1"),
         ('[effects.elongation_coupling]\ncurvature_profile = "flat"', 'allowed is "uniform" or "motor_end"'),
         (
+            "[effects.elongation_coupling]\ncurvature_profile = [[0.0, 0.0], [0.5, 0.9]]",
+            r"\[\[0.0, 0.0\], \[0.5, 0.9\]\]; allowed is .* or \[\[fraction of length, fraction of bending\], ...\]",
+        ),
+        (
             '[effects.elongation_coupling]\ncurvature_profile = "uniform"\n[effects.tendon_slack]',
             "cannot be combined with .*tendon_slack",
         ),
@@ -118,6 +143,15 @@ def test_written_model_is_the_same(tmp_path: Path) -> None:
         }
     )
     save_model(model, tmp_path / "out.toml", provenance={"logs": ["a.csv"], "rms": {"before": 0.1}})
+    assert bare(load_model(tmp_path / "out.toml")) == model
+
+
+def test_written_course_of_the_bending_is_the_same(tmp_path: Path) -> None:
+    """Points of the curvature profile, and a spring at the joint."""
+    profile = [[0.0, 0.0], [0.3, 0.5], [0.7, 0.5], [1.0, 1.0]]
+    model = dataclasses.replace(ACTUATOR, series_stiffness=2e4, series_at_joint=True)
+    model = model.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+    save_model(model, tmp_path / "out.toml")
     assert bare(load_model(tmp_path / "out.toml")) == model
 
 

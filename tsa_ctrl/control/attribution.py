@@ -15,7 +15,6 @@ from collections.abc import Callable
 from enum import Enum
 
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.path import pretension_slope
 
 SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
 
@@ -40,7 +39,7 @@ class Split:
         self._angle = max(model.friction_angle, SMALLEST_ANGLE)
         self._pretension = model.pretension
         self._theta = max(model.bending_angle, SMALLEST_ANGLE)
-        self._slope = pretension_slope(model)
+        self._slope = model.pretension_slope
         self.nominal = self.half_loop(1.0)
         low, high = 1.0 / (1.0 + bounds), 1.0 + bounds
         if attribution is Attribution.BENDING:  # a long way down the pretension may reach 0, where the map folds

@@ -15,7 +15,6 @@ from msgspec import Meta
 
 from tsa_ctrl.control.attribution import Attribution
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.path import pretension_slope
 
 Seconds = Annotated[float, Meta(gt=0.0, le=3600.0)]
 
@@ -90,7 +89,7 @@ class ConfigurationMap:
         self._theta = model.bending_angle
         self._most_theta = (1.0 + settings.bounds) * model.bending_angle
         self._pretension = model.pretension
-        self._slope = pretension_slope(model)
+        self._slope = model.pretension_slope
         self._angle_step = settings.rate * model.friction_angle * period
         self._pretension_step = settings.rate * model.pretension * period
         self._nominal = model.friction_angle

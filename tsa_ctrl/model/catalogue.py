@@ -13,7 +13,7 @@ from typing import Any
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects import EFFECTS
-from tsa_ctrl.model.effects.specification import Specification, Value
+from tsa_ctrl.model.effects.specification import Setting, Specification, Value
 
 __all__ = ["CATALOGUE", "Value", "check_effects"]
 
@@ -22,7 +22,7 @@ CATALOGUE: Mapping[str, Specification] = MappingProxyType(
 )
 
 
-def check_effects(effects: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Value]]:
+def check_effects(effects: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Setting]]:
     """Validate `[effects.NAME]` tables and fill in constant defaults, in the order of composition.
 
     Raises UsageError naming the effect, the parameter, what was found and what is allowed.
@@ -32,7 +32,7 @@ def check_effects(effects: Mapping[str, Mapping[str, Any]], where: str) -> dict[
             near = difflib.get_close_matches(name, CATALOGUE, n=1, cutoff=0.5)
             advice = f"did you mean '{near[0]}'?" if near else f"known effects are {', '.join(CATALOGUE)}"
             raise UsageError(f"{where}: [effects.{name}]: unknown effect; {advice}")
-    checked: dict[str, dict[str, Value]] = {}
+    checked: dict[str, dict[str, Setting]] = {}
     for spec in CATALOGUE.values():
         if spec.name not in effects:
             continue
@@ -45,7 +45,7 @@ def check_effects(effects: Mapping[str, Mapping[str, Any]], where: str) -> dict[
     return checked
 
 
-def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str) -> dict[str, Value]:
+def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str) -> dict[str, Setting]:
     if not isinstance(given, Mapping):
         raise UsageError(f"{where}: found {given!r}; write a table [effects.{spec.name}]")
     known = [p.name for p in spec.parameters]
@@ -54,7 +54,7 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
             advice = f"did you mean '{near[0]}'?" if near else f"known keys are {', '.join(known) or 'none'}"
             raise UsageError(f"{where}: unknown key '{key}'; {advice}")
-    values: dict[str, Value] = {}
+    values: dict[str, Setting] = {}
     for parameter in spec.parameters:
         value = given.get(parameter.name, parameter.default)
         if value is None:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model import path
 from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.effects.friction import LoadDependentFriction, TensionDependentFriction
 from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
@@ -112,7 +112,8 @@ class Stack:
         """What stands between the motor's pulley and the joint's."""
         radii = (model.motor_pulley_radius, model.joint_pulley_radius)
         if self.elongation is not None:
-            return Elongating(radii, model.series_length / model.unstrained_length, self.elongation)
+            profile = Profile.of(self.elongation.curvature_profile)
+            return Elongating(radii, profile, model.series_length / model.unstrained_length, model.series_at_joint)
         return FourTensions(radii, self.asymmetry, self.slack, self.tension_dependence)
 
 
@@ -129,12 +130,17 @@ class _Present:
         return tuple(effect for name, effect in self.effects.items() if CATALOGUE[name].stage is stage)
 
 
+def pretension_at(functions: Functions[F], model: TendonSheath, theta: F) -> F:
+    """T_p0(Theta), N, from the file's value at `bending_angle`, (3.49)-(3.52), (3.56); slack is 0."""
+    return functions.at_least(model.pretension + model.pretension_slope * (theta - model.bending_angle), 0.0)
+
+
 def bending_and_pretension(functions: Functions[F], model: TendonSheath, stack: Stack, state: State[F]) -> tuple[F, F]:
     """Theta (rad, >= 0) and T_p (N, >= 0) after their effects."""
     theta = state.theta
     for bending in stack.bending:
         theta = bending.bending(theta, state)
-    tension = path.pretension_at(functions, model, theta)
+    tension = pretension_at(functions, model, theta)
     for effect in stack.pretension:
         tension = functions.at_least(effect.pretension(functions, tension, state, model.axial_stiffness), 0.0)
     return functions.at_least(theta, 0.0), tension

@@ -1,109 +1,77 @@
-"""Elongation integrals alpha and beta, (3.36) and (3.39), for any curvature along the sheath.
+"""Where a sheath bends, and the elongation integrals alpha and beta, (3.36) and (3.39), that follow from it.
 
-    Theta(s) = integral of kappa from the motor end to s,
-    alpha = integral over l_us of exp(+sigma mu Theta(s)) ds,     beta the same with exp(-sigma mu Theta(s))
+    Theta(s) = integral of the curvature from the motor end, s = 0, to s;     b(u) = Theta(u l_us) / Theta
+    alpha / l_us = A(+x),     beta / l_us = A(-x),     A(rho) = integral over u from 0 to 1 of exp(rho b(u))
 
-kappa in 1/m, s and l_us in m, Theta in rad. Source: section 3.2, (3.31)-(3.39); figure 3-19.
+x = sigma mu Theta, signed. b is a line through points, level where the sheath is straight and upright at a sharp bend.
+Source: section 3.2, (3.31)-(3.39); figure 3-19.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import NamedTuple
+from functools import cached_property
+from types import MappingProxyType
+from typing import TypeAlias
 
-import numpy as np
+from tsa_ctrl.model.functions import F, Functions
 
-from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.functions import Array, F, Functions
+Points: TypeAlias = tuple[tuple[float, float], ...]  # (fraction of the length, fraction of the bending)
 
-_NODES = 16  # per panel: exact for polynomials of degree 31
-_PANELS = 32  # between two breaks
-
-
-class Elongation(NamedTuple):
-    """alpha and beta in m, and the total bending angle in rad."""
-
-    alpha: float
-    beta: float
-    bending_angle: float
+NAMED: Mapping[str, Points] = MappingProxyType(
+    {
+        "uniform": ((0.0, 0.0), (1.0, 1.0)),  # the same curvature everywhere
+        "motor_end": ((0.0, 1.0), (1.0, 1.0)),  # all of it at s = 0: the extreme of figure 3-19
+        "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),  # all of it at s = l_us: (3.55) is exact
+    }
+)
+POINTS = "[[fraction of length, fraction of bending], ...] that never fall, from [0, ...] to [1, 1]"
 
 
 @dataclass(frozen=True)
-class Curvature:
-    """Curvature along a sheath from the motor end, s = 0, to the joint end, s = length.
+class Profile:
+    """The course of the bending along a sheath, by points that never fall, from (0, .) to (1, 1)."""
 
-    `kappa(s)` takes and returns arrays, 1/m; `breaks` are places in m where it jumps (the quadrature is split there);
-    `bends` are (place in m, angle in rad) of bends sharp enough to be points.
-    """
+    points: Points
 
-    length: float
-    kappa: Callable[[Array], Array] | None = None
-    breaks: tuple[float, ...] = ()
-    bends: tuple[tuple[float, float], ...] = ()
+    @classmethod
+    def of(cls, chosen: str | Points) -> Profile:
+        """By one of the names, or by checked points."""
+        return cls(NAMED[chosen] if isinstance(chosen, str) else chosen)
 
-    def __post_init__(self) -> None:
-        if not self.length > 0.0:
-            raise UsageError(f"curvature: length = {self.length!r} m; give a length above 0")
-        for place in (*self.breaks, *(place for place, _ in self.bends)):
-            if not 0.0 <= place <= self.length:
-                raise UsageError(f"curvature: s = {place!r} m is outside the sheath; allowed is 0 to {self.length:g} m")
+    @cached_property
+    def _pieces(self) -> tuple[tuple[float, float, float], ...]:
+        """(width, b at its start, rise of b) of each piece of the length; upright ones have no width."""
+        pairs = itertools.pairwise(self.points)
+        return tuple((end[0] - start[0], start[1], end[1] - start[1]) for start, end in pairs if end[0] > start[0])
 
-    def elongation(self, friction: float) -> Elongation:
-        """alpha, beta and Theta for `friction` = sigma mu; Gauss-Legendre panels, smooth kappa to machine precision."""
-        nodes, weights, antiderivative = _rule()
-        cuts = sorted({0.0, self.length, *self.breaks, *(place for place, _ in self.bends)})
-        theta = sum(angle for place, angle in self.bends if place == 0.0)
-        alpha = beta = 0.0
-        for low, high in itertools.pairwise(cuts):
-            edges = np.linspace(low, high, _PANELS + 1)
-            half = (high - low) / (2 * _PANELS)
-            s = edges[:-1, None] + half * (nodes + 1.0)
-            kappa = np.zeros_like(s) if self.kappa is None else np.broadcast_to(self.kappa(s), s.shape)
-            per_panel = half * (kappa @ weights)
-            start = theta + np.concatenate([[0.0], np.cumsum(per_panel)[:-1]])
-            along = friction * (start[:, None] + half * (kappa @ antiderivative))
-            alpha += half * float((np.exp(along) @ weights).sum())
-            beta += half * float((np.exp(-along) @ weights).sum())
-            theta += float(per_panel.sum()) + sum(angle for place, angle in self.bends if place == high)
-        return Elongation(alpha, beta, theta)
+    def mean_exponential(self, functions: Functions[F], rho: F) -> F:
+        """A(rho): alpha/l_us at rho = x, beta/l_us at rho = -x."""
+        total = 0.0 * rho  # shaped like rho
+        for width, start, rise in self._pieces:
+            part = width if start == 0.0 else width * functions.exp(rho * start)
+            total = total + (part if rise == 0.0 else part * functions.expm1_ratio(rho * rise))
+        return total
+
+    @cached_property
+    def centre(self) -> float:
+        """s_c, 1: centre of the bending as a fraction of the length from the motor end; 1/2 when uniform."""
+        return 1.0 - sum(width * (start + 0.5 * rise) for width, start, rise in self._pieces)
 
 
-def uniform(length: float, bending_angle: float) -> Curvature:
-    """The same curvature everywhere."""
-    return Curvature(length, kappa=lambda s: np.full_like(s, bending_angle / length))
-
-
-def motor_end(length: float, bending_angle: float) -> Curvature:
-    """All curvature at s = 0: the extreme of figure 3-19."""
-    return Curvature(length, bends=((0.0, bending_angle),))
-
-
-def joint_end(length: float, bending_angle: float) -> Curvature:
-    """All curvature at s = length: (3.55) is exact."""
-    return Curvature(length, bends=((length, bending_angle),))
-
-
-def uniform_elongation(functions: Functions[F], x: F) -> tuple[F, F]:
-    """(alpha, beta)/l_us of the uniform profile: (exp(x) - 1)/x and (1 - exp(-x))/x at the signed friction angle x."""
-    return functions.expm1_ratio(x), functions.expm1_ratio(-x)
-
-
-def motor_end_elongation(functions: Functions[F], x: F) -> tuple[F, F]:
-    """(alpha, beta)/l_us with all curvature at the motor end: exp(x) and exp(-x)."""
-    return functions.exp(x), functions.exp(-x)
-
-
-@cache
-def _rule() -> tuple[Array, Array, Array]:
-    """Gauss-Legendre nodes and weights on [-1, 1], and M with (f @ M)[i] = integral of f from -1 to node i."""
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    vander = np.polynomial.legendre.legvander(nodes, _NODES - 1)
-    integrals = np.empty_like(vander)
-    for degree in range(_NODES):
-        basis = np.zeros(_NODES)
-        basis[degree] = 1.0
-        integrals[:, degree] = np.polynomial.legendre.legval(nodes, np.polynomial.legendre.legint(basis, lbnd=-1))
-    return np.asarray(nodes), np.asarray(weights), np.asarray(np.linalg.solve(vander.T, integrals.T), dtype=np.float64)
+def as_points(value: object) -> Points | None:
+    """A list of pairs as points; None when it is no course of a bending."""
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:
+        return None
+    points = []
+    for pair in value:
+        if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+            return None
+        if not all(isinstance(part, int | float) and not isinstance(part, bool) for part in pair):
+            return None
+        points.append((float(pair[0]), float(pair[1])))
+    rising = all(a[0] <= b[0] and a[1] <= b[1] for a, b in itertools.pairwise(points))  # false for nan, too
+    ends = points[0][0] == 0.0 and points[0][1] >= 0.0 and points[-1] == (1.0, 1.0)
+    return tuple(points) if rising and ends else None

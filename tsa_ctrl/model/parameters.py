@@ -18,7 +18,7 @@ from msgspec import Meta
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.catalogue import CATALOGUE, Value, check_effects
+from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
@@ -52,6 +52,7 @@ class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     unstrained_length: Length  # l_us, m
     diameter: Annotated[float, Meta(gt=0.0, le=0.1)]  # d, m
     series_stiffness: Positive | None = None  # k_s, N/m, per tendon
+    series_position: Literal["motor", "joint"] | None = None  # the end at which it stands; "motor"
 
 
 class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -96,7 +97,7 @@ class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     provenance: dict[str, Any] = {}
 
 
-Effects = Mapping[str, Mapping[str, Value]]
+Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,7 @@ class TendonSheath:
     pretension: float
     contact_offset: float = 0.0
     series_stiffness: float | None = None
+    series_at_joint: bool = False
     friction_angle_uncertainty: float = 0.25
     pretension_uncertainty: float = 0.25
     effects: Effects = field(default_factory=dict)
@@ -147,6 +149,16 @@ class TendonSheath:
         if self.series_stiffness is not None:
             compliance += 1.0 / self.series_stiffness
         return 1.0 / compliance
+
+    @property
+    def lever(self) -> float:
+        """p + d/2, m: path length per bending angle (3.50), for a spiral sheath whose neutral axis is its inner arc."""
+        return self.contact_offset + self.diameter / 2.0
+
+    @property
+    def pretension_slope(self) -> float:
+        """dT_p0/dTheta = k_t (p + d/2), N/rad, by (3.51) and (3.56)."""
+        return self.tendon_stiffness * self.lever
 
     @property
     def series_length(self) -> float:
@@ -209,6 +221,8 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         a = drive.actuator
         return RigidDrive(a.inertia, a.coulomb_friction, a.viscous_friction, a.torque_offset, effects, where)
     file = settings.convert(data, ActuatorFile, where)
+    if file.tendon.series_position is not None and file.tendon.series_stiffness is None:
+        raise UsageError(f"{where}: [tendon] series_position without series_stiffness; give that (N/m) or remove this")
     model = TendonSheath(
         motor_pulley_radius=file.actuator.motor_pulley_radius,
         joint_pulley_radius=file.actuator.joint_pulley_radius,
@@ -216,6 +230,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         unstrained_length=file.tendon.unstrained_length,
         diameter=file.tendon.diameter,
         series_stiffness=file.tendon.series_stiffness,
+        series_at_joint=file.tendon.series_position == "joint",
         friction_coefficient=file.sheath.friction_coefficient,
         bending_angle=file.sheath.bending_angle,
         contact_offset=file.sheath.contact_offset,
@@ -240,8 +255,7 @@ def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> 
         raise UsageError(
             f"{where}: no pretension; give [pretension] value (N) or [sheath] unstrained_bending_angle (rad)"
         )
-    change = (model.contact_offset + model.diameter / 2.0) * (model.bending_angle - unstrained)  # (3.51)
-    return max(0.0, model.tendon_stiffness * change)
+    return max(0.0, model.pretension_slope * (model.bending_angle - unstrained))
 
 
 def dump_model(model: Model, template: str | Path | None = None, provenance: Mapping[str, Any] | None = None) -> str:
@@ -264,10 +278,9 @@ def dump_model(model: Model, template: str | Path | None = None, provenance: Map
         for name, parameters in model.effects.items():
             table = tomlkit.table()
             for key, value in parameters.items():
-                table[key] = value
-                unit = CATALOGUE[name].parameter(key).unit
-                if not isinstance(value, str):
-                    table[key].comment(unit)
+                table[key] = [list(point) for point in value] if isinstance(value, tuple) else value
+                if isinstance(value, int | float):
+                    table[key].comment(CATALOGUE[name].parameter(key).unit)
             effects[name] = table
         document["effects"] = effects
     if provenance:
@@ -305,6 +318,11 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
             "unstrained_length": model.unstrained_length,
             "diameter": model.diameter,
             "series_stiffness": model.series_stiffness,
+            "series_position": None
+            if model.series_stiffness is None
+            else "joint"
+            if model.series_at_joint
+            else "motor",
         },
         "sheath": {
             "friction_coefficient": model.friction_coefficient,

@@ -10,40 +10,15 @@ forms here are derived anew from dT/T = sigma mu dTheta.
 
 from __future__ import annotations
 
-import math
 from typing import Generic, NamedTuple
 
 from tsa_ctrl.model.functions import F, Functions
-
-
-class Tensions(NamedTuple, Generic[F]):
-    """Motor side 1 and 3, joint side 2 and 4; tendon a carries T1 and T2, tendon b T3 and T4; N."""
-
-    t1: F
-    t2: F
-    t3: F
-    t4: F
-
-
-def joint_torque(tau_m: float, x: float, pretension: float, r_m: float, r_j: float) -> float:
-    """tau_J, N*m, of the simplified model (3.55) at the signed friction angle x."""
-    return r_j * (tau_m / r_m * math.cosh(x) - 2.0 * pretension * math.sinh(x))
-
-
-def motor_torque(tau_j: float, x: float, pretension: float, r_m: float, r_j: float) -> float:
-    """tau_M, N*m, that delivers tau_j by (3.55): the feedforward law without effects."""
-    return r_m / math.cosh(x) * (tau_j / r_j + 2.0 * pretension * math.sinh(x))
 
 
 def motor_tensions(tau_m: F, pretension: F, r_m: float) -> tuple[F, F]:
     """(T1, T3) from (3.40) and (3.45); a negative one means that a tendon would have to push."""
     half = tau_m / (2.0 * r_m)
     return pretension - half, pretension + half
-
-
-def tensions(functions: Functions[F], t1: F, t3: F, x_a: F, x_b: F) -> Tensions[F]:
-    """All four from the motor side by (3.37); x_a, x_b are the signed friction angles of tendon a and b."""
-    return Tensions(t1, t1 * functions.exp(x_a), t3, t3 * functions.exp(-x_b))
 
 
 def torque_between(t2: F, t4: F, r_j: float) -> F:

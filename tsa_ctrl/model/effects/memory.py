@@ -14,10 +14,10 @@ from tsa_ctrl.model.effects.specification import (
     Columns,
     Draw,
     Parameter,
+    Setting,
     Shown,
     Specification,
     Stage,
-    Value,
     non_negative,
     positive,
 )
@@ -31,7 +31,7 @@ _STILL = 0.1  # of the RMS speed: slower is standstill
 _NOISE_TO_STEP = 3.0  # counts that stand for white noise of one standard deviation
 
 
-def _followed(parameters: Mapping[str, Value]) -> Columns:
+def _followed(parameters: Mapping[str, Setting]) -> Columns:
     """The angle that the friction state follows in the loop, where no velocity is integrated."""
     side = parameters.get("displacement")
     return (("q_m",),) if side == "motor" else (("q_j",),) if side == "joint" else (("q_m", "q_j"),)

@@ -16,7 +16,10 @@ from typing import Any, Literal, TypeAlias, get_type_hints
 
 import numpy as np
 
-Value: TypeAlias = float | int | str
+from tsa_ctrl.model import curvature
+
+Value: TypeAlias = float | int | str  # what a fit may set
+Setting: TypeAlias = Value | curvature.Points  # what a file may give
 Columns: TypeAlias = tuple[tuple[str, ...], ...]  # of each inner tuple one column must be there
 
 
@@ -51,15 +54,16 @@ class Parameter:
     high_open: bool = False
     optional: bool = False  # may be absent: its default depends on the model or the log
     choices: tuple[str, ...] = ()
+    points: bool = False  # beside the choices, a course of the bending by points
     integer: bool = False
     fitted: bool = True  # False: given, never estimated from a log
     name: str = ""
-    default: Value | None = None
+    default: Setting | None = None
 
     def describe(self) -> str:
         """Allowed values in words, for error messages."""
         if self.choices:
-            return " or ".join(f'"{choice}"' for choice in self.choices)
+            return " or ".join([*(f'"{choice}"' for choice in self.choices), *([curvature.POINTS] * self.points)])
         kind = "a whole number" if self.integer else "a number"
         bounds = []
         if self.low > -math.inf:
@@ -70,7 +74,8 @@ class Parameter:
 
     def accepts(self, value: object) -> bool:
         if self.choices:
-            return isinstance(value, str) and value in self.choices
+            chosen = isinstance(value, str) and value in self.choices
+            return chosen or (self.points and curvature.as_points(value) is not None)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             return False
         if self.integer and value != int(value):
@@ -79,10 +84,10 @@ class Parameter:
         below = value < self.high if self.high_open else value <= self.high
         return above and below
 
-    def taken(self, value: Any) -> Value:
+    def taken(self, value: Any) -> Setting:
         """An accepted value as the effect's class takes it."""
         if self.choices:
-            return str(value)
+            return value if isinstance(value, str) else curvature.as_points(value) or ()
         return int(value) if self.integer else float(value)
 
 
@@ -103,7 +108,7 @@ View: TypeAlias = Literal["speed", "load", "angle", "time", "motor", "since", "a
 class Shown:
     """How a picture shows an effect: with which parameters, against what it is recognised, by which equation."""
 
-    parameters: Mapping[str, Value]
+    parameters: Mapping[str, Setting]
     view: View
     equation: str
     short: bool = False  # against time: a few reversals, not the whole log
@@ -139,11 +144,11 @@ class Specification:
     summary: str
     shown: Shown
     columns: Columns = ()
-    live_columns: Callable[[Mapping[str, Value]], Columns] | None = None
+    live_columns: Callable[[Mapping[str, Setting]], Columns] | None = None
     excludes: tuple[str, ...] = ()
     rigid_drive: bool = True  # has a meaning for a plain drive (kind = "rigid_drive")
     feedforward: str = ""
-    demo: Mapping[str, Draw | Value] | None = None
+    demo: Mapping[str, Draw | Setting] | None = None
     parameters: tuple[Parameter, ...] = ()  # those of the class
     effect: Callable[..., Any] = field(default=dict)  # the class
 
@@ -156,7 +161,7 @@ class Specification:
     def parameter(self, name: str) -> Parameter:
         return next(p for p in self.parameters if p.name == name)
 
-    def needed_live(self, parameters: Mapping[str, Value]) -> Columns:
+    def needed_live(self, parameters: Mapping[str, Setting]) -> Columns:
         """The signals that the loop must measure."""
         return self.columns if self.live_columns is None else self.live_columns(parameters)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from tsa_ctrl.model import curvature, transmission
+from tsa_ctrl.model.curvature import NAMED, Profile
 from tsa_ctrl.model.effects.friction import TensionDependentFriction
 from tsa_ctrl.model.effects.specification import Draw, Parameter, Shown, Specification, Stage
 from tsa_ctrl.model.functions import SCALARS, F, Functions
@@ -57,9 +58,9 @@ class TendonSlack:
 
 @dataclass(frozen=True)
 class ElongationCoupling:
-    """The full model (3.53) in place of (3.55), for one of two curvature profiles."""
+    """The full model (3.53) in place of (3.55), for any course of the bending along the sheath."""
 
-    curvature_profile: Annotated[str, Parameter(choices=("uniform", "motor_end"), fitted=False)]
+    curvature_profile: Annotated[str | curvature.Points, Parameter(choices=tuple(NAMED), points=True, fitted=False)]
 
     specification: ClassVar = Specification(
         name="elongation_coupling",
@@ -69,15 +70,6 @@ class ElongationCoupling:
         rigid_drive=False,
         shown=Shown({"curvature_profile": "uniform"}, "load", "(3.53) in place of (3.55)"),
     )
-
-    def line(
-        self, functions: Functions[F], x: F, pretension: F, radii: tuple[float, float], series: float
-    ) -> transmission.FullModel[F]:
-        """(3.53)-(3.54) at the signed angle x; `series` = EA/(k_s l_us), 0 without a series element."""
-        shape = curvature.uniform_elongation if self.curvature_profile == "uniform" else curvature.motor_end_elongation
-        alpha, beta = shape(functions, x)
-        strain_force = pretension * (1.0 + series)
-        return transmission.full_model(functions, x, alpha + series, beta + series, strain_force, *radii)
 
 
 @dataclass(frozen=True)
@@ -118,6 +110,16 @@ class FourTensions:
             return -math.inf, math.inf
         bound = 2.0 * pretension * self.radii[0]
         return -bound, bound
+
+    def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+        """(slope, loss) of B = slope tau_M - loss at tau_M = 0, for `tsa_ctrl.model.sliding`; exact while both pull."""
+        r_m, r_j = self.radii
+        angles = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
+        if self.tension_dependence is not None:
+            value, slope = self._value_and_slope(0.0, sigma, angles, pretension)
+            return slope, -value
+        growth, decay = SCALARS.exp(sigma * angles[0]), SCALARS.exp(-sigma * angles[1])
+        return 0.5 * r_j / r_m * (growth + decay), r_j * pretension * (growth - decay)
 
     def _invert(self, torque: float, x_a: float, x_b: float, pretension: float) -> float:
         r_m, r_j = self.radii
@@ -171,24 +173,39 @@ class Elongating:
     """The full model (3.53), which excludes slack, asymmetry and tension dependence."""
 
     radii: tuple[float, float]  # r_M, r_J, m
-    series: float  # EA/(k_s l_us), 1
-    coupling: ElongationCoupling
+    profile: Profile
+    series: float = 0.0  # EA/(k_s l_us), 1; 0 without a series element
+    at_joint: bool = False  # where that stands: there it carries T2 and T4
+
+    def line(self, functions: Functions[F], x: F, pretension: F) -> transmission.FullModel[F]:
+        """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
+        alpha, beta = self.profile.mean_exponential(functions, x), self.profile.mean_exponential(functions, -x)
+        if self.at_joint:
+            alpha, beta = alpha + self.series * functions.exp(x), beta + self.series * functions.exp(-x)
+        else:
+            alpha, beta = alpha + self.series, beta + self.series
+        return transmission.full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
 
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
         """B, N*m."""
-        line = self.coupling.line(functions, sigma * x, pretension, self.radii, self.series)
+        line = self.line(functions, sigma * x, pretension)
         return line.gain * tau_m - line.loss
 
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
         """tau_M, N*m, for which `torque` gives B."""
-        line = self.coupling.line(SCALARS, sigma * x, pretension, self.radii, self.series)
+        line = self.line(SCALARS, sigma * x, pretension)
         return (torque + line.loss) / line.gain
 
     def limits(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
         """Domain of tau_M, N*m, in which both tendons pull at the pretension of (3.54)."""
-        line = self.coupling.line(SCALARS, sigma * x, pretension, self.radii, self.series)
+        line = self.line(SCALARS, sigma * x, pretension)
         level, coupling = 2.0 * self.radii[0] * line.level, 2.0 * self.radii[0] * line.coupling
         return -level / (1.0 + coupling), level / (1.0 - coupling)
+
+    def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
+        """(slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.sliding`; exact."""
+        line = self.line(SCALARS, sigma * x, pretension)
+        return line.gain, line.loss
 
 
 Transmission = FourTensions | Elongating

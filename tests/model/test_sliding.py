@@ -1,0 +1,145 @@
+"""The sliding transmission as a line, against the capstan equation integrated along the tendons."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.model.actuator import ACTUATOR, with_effect
+from tests.model.capstan import Pair
+from tests.model.test_curvature import S_BENT
+from tsa_ctrl.model.curvature import NAMED, Points, Profile
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.model.sliding import bending_centre, motor_stiffness, shape_factor, sliding
+
+X, T_P, R_M, R_J = 0.26, 45.0, 0.020, 0.025
+PROFILES: tuple[str | Points, ...] = (*NAMED, S_BENT)
+SERIES = 2e4  # N/m
+SPRINGS: dict[str, dict[str, Any]] = {
+    "none": {},
+    "motor": {"series_stiffness": SERIES},
+    "joint": {"series_stiffness": SERIES, "series_at_joint": True},
+}
+
+
+def model_of(profile: str | Points, spring: str = "none") -> TendonSheath:
+    bent = ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+    return dataclasses.replace(bent, **SPRINGS[spring])
+
+
+def pair_of(profile: str | Points, spring: str = "none", x: float = X) -> Pair:
+    motor, joint = (1.0 / SERIES if spring == side else 0.0 for side in ("motor", "joint"))
+    return Pair(Profile.of(profile).points, x, motor_spring=motor, joint_spring=joint)
+
+
+@pytest.mark.parametrize("spring", SPRINGS)
+@pytest.mark.parametrize("profile", PROFILES, ids=str)
+class TestAgainstIntegration:
+    """Any course of the bending, with and without a spring in series at either end."""
+
+    @pytest.mark.parametrize("sigma", [-1.0, 1.0])
+    def test_line(self, profile: str | Points, spring: str, sigma: float) -> None:
+        """tau_J = a tau_M - sigma b."""
+        line = sliding(model_of(profile, spring), sigma)
+        for tau_m in (-1.0, 0.0, 1.5):
+            expected = pair_of(profile, spring).joint_torque(tau_m, sigma)
+            assert line.slope * tau_m - sigma * line.half_loop == pytest.approx(expected, abs=1e-10)
+
+    def test_prediction_and_inverse(self, profile: str | Points, spring: str) -> None:
+        """What a log's simulation says, and that the live inverse undoes it."""
+        model, pair = model_of(profile, spring), pair_of(profile, spring)
+        tau_m, omega = np.array([-1.0, 0.3, 1.2]), np.array([0.5, -0.5, 0.5])
+        expected = [pair.joint_torque(tau, sigma) for tau, sigma in zip(tau_m, np.sign(omega), strict=True)]
+        np.testing.assert_allclose(
+            predict(model, Signals(t=np.arange(3.0), tau_m=tau_m, omega_j=omega)), expected, rtol=0.0, atol=1e-10
+        )
+        inverse = Feedforward(model, 1e-3)
+        found = [inverse.update(tau, math.copysign(1.0, v), v) for tau, v in zip(expected, omega, strict=True)]
+        np.testing.assert_allclose(found, tau_m, rtol=0.0, atol=1e-10)
+
+    def test_half_loop_at_the_motor(self, profile: str | Points, spring: str) -> None:
+        """h: the motor torque at which nothing arrives at the joint."""
+        h = sliding(model_of(profile, spring)).motor_half_loop
+        assert pair_of(profile, spring).joint_torque(h, 1.0) == pytest.approx(0.0, abs=1e-10)
+
+    def test_domain_ends_where_a_tendon_is_slack(self, profile: str | Points, spring: str) -> None:
+        """At the largest command one motor-side tension is 0."""
+        tau_m = Feedforward(model_of(profile, spring), 1e-3).update(50.0, 1.0, 0.5)
+        assert min(pair_of(profile, spring).motor_tensions(tau_m, 1.0)) == pytest.approx(0.0, abs=1e-8)
+
+
+@pytest.mark.parametrize(("profile", "f"), [("joint_end", math.tanh(X)), ("uniform", X), ("motor_end", math.sinh(X))])
+def test_shape_factor_of_the_named_profiles(profile: str, f: float) -> None:
+    """h = 2 T_p r_M f with f = tanh x, x, sinh x."""
+    assert shape_factor(model_of(profile)) == pytest.approx(f, rel=1e-14)
+    assert sliding(model_of(profile)).motor_half_loop == pytest.approx(2.0 * T_P * R_M * f, rel=1e-14)
+
+
+def test_simplified_model_is_all_bending_at_the_joint() -> None:
+    """(3.55): slope r_J/r_M cosh x, half loop 2 T_p r_J sinh x, centre at the joint."""
+    assert sliding(ACTUATOR) == pytest.approx((R_J / R_M * math.cosh(X), 2.0 * T_P * R_J * math.sinh(X)), rel=1e-14)
+    assert shape_factor(ACTUATOR) == pytest.approx(math.tanh(X), rel=1e-14)
+    assert bending_centre(ACTUATOR) == 1.0
+
+
+def test_soft_spring_at_the_motor_leads_back_to_it() -> None:
+    """EA/k_s much longer than the tendon holds the pretension at the motor, which is what (3.55) assumes."""
+    soft = dataclasses.replace(model_of("uniform"), series_stiffness=1e-6)
+    assert sliding(soft) == pytest.approx(sliding(ACTUATOR), rel=1e-8)
+
+
+def test_soft_spring_at_the_joint_holds_the_pretension_there() -> None:
+    """T2 + T4 is constant then: slope r_J/(r_M cosh x), half loop 2 T_p r_J tanh x, wherever the sheath bends."""
+    soft = dataclasses.replace(model_of(S_BENT), series_stiffness=1e-6, series_at_joint=True)
+    expected = (R_J / R_M / math.cosh(X), 2.0 * T_P * R_J * math.tanh(X))
+    assert sliding(soft) == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("sigma", [-1.0, 1.0])
+def test_asymmetric_sheaths_differ_by_direction(sigma: float) -> None:
+    """exp(sigma k x/2) times (3.55)."""
+    factor = math.exp(sigma * 0.3 * X / 2.0)
+    found = sliding(with_effect("sheath_asymmetry", relative_difference=0.3), sigma)
+    assert found == pytest.approx([factor * value for value in sliding(ACTUATOR, sigma)], rel=1e-13)
+
+
+def test_tension_dependence_gives_its_tangent() -> None:
+    """Value and slope of the prediction about tau_M = 0."""
+    model = with_effect("tension_dependent_friction", exponent=0.3)
+    tau_m = np.array([-1e-4, 0.0, 1e-4])
+    below, at, above = predict(model, Signals(t=np.arange(3.0), tau_m=tau_m, omega_j=np.ones(3)))
+    found = sliding(model)
+    assert found.half_loop == pytest.approx(-at, rel=1e-12)
+    assert found.slope == pytest.approx((above - below) / 2e-4, rel=1e-6)
+
+
+def test_angle_and_pretension_may_be_given() -> None:
+    """Those that an estimator holds, in place of the file's."""
+    assert sliding(ACTUATOR, 1.0, 0.5, 30.0) == pytest.approx(sliding(ACTUATOR.recalibrated(0.5, 30.0)), rel=1e-14)
+
+
+@pytest.mark.parametrize("spring", SPRINGS)
+def test_stiffness_at_the_motor(spring: str) -> None:
+    """Joint held, no friction: turn the motor by 1 mrad and let the stretch of each tendon say the torque."""
+    pair = pair_of("uniform", spring, x=0.0)
+    per_newton = pair.along(0.0)[1]  # m/N
+    torque = 2.0 * R_M * (R_M * 1e-3 / per_newton)
+    assert motor_stiffness(model_of("uniform", spring)) == pytest.approx(torque / 1e-3, rel=1e-10)
+
+
+def test_stiffness_of_the_reference_actuator() -> None:
+    """2 EA/l r_M^2 = 40 N*m/rad."""
+    assert motor_stiffness(ACTUATOR) == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize(("profile", "centre"), [("motor_end", 0.0), ("uniform", 0.5), ("joint_end", 1.0)])
+def test_centre_of_the_bending(profile: str, centre: float) -> None:
+    """s_c of the model's own profile."""
+    assert bending_centre(model_of(profile)) == pytest.approx(centre)

@@ -1,0 +1,63 @@
+"""The transmission while it slides one way, as a line in the motor torque, and what the motor feels of the tendons.
+
+    tau_J = a(sigma) tau_M - sigma b(sigma)                                                    (3.53), (3.55)
+    a = r_J/r_M (alpha exp(-sigma x) + beta exp(sigma x)) / (alpha + beta)                     slope
+    b = 4 r_J EA Delta l sinh(x) / (alpha + beta)                                              half loop at the joint
+    h = b/a = 2 T_p0 r_M f(x)                                                                  half loop at the motor
+    K = 2 k_t r_M^2,  k_t = 1 / (l_us/EA + 1/k_s)                                              (3.31)-(3.41), (3.56)
+
+x = mu Theta; alpha and beta by (3.36), (3.39). A series spring adds EA/k_s to both, exp(+-sigma x) times that when it
+stands at the joint, where it carries T2 and T4; EA Delta l = T_p0 (l_us + EA/k_s). By the course of the bending f is
+tanh x (all at the joint, and (3.55)), x (uniform) or sinh x (all at the motor). K is what the motor's angle meets when
+the joint is held, friction apart. Of the effects only those of the transmission enter. SI units.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from tsa_ctrl.model.composition import Stack
+from tsa_ctrl.model.effects.transmission import Elongating
+from tsa_ctrl.model.parameters import TendonSheath
+
+
+class Sliding(NamedTuple):
+    """tau_J = slope tau_M - sigma half_loop."""
+
+    slope: float  # a, 1
+    half_loop: float  # b, N*m at the joint
+
+    @property
+    def motor_half_loop(self) -> float:
+        """h = b/a, N*m: what the motor must give beside the load to keep the tendons sliding."""
+        return self.half_loop / self.slope
+
+
+def sliding(
+    model: TendonSheath, sigma: float = 1.0, friction_angle: float | None = None, pretension: float | None = None
+) -> Sliding:
+    """The line in direction `sigma` (1 or -1), at the model's own x (1) and T_p0 (N) unless given.
+
+    With `sheath_asymmetry` slope and half loop differ by direction; with `tension_dependent_friction` it is the tangent
+    at tau_M = 0; `tendon_slack` bends it beyond 2 T_p r_M alone.
+    """
+    x = model.friction_angle if friction_angle is None else friction_angle
+    tension = model.pretension if pretension is None else pretension
+    slope, loss = Stack.of(model.effects, model.source).transmission(model).tangent(sigma, x, tension)
+    return Sliding(slope, sigma * loss)
+
+
+def shape_factor(model: TendonSheath, friction_angle: float | None = None) -> float:
+    """f(x) = h / (2 T_p0 r_M): tanh x, x, sinh x, or what lies between, by where the sheath bends."""
+    return sliding(model, 1.0, friction_angle, 1.0).motor_half_loop / (2.0 * model.motor_pulley_radius)
+
+
+def motor_stiffness(model: TendonSheath) -> float:
+    """K, N*m/rad."""
+    return 2.0 * model.tendon_stiffness * model.motor_pulley_radius**2
+
+
+def bending_centre(model: TendonSheath) -> float:
+    """s_c, 1: where the bending lies along the sheath, 0 at the motor and 1 at the joint, as (3.55) has it."""
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+    return transmission.profile.centre if isinstance(transmission, Elongating) else 1.0
