@@ -1,4 +1,4 @@
-"""The small blind benchmark: what the diagnosis must hold on every change; `tools/bench_diagnose` is the large one.
+"""The small blind benchmark: what the diagnosis must hold on every change; `tools/run bench/diagnose` is the large one.
 
 Draws are fixed, so a count can only change with the code. The limits are those of the targets for so few cases.
 """

@@ -1,4 +1,4 @@
-"""Small doses of what tools/fuzz throws at length, and that its judge can tell."""
+"""Small doses of what campaign/fuzz throws at length, and that its judge can tell."""
 
 from __future__ import annotations
 

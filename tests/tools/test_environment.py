@@ -1,4 +1,4 @@
-"""tools/_env.sh: what a bare machine lacks is said in one line."""
+"""tools/environment.sh: what a bare machine lacks is said in one line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ esac
 def test_a_lack_is_one_line(tmp_path: Path, python: str, message: str) -> None:
     """tools/demo on a machine whose python3 is too old, has no venv, or reaches no registry."""
     (tmp_path / "tools").mkdir()
-    for name in ("_env.sh", "demo"):
+    for name in ("environment.sh", "demo"):
         shutil.copy(ROOT / "tools" / name, tmp_path / "tools")
     (tmp_path / "pyproject.toml").touch()
     stub = tmp_path / "bin"

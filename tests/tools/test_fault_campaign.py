@@ -1,33 +1,19 @@
-"""The fault campaign: its judgement, which must be able to say no, and the campaign itself on a vcan."""
+"""campaign/faults: its judgement, which must be able to say no, and the campaign itself on a vcan."""
 
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import subprocess
-import sys
-from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
-
-
-def load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-verdict = load("_verdict")
-faults = load("_faults")
-Row, Expected, Seen, judge = verdict.Row, verdict.Expected, verdict.Seen, verdict.judge
+from tests.conftest import ROOT
+from tools.campaign.fault.acts import ACTS
+from tools.campaign.fault.catalogue import FAULTS
+from tools.campaign.fault.verdict import Expected, Row, Seen, judge, longest_gap, stopped_after, zero_after
+from tsa_ctrl.plant.faults import FAULTS as PLANT_FAULTS
+from tsa_ctrl.plant.faults import parse_fault
 
 GOOD = Seen(0.02, 0.001, "faulted", ("stale PDO: drive node 1",), (), 0.8, False, 0.8)
 STOPS = Expected(cause="stale PDO")
@@ -35,19 +21,19 @@ ON = Seen(None, 0.001, "running", (), ("log: No space left on device",), 0.8, Fa
 GOES_ON = Expected(harmless="counted", said="No space")
 
 
-def rows(*torques: float) -> list[object]:
+def rows(*torques: float) -> list[Row]:
     return [Row(1.0 + 0.001 * n, torque) for n, torque in enumerate(torques)]
 
 
 def test_zero_counts_from_the_last_row_with_torque() -> None:
-    assert verdict.zero_after(rows(0.5, 0.5, 0.3, 0.005, 0.0, 0.0), 1.001) == pytest.approx(0.002)
-    assert verdict.zero_after(rows(0.5, 0.0, 0.0, 0.2, 0.0), 1.0) == pytest.approx(0.004)
-    assert verdict.zero_after(rows(0.5, 0.0, 0.0, -0.2), 1.0) is None
-    assert verdict.zero_after(rows(0.0, 0.0), 1.0) == 0.0
+    assert zero_after(rows(0.5, 0.5, 0.3, 0.005, 0.0, 0.0), 1.001) == pytest.approx(0.002)
+    assert zero_after(rows(0.5, 0.0, 0.0, 0.2, 0.0), 1.0) == pytest.approx(0.004)
+    assert zero_after(rows(0.5, 0.0, 0.0, -0.2), 1.0) is None
+    assert zero_after(rows(0.0, 0.0), 1.0) == 0.0
 
 
 def test_a_hole_in_the_record_is_found() -> None:
-    assert verdict.longest_gap([*rows(0.0, 0.0), Row(1.2, 0.0)]) == pytest.approx(0.199)
+    assert longest_gap([*rows(0.0, 0.0), Row(1.2, 0.0)]) == pytest.approx(0.199)
 
 
 @pytest.mark.parametrize(
@@ -124,24 +110,26 @@ def test_a_standing_machine_excuses_nothing_else(change: dict[str, object], word
 
 def test_a_stop_is_timed_from_where_the_machine_stood_still() -> None:
     before, after = rows(0.5, 0.5, 0.5), [Row(1.010, 0.5), Row(1.011, 0.3), Row(1.012, 0.0), Row(1.013, 0.0)]
-    assert verdict.stopped_after([*before, *after], 1.0, 0.0025) == pytest.approx(0.010)
-    assert verdict.stopped_after([*before, *after], 1.0, 0.02) is None
-    assert verdict.stopped_after([*before, *after], 1.011, 0.0025) is None
-    assert verdict.stopped_after([*before, *after[:2]], 1.0, 0.0025) is None
+    assert stopped_after([*before, *after], 1.0, 0.0025) == pytest.approx(0.010)
+    assert stopped_after([*before, *after], 1.0, 0.02) is None
+    assert stopped_after([*before, *after], 1.011, 0.0025) is None
+    assert stopped_after([*before, *after[:2]], 1.0, 0.0025) is None
     earlier, later = Row(0.9, 0.5), Row(1.5, 0.0)  # of two holes with torque the last; none of those without
-    assert verdict.stopped_after([earlier, *before, *after, later], 0.8, 0.0025) == pytest.approx(0.010)
-    assert verdict.stopped_after([Row(1.0, 0.0), Row(1.1, 0.0)], 1.0, 0.0025) is None
+    assert stopped_after([earlier, *before, *after, later], 0.8, 0.0025) == pytest.approx(0.010)
+    assert stopped_after([Row(1.0, 0.0), Row(1.1, 0.0)], 1.0, 0.0025) is None
 
 
 def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
-    from tsa_ctrl.plant.faults import FAULTS, parse_fault
-
-    lines = [fault.plant for fault in faults.FAULTS if fault.plant]
-    assert {line.split()[0] for line in lines} == set(FAULTS)
+    lines = [fault.plant for fault in FAULTS if fault.plant]
+    assert {line.split()[0] for line in lines} == set(PLANT_FAULTS)
     for line in lines:
         parse_fault(line)
-    names = [fault.name for fault in faults.FAULTS]
+    names = [fault.name for fault in FAULTS]
     assert len(set(names)) == len(names)
+
+
+def test_every_act_is_used_and_there() -> None:
+    assert {fault.act for fault in FAULTS if fault.act} == set(ACTS)
 
 
 @pytest.mark.vcan
@@ -149,8 +137,10 @@ def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
 @pytest.mark.slow
 def test_every_fault_is_met_safely(vcan: str) -> None:
     """Torque zero in time at the plant, cause in the log, latched; or the loop goes on and says what was lost."""
-    done = subprocess.run([TOOLS / "fault_campaign", "--tolerant", "--json"], capture_output=True, text=True)
+    done = subprocess.run(
+        [ROOT / "tools" / "run", "campaign/faults", "--tolerant", "--json"], capture_output=True, text=True
+    )
     assert done.stdout, done.stderr
     found = json.loads(done.stdout)["faults"]
-    assert {fault["name"] for fault in found} == {fault.name for fault in faults.FAULTS}
+    assert {fault["name"] for fault in found} == {fault.name for fault in FAULTS}
     assert [(fault["name"], fault["wrong"]) for fault in found if not fault["safe"]] == []

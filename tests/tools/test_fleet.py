@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import subprocess
-from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.conftest import ROOT
 
 
 def test_every_log_is_answered_once_though_it_was_interrupted() -> None:
     told = subprocess.run(
-        [ROOT / "tools" / "fleet", "--logs", "3", "--jobs", "1"], capture_output=True, text=True, check=False
+        [ROOT / "tools" / "run", "bench/fleet", "--logs", "3", "--jobs", "1"],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert told.returncode == 0, told.stdout + told.stderr
     assert "3 questions for 3 logs" in told.stdout

@@ -1,4 +1,4 @@
-"""tools/mutate: mutants are what they say, the list of equivalents is current, and a fixed sample is killed."""
+"""campaign/mutate: mutants are what they say, the list of equivalents is current, and a fixed sample is killed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT
-
-sys.path.insert(0, str(ROOT / "tools"))
-from _mutants import enums_of, mutants
+from tools.campaign.mutate import EQUIVALENT
+from tools.campaign.mutation.mutants import enums_of, mutants
 
 SAMPLE = 12
 SOURCE = '''
@@ -31,8 +30,7 @@ class Limit:
 
 def run(*arguments: str) -> tuple[int, dict[str, Any]]:
     done = subprocess.run(
-        [sys.executable, str(ROOT / "tools" / "mutate"), "--json", *arguments],
-        cwd=ROOT,
+        [sys.executable, str(ROOT / "tools"), "campaign/mutate", "--json", *arguments],
         capture_output=True,
         text=True,
         check=False,
@@ -87,21 +85,10 @@ def test_a_fixed_sample_is_killed_and_the_list_is_current() -> None:
 
 def test_a_mutant_that_no_test_sees_is_found(tmp_path: Path) -> None:
     """With a list that is empty the equivalent mutants of a small module survive, and that is an error."""
-    listed = (ROOT / "tools" / "equivalent_mutants.toml").read_text(encoding="utf-8")
+    listed = EQUIVALENT.read_text(encoding="utf-8")
     names = [line.strip().strip('",') for line in listed.splitlines() if "shut_down.py" in line]
     assert names
-    copy = tmp_path / "tools"
-    copy.mkdir()
-    for name in ("mutate", "_mutants.py"):
-        (copy / name).write_text((ROOT / "tools" / name).read_text(encoding="utf-8"), encoding="utf-8")
-    (copy / "equivalent_mutants.toml").write_text("", encoding="utf-8")
-    for name in ("tsa_ctrl", "tests"):
-        (tmp_path / name).symlink_to(ROOT / name)
     (tmp_path / "names").write_text(names[0], encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, str(copy / "mutate"), "--names", str(tmp_path / "names"), "--json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, len(json.loads(done.stdout)["problems"])) == (1, 1), done.stderr
+    (tmp_path / "none.toml").touch()
+    code, found = run("--names", str(tmp_path / "names"), "--equivalent", str(tmp_path / "none.toml"))
+    assert (code, len(found["problems"])) == (1, 1)

@@ -1,0 +1,1 @@
+"""What measures, attacks, pictures and hosts the package: nothing that it imports."""

@@ -1,0 +1,65 @@
+"""Starts the commands below this folder: `tools/run NAME [ARGUMENT...]`; without a name it lists them.
+
+NAME is the path of a file: bench/cycle is tools/bench/cycle.py, whose `main` is called. tools/vcan and the first
+process of its guest start here, too, with a Python in which nothing is installed: standard library only.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import sys
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+USAGE = "usage: tools/run NAME [ARGUMENT...]"
+
+
+def commands() -> dict[str, str]:
+    """First line of the text of each command, by its name; a command's text says how `tools/run` calls it."""
+    found = {}
+    for path in sorted(FOLDER.glob("*/*.py")):
+        name = f"{path.parent.name}/{path.stem}"
+        text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        if f"tools/run {name} " in f"{text} ":
+            found[name] = text.splitlines()[0]
+    return found
+
+
+def listing() -> str:
+    """The table that is printed without a name."""
+    found = commands()
+    width = max(map(len, found)) + 2
+    lines = [f"  {name:{width}}{text}" for name, text in found.items()]
+    return "\n".join([f"{USAGE}; each tells its options with --help", "", *lines])
+
+
+def main(arguments: list[str]) -> int:
+    """Call the command's `main`; what it raises for people is one line."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(listing())
+        return 0
+    name = arguments[0].removeprefix("tools/").removesuffix(".py")
+    if not (FOLDER / f"{name}.py").is_file() or name.count("/") == 0:
+        print(f"tools/run {name}: no such command; there are {', '.join(commands())}", file=sys.stderr)
+        return 2
+    sys.path[0] = str(FOLDER.parent)
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # commands run a process per core: threads inside would be in the way
+    sys.argv = [f"tools/run {name}", *arguments[1:]]
+    from tsa_ctrl.errors import TsaError
+
+    try:
+        code = importlib.import_module(f"tools.{name.replace('/', '.')}").main()
+    except TsaError as error:
+        print(f"tools/run {name}: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        print(f"tools/run {name}: interrupted", file=sys.stderr)
+        return 130
+    return int(code)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

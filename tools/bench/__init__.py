@@ -1,0 +1,1 @@
+"""Benchmarks: time of a cycle and of the model, right answers of diagnosis, calibration and tuning."""

@@ -1,0 +1,217 @@
+"""Blind benchmark of the diagnosis on logs with hidden effects, beside naive strategies on the same logs.
+
+Usage: tools/run bench/diagnose [--quick] [--short] [--families single:30 none:400 ...] [--names EFFECT ...] [--jobs 2]
+                            [--seed 0] [--out FILE.jsonl] [--list] | --speed
+The logs come from the four tendon tensions (tests/blind), not from the package. Results are appended to --out line by
+line; started again with the same file, it goes on where it stopped. Lines of another version of the code do not count.
+--quick is the gate: it exits with 1 when a result is significantly worse than its target.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import tomllib
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+import numpy as np
+
+from tests.blind import FAMILIES, case
+from tests.blind.gain import fresh_gain
+from tests.blind.naive import name_effects
+from tests.blind.score import mark
+from tests.blind.table import failed, print_table
+from tools import command
+from tsa_ctrl.system.processes import tsa
+
+# Cases per name of a family; of none and pair: all together.
+FULL = {"none": 400, "single": 30, "pair": 60, "outside": 8, "confounded": 6, "rigid": 10}
+QUICK = {"none": 40, "single": 2}
+
+
+def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> Iterator[tuple[str, str, int, bool]]:
+    """Every case to run, families interleaved so that an interrupted run has a bit of each."""
+    queues = []
+    for family, count in counts.items():
+        known = [name for name in FAMILIES[family] if not names or name in names]
+        total = count if family in ("none", "pair") else count * len(known)
+        total += 30 if family == "rigid" and "none" in known and count >= FULL["rigid"] else 0
+        queue = [(family, known[i % len(known)], seed + i // len(known), short) for i in range(total if known else 0)]
+        queues.append([(k / max(len(queue), 1), job) for k, job in enumerate(dict.fromkeys(queue))])
+    for _, job in sorted((entry for queue in queues for entry in queue), key=lambda entry: entry[0]):
+        yield job
+
+
+def ask(logs: list, model: str) -> tuple[dict, float]:
+    """The contents of diagnosis.json, and the seconds that it took."""
+    from tsa_ctrl.identify import diagnose
+    from tsa_ctrl.identify.dataset import Dataset
+    from tsa_ctrl.model.parameters import model_from
+
+    datasets = [Dataset.from_arrays(log.columns, log.name) for log in logs]
+    started = time.perf_counter()
+    report = json.loads(diagnose(datasets, model_from(tomllib.loads(model), "nominal.toml")).to_json())
+    return report, time.perf_counter() - started
+
+
+def one(job: tuple[str, str, int, bool]) -> dict:
+    """Draw a case, diagnose it and its experiment, mark both; naive strategies on the same logs."""
+    hidden = case(*job)
+    family, name, seed, short = job
+    truth = hidden.truth
+    result = {
+        "family": family,
+        "name": name,
+        "seed": seed,
+        "short": short,
+        "effects": truth.effects,
+        "ratio": truth.size / truth.noise,
+        "sign_ratio": truth.sign_noise / truth.noise,
+        "log_seconds": hidden.seconds,
+        "setting": truth.setting,
+    }
+    report, experiment, error = SILENT, None, ""
+    try:
+        report, result["seconds"] = ask(hidden.logs, hidden.model)
+        if hidden.experiment is not None:
+            experiment, _ = ask(hidden.experiment.logs, hidden.experiment.model)
+    except Exception as problem:  # any failure is a result: it counts as a wrong answer
+        error = f"{type(problem).__name__}: {problem} at {traceback.extract_tb(problem.__traceback__)[-1]}"
+    result["error"] = error
+    result["mark"] = mark(hidden, report, experiment).as_dict()
+    result["verdict"] = report["verdict"]
+    result["causes"] = [[c["effect"], c["alternatives"], c.get("probability")] for c in report["causes"]]
+    if experiment is not None:
+        result["experiment_causes"] = [[c["effect"], c["alternatives"]] for c in experiment["causes"]]
+    result["gain"] = report.get("gain")
+    result["fresh_gain"] = fresh_gain(hidden, report["causes"])
+    if family != "rigid":
+        result["naive"] = {
+            strategy: mark(hidden, as_report(found)).as_dict()
+            for strategy, found in name_effects(hidden.logs, hidden.model).items()
+        }
+    return result
+
+
+SILENT = {"verdict": "error", "causes": [], "parameter_errors": {}, "experiment": ""}
+
+
+def as_report(names: list[str]) -> dict:
+    """What a strategy that knows neither doubt nor groups would write."""
+    causes = [{"effect": name, "alternatives": [], "parameters": {}} for name in names]
+    return {**SILENT, "verdict": "explained" if names else "consistent", "causes": causes}
+
+
+def code_version() -> str:
+    """Changes with every line of what is tested and of what tests it."""
+    digest = hashlib.sha256()
+    folders = ("tsa_ctrl/identify", "tsa_ctrl/model", "tests/blind")
+    for path in sorted(path for folder in folders for path in (command.ROOT / folder).rglob("*.py")):
+        if not path.name.startswith("test_"):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def run(queue: list[tuple[str, str, int, bool]], workers: int, out: Path, version: str) -> None:
+    """Work through the queue; each result is on disk before the next is waited for."""
+    started = time.perf_counter()
+    with out.open("a") as file, ProcessPoolExecutor(workers) as pool:
+        waiting = {pool.submit(one, job): job for job in queue}
+        for done, future in enumerate(as_completed(waiting), 1):
+            try:
+                file.write(json.dumps({**future.result(), "version": version}) + "\n")
+                file.flush()
+            except (RuntimeError, ValueError) as problem:  # no such case can be drawn: said, and not counted
+                print(problem, file=sys.stderr)
+            if sys.stderr.isatty() or done % 20 == 0:
+                left = (time.perf_counter() - started) / done * (len(queue) - done)
+                print(f"{done}/{len(queue)}, {left / 60:.0f} min left", file=sys.stderr)
+
+
+def timing(seed: int) -> list[float]:
+    """Seconds for one log of 60 s at 1 kHz, alone on the machine."""
+    seconds = []
+    for k in range(3):
+        hidden = case("timing", "stribeck_friction", seed + k)
+        seconds.append(ask(hidden.logs, hidden.model)[1])
+    return seconds
+
+
+def speed(seed: int) -> None:
+    """The whole verb on CSV files of 60 s at 1 kHz, from the start of the process to the report on the disk."""
+    for name in ("stribeck_friction", "presliding_hysteresis", "thermal_friction_drift"):
+        hidden = case("timing", name, seed)
+        with tempfile.TemporaryDirectory() as folder:
+            log, model, out = (Path(folder) / part for part in ("log.csv", "actuator.toml", "out"))
+            columns = hidden.logs[0].columns
+            table = np.column_stack(list(columns.values()))
+            np.savetxt(log, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+            model.write_text(hidden.model)
+            before, started = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+            verb = tsa("diagnose", str(log), "--model", str(model), "--out", str(out), "--json")
+            told = subprocess.run(verb, check=True, capture_output=True, text=True).stdout
+            seconds, after = time.perf_counter() - started, resource.getrusage(resource.RUSAGE_CHILDREN)
+        used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        causes = ", ".join(cause["effect"] for cause in json.loads(told)["causes"])
+        print(
+            f"{hidden.seconds:.0f} s at {len(table) / hidden.seconds:.0f} Hz, "
+            f"hidden {name}, named {causes or 'nothing'}: {seconds:.1f} s, of which {used:.1f} s of one processor"
+        )
+
+
+def read(out: Path, version: str) -> list[dict]:
+    if not out.exists():
+        return []
+    lines = [json.loads(line) for line in out.read_text().splitlines() if line.endswith("}")]
+    return [line for line in lines if line["version"] == version]
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--quick", action="store_true", help="the gate: 40 without effect, 2 per effect, short logs")
+    parser.add_argument("--short", action="store_true", help="short logs: 12 to 20 s, one run")
+    parser.add_argument("--families", nargs="+", metavar="FAMILY[:N]", help=f"of {', '.join(FULL)}; N per name")
+    parser.add_argument("--names", nargs="+", default=[], help="only these effects, kinds or rows")
+    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--out", type=Path, help="JSON lines of all results (default out/bench_diagnose.jsonl)")
+    parser.add_argument("--list", action="store_true", help="only print the table of what is in --out")
+    parser.add_argument(
+        "--speed", action="store_true", help="only the time that `tsa diagnose` takes for 60 s at 1 kHz"
+    )
+    arguments = parser.parse_args()
+    if arguments.speed:
+        speed(arguments.seed)
+        return 0
+    counts = dict(QUICK if arguments.quick else FULL)
+    if arguments.families:
+        asked = [entry.partition(":") for entry in arguments.families]
+        unknown = [family for family, _, _ in asked if family not in FULL]
+        if unknown:
+            parser.error(f"unknown family {unknown[0]}; known are {', '.join(FULL)}")
+        counts = {family: int(count or counts.get(family, FULL[family])) for family, _, count in asked}
+    name = "bench_diagnose_quick.jsonl" if arguments.quick else "bench_diagnose.jsonl"
+    out = arguments.out or command.ROOT / "out" / name
+    out.parent.mkdir(parents=True, exist_ok=True)
+    version = code_version()
+    wanted = list(jobs(counts, arguments.names, arguments.seed, arguments.quick or arguments.short))
+    known = {(r["family"], r["name"], r["seed"], r["short"]) for r in read(out, version)}
+    queue = [job for job in wanted if job not in known]
+    if not arguments.list:
+        print(f"{len(queue)} cases to run, {len(wanted) - len(queue)} known; results in {out}", file=sys.stderr)
+        run(queue, arguments.jobs, out, version)
+    results = [r for r in read(out, version) if (r["family"], r["name"], r["seed"], r["short"]) in set(wanted)]
+    print_table(results, [] if arguments.list or arguments.quick else timing(arguments.seed))
+    errors = Counter(r["error"] for r in results if r["error"])
+    for error, count in errors.most_common(10):
+        print(f"ERROR {count} times: {error}")
+    return 1 if arguments.quick and (errors or failed(results)) else 0

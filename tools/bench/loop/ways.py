@@ -1,0 +1,303 @@
+"""The ways to run one cycle that bench/cycle compares; each is a context that gives a function of the time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import canopen
+from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
+
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.socketcan import SocketCan
+from tsa_ctrl.config import Configuration
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.cycle import follow_up, run_cycle
+from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.children import Children
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.system.sleep import sleep_until
+
+FRAME = struct.Struct("=IB3x8s")
+FILTER = struct.Struct("=II")
+EXACTLY = 0xC00007FF
+PATIENCE = 0.05  # s for an answer
+CLIENTS = 8  # that hang, beside the one that floods
+
+FLOOD = """
+import socket, sys
+hanging = [socket.socket(socket.AF_UNIX) for _ in range(%d)]
+for connection in hanging:
+    connection.connect(sys.argv[1]); connection.send(b'{"verb":')
+flood = socket.socket(socket.AF_UNIX); flood.connect(sys.argv[1])
+print("ready", flush=True)
+line = b'{"verb":"set","name":"axis0.compensation","value":0.95}\\n{"verb":"status"}\\n' * 20
+flood.settimeout(0.05)
+while True:
+    try:
+        flood.send(line); flood.recv(1 << 20)
+    except TimeoutError:
+        pass
+    except OSError:
+        flood = socket.socket(socket.AF_UNIX); flood.connect(sys.argv[1]); flood.settimeout(0.05)
+"""
+
+
+@dataclass(frozen=True)
+class Way:
+    """`cycle`: one cycle at the time now (s), whether all answers came. `rest`: what follows it, not measured.
+
+    `wait`: until an absolute time (ns).
+    """
+
+    cycle: Callable[[float], bool]
+    wait: Callable[[int], object] = sleep_until
+    rest: Callable[[float], None] = lambda now: None
+
+
+@contextlib.contextmanager
+def bare_sleep() -> Iterator[Way]:
+    """Nothing but sleeping to absolute deadlines."""
+    yield Way(lambda now: True)
+
+
+@contextlib.contextmanager
+def raw_socket(configuration: Configuration) -> Iterator[Way]:
+    """SYNC out, TPDOs in, RPDOs out, nothing else."""
+    axes = range(len(configuration.models))
+    ids = [base + n for n in axes for base in (0x181, 0x281, 0x1A0, 0x1C0)]
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
+        bus.setsockopt(
+            socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"".join(FILTER.pack(can_id, EXACTLY) for can_id in ids)
+        )
+        bus.bind((configuration.file.bus.channel,))
+        bus.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", 0, round(1e6 * PATIENCE)))
+        sync = FRAME.pack(0x080, 0, b"")
+        commands = [FRAME.pack(0x201 + n, 4, struct.pack("<Hh", 15, 0)) for n in axes]
+        send, recv_into, buffer, expected = bus.send, bus.recv_into, bytearray(16), range(len(ids))
+
+        def cycle(now: float) -> bool:
+            send(sync)
+            try:
+                for _ in expected:
+                    recv_into(buffer)
+            except BlockingIOError:
+                return False
+            for command in commands:
+                send(command)
+            return True
+
+        yield Way(cycle)
+
+
+@contextlib.contextmanager
+def ours(
+    configuration: Configuration,
+    bus: Bus | None = None,
+    prepare: Callable[[Sequence[ControlAxis]], None] = lambda axes: None,
+) -> Iterator[Way]:
+    """The control cycle of `tsa run`, torque permitted; `prepare` may put stamps on its axes."""
+    file = configuration.file
+    bus = bus or SocketCan(file.bus.channel, file.bus.send_queue)
+    rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
+    axes = control_axes(configuration, rig)
+    prepare(axes)
+    rig.start()
+    collect = file.controller.collect * configuration.period
+    start: list[float] = []
+
+    def cycle(now: float) -> bool:
+        if not start:
+            start.append(now)
+        elif len(start) == 1 and now - start[0] > 10 * configuration.period:
+            start.append(now)
+            for axis in axes:
+                axis.enable()
+        run_cycle(rig, axes, now, now + collect)
+        return all(axis.image.fresh for axis in axes)
+
+    try:
+        yield Way(cycle, lambda deadline: rig.wait(deadline * 1e-9), lambda now: follow_up(rig, axes, now))
+        _tell_faults(axes)
+    finally:
+        bus.close()
+
+
+@contextlib.contextmanager
+def parts_of_ours(configuration: Configuration, flooded: bool = False) -> Iterator[tuple[Any, Any, Telemetry]]:
+    """Rig, axes and telemetry, with the processes of log writer and socket server; started."""
+    with _with_children(configuration, flooded) as (rig, axes, _, _, telemetry):
+        yield rig, axes, telemetry
+
+
+@contextlib.contextmanager
+def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Way]:
+    """With the record, the log writer's process, the socket server's process, and a command per cycle at most."""
+    collect = configuration.file.controller.collect * configuration.period
+    with _with_children(configuration, flooded) as (rig, axes, tuners, mailbox, telemetry):
+        count = 0
+
+        def cycle(now: float) -> bool:
+            nonlocal count
+            count += 1
+            if count == 10:
+                for axis in axes:
+                    axis.enable()
+            run_cycle(rig, axes, now, now + collect)
+            follow_up(rig, axes, now)
+            telemetry.record(count * configuration.period, count, 0.0, 0.0)
+            command = mailbox.take()
+            if command is not None:
+                tuners[command.axis].set(command.parameter, command.value)
+            for tuner in tuners:
+                tuner.update()
+            return all(axis.image.fresh for axis in axes)
+
+        yield Way(cycle, lambda deadline: rig.wait(deadline * 1e-9))
+
+
+@contextlib.contextmanager
+def _with_children(configuration: Configuration, flooded: bool) -> Iterator[tuple[Any, ...]]:
+    file = configuration.file
+    bus = SocketCan(file.bus.channel, file.bus.send_queue)
+    rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
+    axes = control_axes(configuration, rig)
+    tuners = tuners_of(axes, configuration.period)
+    with contextlib.ExitStack() as stack:
+        stack.callback(bus.close)
+        children = Children(configuration, tuners)
+        stack.callback(children.end)
+        if flooded:
+            stack.enter_context(_flood(file.socket.path))
+        telemetry = Telemetry(rig, axes, tuners, children.mailbox, children.ring, children.log, Events())
+        rig.start()
+        yield rig, axes, tuners, children.mailbox, telemetry
+        _tell_faults(axes)
+
+
+def _tell_faults(axes: Sequence[ControlAxis]) -> None:
+    """A measurement with a fault in it is one of cycles without torque."""
+    for axis in axes:
+        for fault in axis.supervisor.faults:
+            print(f"\nfault while measuring: {axis.name}: {fault}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _flood(path: str) -> Iterator[None]:
+    client = subprocess.Popen([sys.executable, "-c", FLOOD % CLIENTS, path], stdout=subprocess.PIPE)
+    assert client.stdout is not None
+    client.stdout.readline()
+    try:
+        yield
+    finally:
+        client.kill()
+        client.communicate()
+
+
+@contextlib.contextmanager
+def python_can(configuration: Configuration) -> Iterator[Way]:
+    """Ours through python-can's Bus on the same interface."""
+    settings = configuration.file.bus
+    with ours(configuration, PythonCan("socketcan", settings.channel, settings.bitrate, {})) as way:
+        yield way
+
+
+class CanopenNodes:
+    """The nodes of one axis as canopen sees them, mapped by hand as the drive is."""
+
+    def __init__(self, network: Any, axis: int, received: Callable[[Any], None]) -> None:
+        drive = _node(network, 1 + axis, {0x6041: 16, 0x6077: 16, 0x606C: 32, 0x6064: 32, 0x6061: 8, 0x603F: 16}, 2)
+        encoder = _node(network, 32 + axis, {0x6004: 32}, 1)
+        sensor = _node(network, 64 + axis, {0x9130: 32}, 1)
+        self.inputs = [
+            _tpdo(drive, 1, 0x181 + axis, (0x6041, 0x6077, 0x606C), received),
+            _tpdo(drive, 2, 0x281 + axis, (0x6064, 0x6061, 0x603F), received),
+            _tpdo(encoder, 1, 0x1A0 + axis, (0x6004,), received),
+            _tpdo(sensor, 1, 0x1C0 + axis, (0x9130,), received),
+        ]
+        self.output = drive.rpdo[1]
+        self.output.clear()
+        self.output.cob_id = 0x201 + axis
+        for index in (0x6040, 0x6071):
+            self.output.add_variable(index)
+
+
+@contextlib.contextmanager
+def canopen_pdo(configuration: Configuration) -> Iterator[Way]:
+    """Input and output alone, with canopen's PDO objects, notifier thread and conditions."""
+    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, policy & ~os.SCHED_RESET_ON_FORK, priority)  # its thread runs with its user's priority
+    network = canopen.Network()
+    condition = threading.Condition()
+    pending = 0
+
+    def received(_: Any) -> None:
+        nonlocal pending
+        with condition:
+            pending -= 1
+            if pending == 0:
+                condition.notify()
+
+    network.connect(interface="socketcan", channel=configuration.file.bus.channel)
+    try:
+        nodes = [CanopenNodes(network, n, received) for n in range(len(configuration.models))]
+        expected = sum(len(node.inputs) for node in nodes)
+
+        def cycle(now: float) -> bool:
+            nonlocal pending
+            with condition:
+                pending = expected
+                network.sync.transmit()
+                if not condition.wait_for(lambda: pending <= 0, PATIENCE):
+                    return False
+            for node in nodes:
+                for pdo in node.inputs:
+                    for variable in pdo:
+                        variable.raw  # noqa: B018  decoding is what a user of it would do
+                node.output[0].raw = 15
+                node.output[1].raw = 0
+                node.output.transmit()
+            return True
+
+        yield Way(cycle)
+    finally:
+        network.disconnect()
+        os.sched_setscheduler(0, policy, priority)
+
+
+def _node(network: Any, node_id: int, objects: dict[int, int], tpdos: int) -> Any:
+    """A remote node with a dictionary of `objects` (index to bits) and its PDO parameters."""
+    kinds = {8: datatypes.INTEGER8, 16: datatypes.INTEGER16, 32: datatypes.INTEGER32}
+    dictionary = canopen.ObjectDictionary()
+    for index, bits in {**objects, 0x6040: 16, 0x6071: 16}.items():
+        variable = ODVariable(f"object {index:04X}", index, 0)
+        variable.data_type = kinds[bits]
+        dictionary.add_object(variable)
+    for first in (0x1400, *(0x1800 + n for n in range(tpdos))):
+        dictionary.add_object(ODRecord(f"communication {first:04X}", first))
+        dictionary.add_object(ODArray(f"mapping {first:04X}", first + 0x200))
+    node = canopen.RemoteNode(node_id, dictionary)
+    network.add_node(node)
+    return node
+
+
+def _tpdo(node: Any, number: int, cob_id: int, indices: tuple[int, ...], received: Callable[[Any], None]) -> Any:
+    pdo = node.tpdo[number]
+    pdo.clear()
+    pdo.cob_id, pdo.enabled = cob_id, True
+    for index in indices:
+        pdo.add_variable(index)
+    pdo.add_callback(received)
+    pdo.subscribe()
+    return pdo

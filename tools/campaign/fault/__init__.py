@@ -1,0 +1,1 @@
+"""The faults of the campaign, the processes they meet, and the verdict."""

@@ -1,0 +1,94 @@
+"""Throws nonsense at everything that listens: no crash, no torque, no leak.
+
+Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
+
+  loop      spoiled, random and lying frames to the daemon's loop on a bus in memory; a judge that reads only the frames
+            says when there may be torque
+  plant     random frames and SDO requests to the simulated nodes; after each batch a reset must bring them back
+  bring-up  the start over a bus that spoils SDO answers: it succeeds, or says in one line why not
+  socket    spoiled requests to the local socket's process
+  files     spoiled configuration files to every reader
+
+--frames is shared by loop and plant; the other parts take their share of it. Memory and descriptors are those after the
+first quarter and at the end. Exit code 1: a problem was found; its seed repeats it.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+
+from tests.fuzz import configuring, files, master, nodes, requests
+from tests.fuzz.part import Part
+from tools import command
+
+PARTS: dict[str, Callable[[int, int], Part]] = {  # frames, seed
+    "loop": lambda frames, seed: master.run(frames // 2, seed),
+    "plant": lambda frames, seed: nodes.run(frames // 2, seed),
+    "bring-up": lambda frames, seed: configuring.run(max(4, frames // 5000), seed),
+    "socket": lambda frames, seed: requests.run(max(100, frames // 10), seed),
+    "files": lambda frames, seed: files.run(max(100, frames // 100), seed),
+}
+MOST_GROWTH = 16 << 20  # bytes; more is a leak
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--frames", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    unknown = [name for name in options.parts if name not in PARTS]
+    if unknown:
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+    rows, problems = [], []
+    for name in options.parts or PARTS:
+        begin = time.monotonic()
+        part = PARTS[name](options.frames, options.seed)
+        row, found = describe(part, time.monotonic() - begin)
+        rows.append(row)
+        problems += found
+        if not options.json:
+            show(row)
+    if options.json:
+        print(json.dumps({"schema": 1, "parts": rows, "problems": problems}))
+    else:
+        print("\n".join(problems), end="\n" if problems else "")
+        print(f"{sum(int(row['inputs']) for row in rows)} inputs, {len(problems)} problems")
+    return 1 if problems else 0
+
+
+def describe(part: Part, seconds: float) -> tuple[dict[str, object], list[str]]:
+    """A line of the table, and what is wrong."""
+    growth = part.after.memory - part.before.memory
+    opened = part.after.descriptors - part.before.descriptors
+    problems = [f"{part.name}: {text}" for text in part.problems]
+    if growth > MOST_GROWTH:
+        problems.append(f"{part.name}: memory grew by {growth / 2**20:.1f} MiB")
+    if opened > 0:
+        problems.append(f"{part.name}: {opened} descriptors were left open")
+    row: dict[str, object] = {
+        "part": part.name,
+        "inputs": part.inputs,
+        "seconds": round(seconds, 1),
+        "memory_before": part.before.memory,
+        "memory_after": part.after.memory,
+        "descriptors_before": part.before.descriptors,
+        "descriptors_after": part.after.descriptors,
+        "counts": dict(part.counts),
+    }
+    return row, problems
+
+
+def show(row: dict[str, object]) -> None:
+    before, after = (float(str(row[key])) / 2**20 for key in ("memory_before", "memory_after"))
+    counts = row["counts"]
+    assert isinstance(counts, dict)
+    print(
+        f"{row['part']:9}{row['inputs']:>9} inputs in {row['seconds']:>6} s, memory {before:.1f} -> {after:.1f} MiB, "
+        f"descriptors {row['descriptors_before']} -> {row['descriptors_after']}; "
+        + ", ".join(f"{key} {value}" for key, value in counts.items()),
+        flush=True,
+    )

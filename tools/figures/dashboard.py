@@ -1,0 +1,70 @@
+"""A picture of `tsa dashboard` beside a running demo, taken by a headless Chromium.
+
+Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8]
+
+Starts the demo (plant and daemon on the best bus of this machine), the dashboard on the daemon's socket, and Chromium.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.dashboard.chromium import chromium
+from tools import command
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.system.processes import tsa
+
+PATIENCE = 60.0  # s for the daemon's socket
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(tsa(*arguments), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
+
+
+def socket_in(folder: Path) -> Path:
+    """The socket of the daemon that runs with torque."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        for path in folder.rglob("*.sock"):
+            asked = subprocess.run(tsa("status", "--json", "--socket", str(path)), capture_output=True, text=True)
+            if asked.returncode == 0 and '"running"' in asked.stdout:
+                return path
+        time.sleep(0.2)
+    raise BusError(f"no daemon came up in {folder}; run tsa demo and see what it says")
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--out", type=Path, default=command.ROOT / ".readme" / "dashboard.png")
+    parser.add_argument("--seconds", type=float, default=8.0, help="of motion before the picture")
+    options = parser.parse_args()
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        raise BusError("no Chromium here; install the distribution's package chromium")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        seconds = str(options.seconds + 20.0)
+        with running("demo", "--seconds", seconds, "--rate", "500", "--out", str(folder / "demo")):
+            path = socket_in(folder)
+            with running("dashboard", "--socket", str(path)) as page_server:
+                assert page_server.stdout is not None
+                address = page_server.stdout.readline().removeprefix("dashboard: ").strip()
+                with chromium(browser, folder) as page:
+                    page.open(address)
+                    page.until("document.getElementById('phase')?.textContent === 'running'")
+                    time.sleep(options.seconds)
+                    page.picture(options.out, 1100, 1150)
+    print(options.out)
+    return 0

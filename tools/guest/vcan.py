@@ -1,0 +1,120 @@
+"""usage: tools/vcan COMMAND [ARGUMENT...]
+
+Runs COMMAND where there is a virtual CAN interface, its name in TSA_VCAN, and ends with its exit status. The
+interface is, in this order: a vcan that is up; one that this user may create (as root for all, else in a network
+namespace for COMMAND alone); one in a user-mode Linux guest that is started for COMMAND (its root file system is this
+one; it has its own /dev/shm, TMPDIR, processes and network, and one processor).
+Without any of them: one line and exit status 77.
+
+  TSA_VCAN          name of the interface; default a vcan that is up, else vcan0
+  TSA_REQUIRE_VCAN  1: without a vcan the exit status is 1, not 77
+  TSA_VCAN_TIMEOUT  seconds after which COMMAND is ended, with exit status 124; default none
+  TSA_VCAN_MEMORY   of the guest, as 512M or 4G; default 2G
+  TSA_CACHE         folder for the guest's kernel (16 MB, fetched once); default .cache of the project
+
+example: tools/vcan pytest -m vcan
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from typing import NoReturn
+
+from tools.guest import guest, link, namespace
+from tools.guest.guest import GRACE_SECONDS, Limits
+from tools.guest.kernel import UnavailableError, kernel
+
+DEFAULT = "vcan0"
+FAILED, USAGE, SKIPPED, NOT_FOUND, INTERRUPTED = 1, 2, 77, 127, 130
+
+
+def main() -> int:
+    """The command's exit status."""
+    try:
+        return run(sys.argv[1:])
+    except KeyboardInterrupt:
+        end(INTERRUPTED, "interrupted")
+
+
+def run(arguments: list[str]) -> int:
+    """Run a command where a vcan is, in this process if it can be."""
+    if arguments[:1] in (["-h"], ["--help"]):
+        print((__doc__ or "").strip())
+        return 0
+    if not arguments or arguments[0].startswith("-"):
+        end(USAGE, "usage: tools/vcan COMMAND [ARGUMENT...] (see tools/vcan --help)")
+    limits = Limits(memory(), seconds())
+    if shutil.which(arguments[0]) is None:
+        end(NOT_FOUND, f"{arguments[0]}: no such command")
+    name = os.environ.get("TSA_VCAN", "")
+    if interface := found_or_created(name):
+        run_here(arguments, interface, limits)
+    name = name or DEFAULT
+    if namespace.possible(name):
+        namespace.enter(name)
+        run_here(arguments, name, limits)
+    return run_in_guest(arguments, name, limits)
+
+
+def run_here(command: list[str], interface: str, limits: Limits) -> NoReturn:
+    if limits.seconds is not None:
+        command = ["timeout", "-k", f"{GRACE_SECONDS:g}", f"{limits.seconds:g}", *command]
+    sys.stderr.flush()
+    os.execvpe(command[0], command, {**os.environ, "TSA_VCAN": interface})
+
+
+def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
+    try:
+        return guest.run(kernel(), command, {**os.environ, "TSA_VCAN": interface}, limits)
+    except UnavailableError as reason:
+        if os.environ.get("TSA_REQUIRE_VCAN") == "1":
+            end(FAILED, f"no vcan to be had: {reason}")
+        end(SKIPPED, f"skipped, no vcan to be had: {reason}")
+
+
+def found_or_created(name: str) -> str | None:
+    """The name of a vcan of this machine that is up; None where there is none and this user may not make one."""
+    existing = {interface.name: interface for interface in link.interfaces()}
+    if name and name in existing and existing[name].kind != "vcan":
+        end(
+            USAGE,
+            f"TSA_VCAN={name}: that is no vcan but an interface of kind '{existing[name].kind or 'none'}'",
+        )
+    up = sorted(interface.name for interface in existing.values() if interface.kind == "vcan" and interface.up)
+    if name in up or (up and not name):
+        return name or up[0]
+    name = name or DEFAULT
+    try:
+        if name not in existing:
+            link.create_vcan(name)
+        link.set_flags(name, link.IFF_UP)
+    except OSError:
+        return None
+    print(f"tools/vcan: made {name}, which stays until 'ip link del {name}'", file=sys.stderr)
+    return name
+
+
+def memory() -> int:
+    value = os.environ.get("TSA_VCAN_MEMORY") or "2G"
+    match = re.fullmatch(r"(\d+)([MG])", value)
+    size = int(match[1]) << {"M": 20, "G": 30}[match[2]] if match else 0
+    if size < 128 << 20:
+        end(USAGE, f"TSA_VCAN_MEMORY={value}: a size from 128M on is wanted, as 512M or 2G")
+    return size
+
+
+def seconds() -> float | None:
+    value = os.environ.get("TSA_VCAN_TIMEOUT")
+    if not value:
+        return None
+    if not re.fullmatch(r"\d+(\.\d+)?", value) or not float(value):
+        end(USAGE, f"TSA_VCAN_TIMEOUT={value}: a number of seconds greater than 0 is wanted")
+    return float(value)
+
+
+def end(status: int, message: str) -> NoReturn:
+    print(f"tools/vcan: {message}", file=sys.stderr)
+    sys.exit(status)
