@@ -19,7 +19,8 @@ from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import Mailbox
-from tsa_ctrl.log.record import FIELD_NAMES, RingReader, RingWriter
+from tsa_ctrl.log.record import FIELD_NAMES
+from tsa_ctrl.log.ring import RingReader, RingWriter
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, ENABLED, FAULT = 0x1250, 0x1231, 0x1233, 0x1237, 0x1218
@@ -104,7 +105,7 @@ class Machine:
         self.axis = self.axes[0]
         tuners = tuners_of(self.axes, self.configuration.period)
         self.names = [parameter.name for parameter in tuners[0].parameters]
-        self.mailbox = Mailbox.create(len(self.axes), len(self.names))
+        self.mailbox = Mailbox(len(self.axes), len(self.names))
         self.ring = RingWriter(len(self.axes))
         self.events = Events()
         telemetry = Telemetry(self.rig, self.axes, tuners, self.mailbox, self.ring, None, self.events)

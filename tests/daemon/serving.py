@@ -12,7 +12,7 @@ import msgspec
 
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.phase import LoopPhase
-from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, Mailbox
+from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox
 from tsa_ctrl.ipc.protocol import Description, Range
 from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.safety.limiter import Reason
@@ -39,6 +39,11 @@ def description(path: Path, axes: list[str]) -> Description:
     )
 
 
+QUARTERS = AxisStatus(*(0.25 for _ in AxisStatus._fields))._replace(
+    state=1.0, estimate_state=0.0, limit_reason=0.0, missed=3.0
+)
+
+
 class Serving:
     """The server's process and the loop's end of the mailbox."""
 
@@ -46,11 +51,10 @@ class Serving:
 
     def __init__(self, path: Path, axes: list[str]) -> None:
         self.path = str(path)
-        self.mailbox = Mailbox.create(len(axes), 2)
-        general = dict.fromkeys(GENERAL, 0.0) | {"time": time.monotonic(), "phase": 2.0, "cycles": 7.0}
-        values = dict.fromkeys(AXIS, 0.25) | {"state": 1.0, "estimate_state": 0.0, "limit_reason": 0.0, "missed": 3.0}
-        values["tau_j"] = float("nan")
-        self.mailbox.publish(tuple(general.values()), [(*values.values(), 0.95, 45.0) for _ in axes])
+        self.mailbox = Mailbox(len(axes), 2)
+        general = General(time=time.monotonic(), phase=2.0, cycles=7.0)
+        axis = QUARTERS._replace(tau_j=float("nan"))
+        self.mailbox.publish(general, [(axis, (0.95, 45.0)) for _ in axes])
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],
             stdin=subprocess.PIPE,

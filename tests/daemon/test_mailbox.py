@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Iterator
 
 import pytest
 
-from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, SLOTS, Command, Mailbox
+from tsa_ctrl.ipc.mailbox import SLOTS, AxisStatus, Command, General, Mailbox
 
 
 @pytest.fixture
 def mailbox() -> Iterator[Mailbox]:
-    box = Mailbox.create(axes=2, parameters=3)
+    box = Mailbox(axes=2, parameters=3)
     yield box
     box.close()
 
@@ -50,16 +52,59 @@ def test_stop_is_not_queued(mailbox: Mailbox) -> None:
     assert mailbox.stop_requested
 
 
+GENERAL = General(*(float(n) for n in range(len(General._fields))))
+AXES = [
+    (AxisStatus(*(float(100 * axis + n) for n in range(len(AxisStatus._fields)))), (1.0 + axis, 2.0, 3.0))
+    for axis in range(2)
+]
+
+
+def other_end(mailbox: Mailbox) -> Mailbox:
+    return Mailbox(2, 3, os.dup(mailbox.descriptor))
+
+
 def test_other_end_reads_the_snapshot(mailbox: Mailbox) -> None:
     """What the loop publishes is what another mapping of the memory reads."""
-    other = Mailbox(mailbox.descriptor, 2, 3)
-    general = tuple(float(n) for n in range(len(GENERAL)))
-    axes = [tuple(float(100 * axis + n) for n in range(len(AXIS) + 3)) for axis in range(2)]
-    mailbox.publish(general, axes)
+    other = other_end(mailbox)
+    mailbox.publish(GENERAL, AXES)
     mailbox.publish_text(b'["hello"]')
-    assert other.status() == (general, axes)
+    assert other.status() == (GENERAL, AXES)
     assert other.text()[1] == b'["hello"]'
     mailbox.lateness[7] += 1
     assert other.lateness[7] == 1
     mailbox.publish_text(b"[]")
     assert other.text()[1] == b"[]"
+
+
+def test_before_the_first_status_there_are_zeros(mailbox: Mailbox) -> None:
+    general, axes = other_end(mailbox).status()
+    assert general == General()
+    assert axes == [(AxisStatus(), (0.0, 0.0, 0.0))] * 2
+
+
+def test_a_torn_status_is_never_returned(mailbox: Mailbox) -> None:
+    """But the last that was whole, however the memory looks: a loop may be stopped in the middle of writing."""
+    other = other_end(mailbox)
+    for _ in range(2):
+        mailbox.publish(GENERAL, AXES)
+    mailbox.publish_text(b"[]")
+    assert (other.status(), other.text()[1]) == ((GENERAL, AXES), b"[]")
+    for at in range(0, len(mailbox._memory.bytes), 8):
+        mailbox._memory.bytes[at] ^= 0x80
+    assert (other.status(), other.text()[1]) == ((GENERAL, AXES), b"[]")
+
+
+def test_a_command_whose_place_is_not_whole_yet_waits(mailbox: Mailbox) -> None:
+    other = other_end(mailbox)
+    other.put(Command(1, 2, 3.0))
+    at = mailbox._memory.bytes.find(struct.pack("=d", 3.0))
+    mailbox._memory.bytes[at + 7] ^= 0xFF
+    assert mailbox.take() is None
+    mailbox._memory.bytes[at + 7] ^= 0xFF
+    assert mailbox.take() == Command(1, 2, 3.0)
+
+
+def test_a_server_that_follows_another_goes_on_with_its_tickets(mailbox: Mailbox) -> None:
+    assert other_end(mailbox).put(Command(0, 0, 0.0)) == 0
+    assert other_end(mailbox).put(Command(0, 1, 1.0)) == 1
+    assert [mailbox.take() for _ in range(3)] == [Command(0, 0, 0.0), Command(0, 1, 1.0), None]

@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.daemon.serving import Serving
-from tsa_ctrl.ipc.mailbox import AXIS, GENERAL, Command
+from tests.daemon.serving import QUARTERS, Serving
+from tsa_ctrl.ipc.mailbox import AxisStatus, Command, General, Parameters
 
 PERIOD = 0.01  # s
 
@@ -39,17 +39,14 @@ class Played:
                 if command.parameter == 0:
                     self.compensation[command.axis] = command.value
             now = time.monotonic()
-            general = dict.fromkeys(GENERAL, 0.0) | {"time": now, "start": self._start, "phase": 2.0, "cycles": cycles}
+            general = General(time=now, start=self._start, phase=2.0, cycles=cycles)
             self.serving.mailbox.lateness[2] = cycles
-            self.serving.mailbox.publish(
-                tuple(general.values()), [self._axis(index, now - self._start) for index in range(2)]
-            )
+            self.serving.mailbox.publish(general, [self._axis(index, now - self._start) for index in range(2)])
 
-    def _axis(self, index: int, t: float) -> tuple[float, ...]:
-        values = dict.fromkeys(AXIS, 0.25) | {"state": 1.0, "estimate_state": 0.0, "limit_reason": 0.0, "missed": 3.0}
+    def _axis(self, index: int, t: float) -> tuple[AxisStatus, Parameters]:
         wanted = math.sin(2.0 * t)
-        values |= {"t": t, "tau_j_des": wanted, "tau_j": 0.9 * wanted, "tau_m_cmd": 0.7 * wanted}
-        return (*values.values(), self.compensation[index], 45.0)
+        axis = QUARTERS._replace(t=t, tau_j_des=wanted, tau_j=0.9 * wanted, tau_m_cmd=0.7 * wanted)
+        return axis, (self.compensation[index], 45.0)
 
     def end(self) -> None:
         self._done.set()

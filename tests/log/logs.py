@@ -69,7 +69,7 @@ def kill_an_owner(path: Path) -> None:
         from pathlib import Path
         from tests.log.logs import HEADER, records
         from tsa_ctrl.log.process import LogProcess
-        from tsa_ctrl.log.record import RingWriter
+        from tsa_ctrl.log.ring import RingWriter
         ring = RingWriter(axes=2)
         log = LogProcess(Path({str(path)!r}), ring, HEADER)
         for row in records(700).tolist():

@@ -19,7 +19,8 @@ from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import NOTE_BYTES, RingReader, RingWriter
+from tsa_ctrl.log.record import Record
+from tsa_ctrl.log.ring import NOTE_BYTES, RingReader, RingWriter
 from tsa_ctrl.log.writer import DEAD, LogWriter
 
 FAULT = Note(0.25, "knee", "stale PDO: drive node 1: 3 cycles in a row", fault=True)
@@ -36,7 +37,7 @@ def ring() -> Iterator[RingWriter]:
 def push(ring: RingWriter, count: int) -> None:
     for row in records(count).tolist():
         for axis in range(2):
-            ring.push(axis, tuple(row))
+            ring.push(axis, Record(*row))
 
 
 def log_with(ring: RingWriter, path: Path, *notes: Note) -> Path:

@@ -17,7 +17,8 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import LogHealth, RingReader, RingWriter, WriterState
+from tsa_ctrl.log.record import Record
+from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter, WriterState
 from tsa_ctrl.log.writer import LogWriter
 from tsa_ctrl.outputs import untaken
 
@@ -31,8 +32,8 @@ def ring() -> Iterator[RingWriter]:
 
 def push(ring: RingWriter, count: int, first: int = 0) -> None:
     for row in records(count, first).tolist():
-        ring.push(0, tuple(row))
-        ring.push(1, tuple(row))
+        ring.push(0, Record(*row))
+        ring.push(1, Record(*row))
 
 
 def times(path: Path, axis: str = "hip") -> list[int]:
@@ -133,7 +134,6 @@ def test_the_process_writes_all_and_completes_the_file(ring: RingWriter, tmp_pat
     health = log.end()
     assert (health.state, health.written, health.lost) == (WriterState.ENDED, 1000, 0)
     assert times(tmp_path / "x.mcap", "knee") == list(range(500))
-    assert "1000 records" in log.summary()
 
 
 def test_a_writer_is_waited_for_until_it_looks_at_the_ring(ring: RingWriter, tmp_path: Path) -> None:
@@ -165,7 +165,6 @@ def test_a_writer_killed_in_the_middle_leaves_a_readable_log(ring: RingWriter, t
     push(ring, 300, 600)  # the loop goes on
     health = log.end()
     assert health.state is not WriterState.ENDED
-    assert "not completed" in log.summary()
     assert times(path)[:300] == list(range(300))
     assert len(times(path)) in (300, 600)
     file = LogFile(path)

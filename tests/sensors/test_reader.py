@@ -43,7 +43,7 @@ def sensors(*each: SerialSensorSettings) -> Iterator[SerialSensors]:
 
 def test_a_value_arrives_with_its_time(line: Line) -> None:
     with sensors(settings(line, scale=2.0)) as read:
-        wait_for(lambda: read.value(0, time.monotonic()) == 3.0, lambda: line.send(b"1.5\r\n"))
+        wait_for(lambda: read.reader(0)(time.monotonic()) == 3.0, lambda: line.send(b"1.5\r\n"))
         reading = read.reading(0)
         assert reading.state is LineState.READING
         assert 0.0 <= time.monotonic() - reading.time < PATIENCE
@@ -53,7 +53,7 @@ def test_a_silent_line_gives_nan_after_its_time_out(line: Line) -> None:
     with sensors(settings(line)) as read:
         wait_for(lambda: read.reading(0).count > 2, lambda: line.send(b"1\n"))
         wait_for(lambda: read.reading(0).state is LineState.SILENT)
-        assert math.isnan(read.value(0, time.monotonic()))
+        assert math.isnan(read.reader(0)(time.monotonic()))
 
 
 def test_noise_is_counted_and_never_becomes_a_value(line: Line) -> None:
@@ -69,9 +69,9 @@ def test_an_unplugged_line_is_lost_and_comes_back(line: Line) -> None:
         wait_for(lambda: read.reading(0).count > 0, lambda: line.send(b"1\n"))
         line.unplug()
         wait_for(lambda: read.reading(0).state is LineState.LOST)
-        assert math.isnan(read.value(0, time.monotonic() + 1.0))
+        assert math.isnan(read.reader(0)(time.monotonic() + 1.0))
         line.plug()
-        wait_for(lambda: read.value(0, time.monotonic()) == 2.0, lambda: line.send(b"2\n"))
+        wait_for(lambda: read.reader(0)(time.monotonic()) == 2.0, lambda: line.send(b"2\n"))
 
 
 def test_a_sensor_that_is_asked_gets_its_request(line: Line) -> None:
@@ -83,7 +83,7 @@ def test_a_sensor_that_is_asked_gets_its_request(line: Line) -> None:
                 if b"READ?" in os.read(line.ours, 100):
                     line.send(b"0.25\n")
 
-        wait_for(lambda: read.value(0, time.monotonic()) == 0.25, answer)
+        wait_for(lambda: read.reader(0)(time.monotonic()) == 0.25, answer)
 
 
 def test_two_sensors_do_not_mix(tmp_path: Path) -> None:
@@ -126,24 +126,6 @@ def test_a_new_slot_holds_nothing() -> None:
     slots = Slots(2)
     assert math.isnan(slots.fresh(1, 0.0, 1.0))
     assert slots.read(1).state is NOTHING.state
-    slots.close()
-
-
-def test_a_writer_stopped_in_the_middle_of_a_write_leaves_the_value_before() -> None:
-    class StoppedError(Exception):
-        pass
-
-    class State:
-        def __index__(self) -> int:  # the last number that is written
-            raise StoppedError
-
-    slots = Slots(1)
-    for value in (1.0, 2.0):
-        slots.write(0, Reading(value, 5.0, 1, 0, LineState.READING))
-        with pytest.raises(StoppedError):
-            slots.write(0, Reading(9.0, 9.0, 9, 9, State()))  # type: ignore[arg-type]
-        assert slots.fresh(0, 5.0, 0.1) == value
-        assert slots.read(0) == Reading(value, 5.0, 1, 0, LineState.READING)
     slots.close()
 
 

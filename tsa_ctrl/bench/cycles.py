@@ -19,7 +19,7 @@ from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import Mailbox
-from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.supervisor import Request
 from tsa_ctrl.system.realtime import freeze_garbage
 
@@ -79,7 +79,7 @@ def measure(
     rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
     axes = control_axes(configuration, rig)
     tuners = tuners_of(axes, configuration.period)
-    mailbox = Mailbox.create(len(axes), len(tuners[0].parameters))
+    mailbox = Mailbox(len(axes), len(tuners[0].parameters))
     ring = RingWriter(len(axes))
     try:
         telemetry = Telemetry(rig, axes, tuners, mailbox, ring, None, Events())

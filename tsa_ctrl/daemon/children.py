@@ -17,7 +17,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.log.process import LogProcess
-from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.parent import terminal_blocked
 
@@ -33,7 +33,7 @@ class Children:
         self.ring: RingWriter | None = None
         self.log: LogProcess | None = None
         self.sensors = AxisSensors(file.axes)
-        self.mailbox = Mailbox.create(len(file.axes), len(tuners[0].parameters))
+        self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters))
         description = describe(configuration, tuners)
         with terminal_blocked():
             self._server = subprocess.Popen(

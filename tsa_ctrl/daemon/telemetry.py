@@ -13,10 +13,11 @@ from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
-from tsa_ctrl.ipc.mailbox import Mailbox
+from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
-from tsa_ctrl.log.record import RingWriter
+from tsa_ctrl.log.record import Record
+from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.system.notify import Notifier
 
@@ -72,39 +73,49 @@ class Telemetry:
                 reason = Reason.OSCILLATION
             push(
                 index,
-                (
-                    t,
-                    image.tau_m,
-                    instruments.tau_j,
-                    terms.omega_j,
-                    terms.q_j,
-                    image.q_m,
-                    image.omega_m,
-                    terms.theta,
-                    instruments.t1,
-                    instruments.t3,
-                    _NAN,
-                    terms.tau_j_des,
-                    terms.tau_m_cmd,
-                    cycle,
-                    lateness,
-                    work,
-                    image.pdo_age,
-                    image.missed,
-                    _STATE[image.statusword & 0x7F],
-                    terms.sigma,
-                    axis.law.friction_term,
-                    estimator.friction_angle,
-                    estimator.pretension,
-                    estimator.state.value,
-                    reason.value,
+                Record(
+                    t=t,
+                    tau_m=image.tau_m,
+                    tau_j=instruments.tau_j,
+                    omega_j=terms.omega_j,
+                    q_j=terms.q_j,
+                    q_m=image.q_m,
+                    omega_m=image.omega_m,
+                    theta=terms.theta,
+                    t1=instruments.t1,
+                    t3=instruments.t3,
+                    temperature=_NAN,
+                    tau_j_des=terms.tau_j_des,
+                    tau_m_cmd=terms.tau_m_cmd,
+                    cycle=cycle,
+                    lateness=lateness,
+                    work=work,
+                    pdo_age=image.pdo_age,
+                    missed=image.missed,
+                    state=_STATE[image.statusword & 0x7F],
+                    sigma=terms.sigma,
+                    friction_term=axis.law.friction_term,
+                    friction_angle=estimator.friction_angle,
+                    pretension=estimator.pretension,
+                    estimate_state=estimator.state.value,
+                    limit_reason=reason.value,
                 ),
             )
 
     def publish(self, now: float, start: float, counts: tuple[int, int, int, int], phase: int) -> None:
         """Write the status; `counts`: cycles run, planned, skipped, overruns; times in s, monotonic."""
-        dropped = self._rig.bus.counters.dropped
-        general = (now, start, *counts, dropped, self.log_lost, phase)
+        cycles, planned, skipped, overruns = counts
+        general = General(
+            time=now,
+            start=start,
+            cycles=cycles,
+            planned=planned,
+            skipped=skipped,
+            overruns=overruns,
+            dropped=self._rig.bus.counters.dropped,
+            log_lost=self.log_lost,
+            phase=phase,
+        )
         if self._notifier is not None:
             loop = LoopPhase(phase)
             self._notifier.update(now, loop.name.lower(), loop.up, loop.ending)
@@ -129,30 +140,30 @@ class Telemetry:
             if self._note is not None:
                 self._note(Note(event.t, event.axis, event.text, event.fault).encoded())
 
-    def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[float, ...]:
+    def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[AxisStatus, Parameters]:
         image, terms, estimator = axis.image, axis.terms, axis.estimator
-        return (
-            t,
-            terms.tau_j_des,
-            terms.tau_m_cmd,
-            image.tau_m,
-            axis.instruments.tau_j,
-            terms.omega_j,
-            terms.q_j,
-            terms.sigma,
-            axis.law.friction_term,
-            estimator.friction_angle,
-            estimator.pretension,
-            estimator.state.value,
-            _STATE[image.statusword & 0x7F],
-            terms.reason.value,
-            image.missed,
-            image.pdo_age,
-            sum(node.late for node in image.nodes),
-            sum(node.repeated for node in image.nodes),
-            sum(node.malformed for node in image.nodes),
-            *(parameter.value for parameter in self._tuners[index].parameters),
+        status = AxisStatus(
+            t=t,
+            tau_j_des=terms.tau_j_des,
+            tau_m_cmd=terms.tau_m_cmd,
+            tau_m=image.tau_m,
+            tau_j=axis.instruments.tau_j,
+            omega_j=terms.omega_j,
+            q_j=terms.q_j,
+            sigma=terms.sigma,
+            friction_term=axis.law.friction_term,
+            friction_angle=estimator.friction_angle,
+            pretension=estimator.pretension,
+            estimate_state=estimator.state.value,
+            state=_STATE[image.statusword & 0x7F],
+            limit_reason=terms.reason.value,
+            missed=image.missed,
+            pdo_age=image.pdo_age,
+            late=sum(node.late for node in image.nodes),
+            repeated=sum(node.repeated for node in image.nodes),
+            malformed=sum(node.malformed for node in image.nodes),
         )
+        return status, tuple(parameter.value for parameter in self._tuners[index].parameters)
 
     def check_sensors(self, t: float) -> None:
         """About once a second: say when a serial sensor is lost or back."""

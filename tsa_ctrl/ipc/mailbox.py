@@ -1,53 +1,71 @@
 """Shared memory between the loop and the socket server: commands in, status out. Neither side ever waits for the other.
 
-Anonymous memory (memfd), inherited by descriptor: no name, no leftovers. Every counter has one writer. Commands are a
-ring with a bound; the status is a snapshot under a sequence number that is odd while it is being written.
+Commands are places with a bound, taken in turn; status and events are each the newest that is whole (see
+`system.shared_memory`, whose rule says what either side believes).
 """
 
 from __future__ import annotations
 
-import mmap
-import os
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from tsa_ctrl.system.histogram import BINS
+from tsa_ctrl.system.shared_memory import Newest, Places, SharedMemory, space
 
 SLOTS = 64  # commands that may wait; the loop takes one per cycle
 TEXT = 16 * 1024  # bytes of events
-GENERAL = ("time", "start", "cycles", "planned", "skipped", "overruns", "dropped", "log_lost", "phase")
-AXIS = (
-    "t",
-    "tau_j_des",
-    "tau_m_cmd",
-    "tau_m",
-    "tau_j",
-    "omega_j",
-    "q_j",
-    "sigma",
-    "friction_term",
-    "friction_angle",
-    "pretension",
-    "estimate_state",
-    "state",
-    "limit_reason",
-    "missed",
-    "pdo_age",
-    "late",
-    "repeated",
-    "malformed",
-)
-COUNTS = ("missed", "late", "repeated", "malformed")  # of AXIS: whole numbers since the start
 
-_COMMAND = struct.Struct("<qqd")  # axis, parameter, value
-_WORD = struct.Struct("<Q")
-_HEAD, _TAIL, _STOP, _STATUS_SEQUENCE, _TEXT_SEQUENCE, _TEXT_LENGTH = (64 * n for n in range(6))  # a cache line each
-_COMMANDS = 64 * 6
-_LATENESS = _COMMANDS + SLOTS * _COMMAND.size
+
+class General(NamedTuple):
+    """The status of the whole; times in s, monotonic."""
+
+    time: float = 0.0
+    start: float = 0.0
+    cycles: float = 0.0
+    planned: float = 0.0
+    skipped: float = 0.0
+    overruns: float = 0.0
+    dropped: float = 0.0
+    log_lost: float = 0.0
+    phase: float = 0.0  # code
+
+
+class AxisStatus(NamedTuple):
+    """The status of one axis; N*m, rad/s, rad, s, N, codes and counts."""
+
+    t: float = 0.0
+    tau_j_des: float = 0.0
+    tau_m_cmd: float = 0.0
+    tau_m: float = 0.0
+    tau_j: float = 0.0
+    omega_j: float = 0.0
+    q_j: float = 0.0
+    sigma: float = 0.0
+    friction_term: float = 0.0
+    friction_angle: float = 0.0
+    pretension: float = 0.0
+    estimate_state: float = 0.0  # code
+    state: float = 0.0  # code
+    limit_reason: float = 0.0  # code
+    missed: float = 0.0
+    pdo_age: float = 0.0
+    late: float = 0.0
+    repeated: float = 0.0
+    malformed: float = 0.0
+
+
+COUNTS = ("missed", "late", "repeated", "malformed")  # of an axis: whole numbers since the start
+Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the description
+
+_COMMAND = struct.Struct("=qqd")  # axis, parameter, value
+_TAIL, _STOP = 0, 8  # words of the header: commands taken, stop asked for
+_LATENESS = 64
 _WORK = _LATENESS + 8 * BINS
-_TEXT = _WORK + 8 * BINS
-_STATUS = _TEXT + TEXT
-_TRIES = 100  # of reading a snapshot that is being written; the writer needs microseconds
+_COMMANDS = -(-(_WORK + 8 * BINS) // 64) * 64
+_TEXT = _COMMANDS + space(SLOTS, _COMMAND.size)
+_STATUS = _TEXT + space(2, TEXT)
 
 
 @dataclass(frozen=True)
@@ -64,112 +82,86 @@ RECOVER = -2  # bring the bus up again after a latched fault
 
 
 class Mailbox:
-    """Both ends; `create` in the loop's process, `attach` in the server's."""
+    """Both ends: made by the loop's process, mapped from its descriptor by the server's."""
 
-    def __init__(self, descriptor: int, axes: int, parameters: int) -> None:
+    def __init__(self, axes: int, parameters: int, descriptor: int | None = None) -> None:
         """`parameters`: live parameters per axis, whose values are part of the status."""
-        self.descriptor = descriptor
+        axis = len(AxisStatus._fields) + parameters
+        self._status_format = struct.Struct(f"={len(General._fields) + axes * axis}d")
+        memory = SharedMemory(_STATUS + space(2, self._status_format.size), descriptor)
+        self._memory = memory
+        self.descriptor = memory.descriptor
+        self.lateness = memory.array(_LATENESS, BINS)
+        self.work = memory.array(_WORK, BINS)
         self._axes = axes
-        self._general = struct.Struct(f"<{len(GENERAL)}d")
-        self._axis = struct.Struct(f"<{len(AXIS) + parameters}d")
-        self._size = self.size(axes, parameters)
-        self._memory = mmap.mmap(descriptor, self._size)
-        self._view = memoryview(self._memory)
-        self.lateness = self._view[_LATENESS:_WORK].cast("Q")
-        self.work = self._view[_WORK:_TEXT].cast("Q")
-
-    @staticmethod
-    def size(axes: int, parameters: int) -> int:
-        return _STATUS + 8 * (len(GENERAL) + axes * (len(AXIS) + parameters))
-
-    @classmethod
-    def create(cls, axes: int, parameters: int) -> Mailbox:
-        descriptor = os.memfd_create("tsa-mailbox", os.MFD_CLOEXEC)
-        os.ftruncate(descriptor, cls.size(axes, parameters))
-        return cls(descriptor, axes, parameters)
+        self._words = memory.words
+        self._commands = Places(memory, _COMMANDS, SLOTS, _COMMAND.size)
+        self._text = Newest(memory, _TEXT, TEXT)
+        self._status = Newest(memory, _STATUS, self._status_format.size)
+        self._put, _ = self._commands.newest()
+        self._seen = bytes(self._status_format.size)  # the last status that was whole
+        self._seen_text = (0, b"")
 
     def close(self) -> None:
         """Unmap; the memory goes with its last user."""
         self.lateness.release()
         self.work.release()
-        self._view.release()
         self._memory.close()
-        os.close(self.descriptor)
 
     # The server's side
 
     def put(self, command: Command) -> int | None:
         """Queue a command; its ticket, or None when the queue is full."""
-        head = self._word(_HEAD)
-        if head - self._word(_TAIL) >= SLOTS:
+        if self._put - self._words[_TAIL // 8] >= SLOTS:
             return None
-        at = _COMMANDS + head % SLOTS * _COMMAND.size
-        _COMMAND.pack_into(self._memory, at, command.axis, command.parameter, command.value)
-        _WORD.pack_into(self._memory, _HEAD, head + 1)
-        return head
+        self._put += 1
+        self._commands.write(self._put, _COMMAND.pack(command.axis, command.parameter, command.value))
+        return self._put - 1
 
     def taken(self, ticket: int) -> bool:
         """Whether the loop has taken the command of this ticket."""
-        return self._word(_TAIL) > ticket
+        return self._words[_TAIL // 8] > ticket
 
     def request_stop(self) -> None:
         """Ask the loop to end; never queued behind anything."""
-        _WORD.pack_into(self._memory, _STOP, 1)
+        self._words[_STOP // 8] = 1
 
-    def status(self) -> tuple[tuple[float, ...], list[tuple[float, ...]]]:
-        """The last snapshot: GENERAL, and for each axis AXIS followed by its live parameters."""
-        for _ in range(_TRIES):
-            before = self._word(_STATUS_SEQUENCE)
-            copy = bytes(self._view[_STATUS : self._size])
-            if before % 2 == 0 and self._word(_STATUS_SEQUENCE) == before:
-                break
-        at = self._general.size
-        axes = [self._axis.unpack_from(copy, at + n * self._axis.size) for n in range(self._axes)]
-        return self._general.unpack_from(copy), axes
+    def status(self) -> tuple[General, list[tuple[AxisStatus, Parameters]]]:
+        """The last status that is whole, and for each axis its live parameters; zeros before the first."""
+        self._seen = self._status.read()[1] or self._seen
+        values = self._status_format.unpack(self._seen)
+        general = len(General._fields)
+        size = (len(values) - general) // self._axes
+        rows = [values[general + n * size : general + (n + 1) * size] for n in range(self._axes)]
+        fields = len(AxisStatus._fields)
+        return General(*values[:general]), [(AxisStatus(*row[:fields]), row[fields:]) for row in rows]
 
     def text(self) -> tuple[int, bytes]:
-        """Sequence number and bytes of the events as last published."""
-        for _ in range(_TRIES):
-            before = self._word(_TEXT_SEQUENCE)
-            copy = bytes(self._view[_TEXT : _TEXT + self._word(_TEXT_LENGTH)])
-            if before % 2 == 0 and self._word(_TEXT_SEQUENCE) == before:
-                break
-        return before, copy
+        """Number and bytes of the events as last published whole; 0 and none before the first."""
+        found = self._text.read()
+        self._seen_text = found if found[0] else self._seen_text
+        return self._seen_text
 
     # The loop's side
 
     def take(self) -> Command | None:
         """The next command, or None; never more than one, so that no client can fill a cycle."""
-        tail = self._word(_TAIL)
-        if tail == self._word(_HEAD):
+        number = self._words[_TAIL // 8] + 1
+        content = self._commands.read(number)
+        if content is None:
             return None
-        command = Command(*_COMMAND.unpack_from(self._memory, _COMMANDS + tail % SLOTS * _COMMAND.size))
-        _WORD.pack_into(self._memory, _TAIL, tail + 1)
-        return command
+        self._words[_TAIL // 8] = number
+        return Command(*_COMMAND.unpack(content))
 
     @property
     def stop_requested(self) -> bool:
-        return self._word(_STOP) != 0
+        return self._words[_STOP // 8] != 0
 
-    def publish(self, general: tuple[float, ...], axes: list[tuple[float, ...]]) -> None:
-        """Write a new snapshot."""
-        sequence = self._word(_STATUS_SEQUENCE)
-        _WORD.pack_into(self._memory, _STATUS_SEQUENCE, sequence + 1)
-        self._general.pack_into(self._memory, _STATUS, *general)
-        at = _STATUS + self._general.size
-        for values in axes:
-            self._axis.pack_into(self._memory, at, *values)
-            at += self._axis.size
-        _WORD.pack_into(self._memory, _STATUS_SEQUENCE, sequence + 2)
+    def publish(self, general: General, axes: Sequence[tuple[AxisStatus, Parameters]]) -> None:
+        """Write a new status."""
+        values = [value for axis, parameters in axes for value in (*axis, *parameters)]
+        self._status.write(self._status_format.pack(*general, *values))
 
     def publish_text(self, text: bytes) -> None:
         """Write the events, cut to what fits by the caller (`TEXT` bytes)."""
-        sequence = self._word(_TEXT_SEQUENCE)
-        _WORD.pack_into(self._memory, _TEXT_SEQUENCE, sequence + 1)
-        self._view[_TEXT : _TEXT + len(text)] = text
-        _WORD.pack_into(self._memory, _TEXT_LENGTH, len(text))
-        _WORD.pack_into(self._memory, _TEXT_SEQUENCE, sequence + 2)
-
-    def _word(self, at: int) -> int:
-        value: int = _WORD.unpack_from(self._memory, at)[0]
-        return value
+        self._text.write(text)

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from tsa_ctrl.ipc.mailbox import AXIS, COUNTS, GENERAL, Mailbox
+from tsa_ctrl.ipc.mailbox import COUNTS, AxisStatus, Mailbox, Parameters
 from tsa_ctrl.ipc.protocol import Description
 from tsa_ctrl.system.histogram import coarse, distribution
 
@@ -17,21 +17,25 @@ SCHEMA = 1
 def status_report(mailbox: Mailbox, description: Description, now: float) -> dict[str, Any]:
     """What `tsa status --json` prints; `now` in s, monotonic."""
     general, axes = mailbox.status()
-    values = dict(zip(GENERAL, general, strict=True))
     _, text = mailbox.text()
     events = msgspec.json.decode(text) if text else []
     report: dict[str, Any] = {
         "schema": SCHEMA,
         "name": description.name,
-        "phase": description.phases[int(values["phase"])],
-        "age": max(0.0, now - values["time"]),
-        "uptime": values["time"] - values["start"],
-        "axes": [_axis(description, index, row) for index, row in enumerate(axes)],
+        "phase": description.phases[int(general.phase)],
+        "age": max(0.0, now - general.time),
+        "uptime": general.time - general.start,
+        "axes": [_axis(description, index, *axis) for index, axis in enumerate(axes)],
         "faults": [event for event in events if event["fault"]],
         "events": [event for event in events if not event["fault"]],
         "cycles": {
             "period": description.period,
-            **{name: int(values[name]) for name in ("planned", "cycles", "skipped", "overruns", "dropped", "log_lost")},
+            "planned": int(general.planned),
+            "cycles": int(general.cycles),
+            "skipped": int(general.skipped),
+            "overruns": int(general.overruns),
+            "dropped": int(general.dropped),
+            "log_lost": int(general.log_lost),
         },
         "lateness": _histogram(mailbox.lateness),
         "work": _histogram(mailbox.work),
@@ -40,16 +44,15 @@ def status_report(mailbox: Mailbox, description: Description, now: float) -> dic
     return report
 
 
-def _axis(description: Description, index: int, row: tuple[float, ...]) -> dict[str, Any]:
-    values: dict[str, Any] = {name: _known(value) for name, value in zip(AXIS, row, strict=False)}
-    values["state"] = description.states[int(row[AXIS.index("state")])]
-    values["estimate_state"] = description.estimate_states[int(row[AXIS.index("estimate_state")])]
-    values["limit_reason"] = description.reasons[int(row[AXIS.index("limit_reason")])]
-    values |= {name: int(row[AXIS.index(name)]) for name in COUNTS}
-    live = zip(description.parameters[index], row[len(AXIS) :], strict=True)
+def _axis(description: Description, index: int, axis: AxisStatus, live: Parameters) -> dict[str, Any]:
+    values: dict[str, Any] = {name: _known(value) for name, value in axis._asdict().items()}
+    values["state"] = description.states[int(axis.state)]
+    values["estimate_state"] = description.estimate_states[int(axis.estimate_state)]
+    values["limit_reason"] = description.reasons[int(axis.limit_reason)]
+    values |= {name: int(getattr(axis, name)) for name in COUNTS}
     parameters = {
         known.name: {"value": _known(value), "low": known.low, "high": known.high, "unit": known.unit}
-        for known, value in live
+        for known, value in zip(description.parameters[index], live, strict=True)
     }
     return {"name": description.axes[index], **values, "parameters": parameters}
 

@@ -180,7 +180,7 @@ class Server:
                 if known.low is None or known.high is None:
                     raise UsageError(f"'{parameter}' cannot be set with this axis' estimator; see estimator.kind")
                 _inside(parameter, value, known.low, known.high, known.unit)
-                before = self._mailbox.status()[1][index][number - len(ranges)]
+                before = self._mailbox.status()[1][index][1][number]
                 answer = {"ok": True, "axis": description.axes[index], "name": parameter, "unit": known.unit}
                 return Command(index, number, value), {**answer, "before": before, "value": value}
         raise UsageError(f"no parameter '{parameter}'; known are {', '.join(known.name for known in ranges)}")
@@ -279,7 +279,7 @@ def main(argv: list[str]) -> int:
     if not asked:  # the daemon is gone already
         return 0
     description = msgspec.json.decode(asked, type=Description)
-    mailbox = Mailbox(int(argv[0]), len(description.axes), len(description.parameters[0]))
+    mailbox = Mailbox(len(description.axes), len(description.parameters[0]), int(argv[0]))
     try:
         server = Server(listen(description.path, description.group), mailbox, description)
     except TsaError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 
-from tsa_ctrl.log.record import NOTE_BYTES
+from tsa_ctrl.log.ring import NOTE_BYTES
 
 
 @dataclass(frozen=True)

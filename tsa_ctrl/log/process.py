@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.header import LogHeader
-from tsa_ctrl.log.record import LogHealth, RingWriter, WriterState
+from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
 from tsa_ctrl.system.parent import terminal_blocked
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
@@ -70,18 +70,6 @@ class LogProcess:
             self._child.kill()
             self._child.wait()
         return self.health()
-
-    def summary(self) -> str:
-        """One line for people about the log, after `end`."""
-        health = self.health()
-        line = f"log: {self.path} ({health.written} records, {health.bytes / 1e6:.1f} MB)"
-        if health.lost:
-            line += f", {health.lost} records lost"
-        if health.trouble:
-            line += f", last trouble: {health.trouble}"
-        if health.state is not WriterState.ENDED:
-            line += ", not completed: the writer ended early; it can be read up to its last chunk"
-        return line
 
 
 def check_place(path: Path) -> None:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.note import Note
-from tsa_ctrl.log.record import FIELDS, RingReader, WriterState
+from tsa_ctrl.log.record import FIELDS
+from tsa_ctrl.log.ring import RingReader, WriterState
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost

@@ -33,12 +33,8 @@ class SerialSensors:
                 command + arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, pass_fds=[self._slots.fd]
             )
 
-    def value(self, index: int, now: float) -> float:
-        """SI value of a sensor, nan when there is none younger than its time-out; costs about a microsecond."""
-        return self._slots.fresh(index, now, self.settings[index].timeout)
-
     def reader(self, index: int) -> Callable[[float], float]:
-        """`value` of one sensor as a function of the time, for the loop."""
+        """SI value of a sensor at a monotonic time, nan when there is none younger than its time-out; about 1 us."""
         return functools.partial(self._slots.fresh, index, timeout=self.settings[index].timeout)
 
     def reading(self, index: int) -> Reading:

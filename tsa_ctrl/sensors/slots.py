@@ -1,24 +1,15 @@
-"""The newest value of each serial sensor in shared memory: one writer per slot, read by the loop without a lock.
-
-A slot has two places, written in turn, and the number of the last write, which names the place that is whole: a
-writer that is stopped in the middle of a write keeps nobody from the value before. The memory has no name and is handed
-to child processes as a descriptor.
-"""
+"""The newest value of each serial sensor in shared memory: one writer per slot, read by the loop without a lock."""
 
 from __future__ import annotations
 
 import math
-import mmap
-import os
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-SIZE = 128  # bytes per slot: cache lines of its own
-_VALUE = struct.Struct("=ddQQq")  # value, monotonic time in s, values, rejected lines, LineState
-_WRITES = struct.Struct("=Q")
-_PLACES = (8, 8 + _VALUE.size)  # offsets in the slot: of an even and of an odd number of writes
-_TRIES = 5  # a try is lost only when a whole write ended meanwhile
+from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
+
+_READING = struct.Struct("=ddQQq")  # value, monotonic time in s, values, rejected lines, LineState
 
 
 class LineState(IntEnum):
@@ -42,57 +33,39 @@ class Reading:
 
 
 NOTHING = Reading(math.nan, -math.inf, 0, 0, LineState.STARTING)
-_NOTHING = (math.nan, -math.inf, 0, 0, int(LineState.STARTING))
 
 
 class Slots:
-    """Shared memory for `count` sensors; made by the daemon, mapped again by each reader process."""
+    """One newest reading for each of `count` sensors; made by the daemon, mapped again by each reader process."""
 
     def __init__(self, count: int, fd: int | None = None) -> None:
+        each = space(2, _READING.size)
         self.count = count
-        if fd is None:
-            fd = os.memfd_create("tsa-serial", os.MFD_CLOEXEC)
-            os.ftruncate(fd, count * SIZE)
-        self.fd = fd
-        self._map = mmap.mmap(fd, count * SIZE)
-        if not any(self._map[:]):
-            for index in range(count):
-                self.write(index, NOTHING)
+        self._memory = SharedMemory(count * each, fd)
+        self.fd = self._memory.descriptor
+        self._newest = [Newest(self._memory, index * each, _READING.size) for index in range(count)]
 
     def write(self, index: int, reading: Reading) -> None:
         """Store a reading; only the one process that owns the slot may."""
-        base = index * SIZE
-        writes = _WRITES.unpack_from(self._map, base)[0] + 1
-        _VALUE.pack_into(
-            self._map,
-            base + _PLACES[writes & 1],
-            reading.value,
-            reading.time,
-            reading.count,
-            reading.rejected,
-            reading.state,
+        self._newest[index].write(
+            _READING.pack(reading.value, reading.time, reading.count, reading.rejected, reading.state)
         )
-        _WRITES.pack_into(self._map, base, writes)
 
     def read(self, index: int) -> Reading:
-        """The newest reading; NOTHING when it was overwritten while it was read, each time."""
-        value, time, count, rejected, state = self._newest(index)
+        """The newest reading; NOTHING before the first, or when it was written over while it was read, each time."""
+        number, content = self._newest[index].read()
+        if not number:
+            return NOTHING
+        value, time, count, rejected, state = _READING.unpack(content)
         return Reading(value, time, count, rejected, LineState(state))
 
     def fresh(self, index: int, now: float, timeout: float) -> float:
         """The newest value if it is at most `timeout` s old at monotonic `now`, else nan; for the loop."""
-        value, time, *_ = self._newest(index)
-        return math.nan if now - time > timeout else value
-
-    def _newest(self, index: int) -> tuple[float, float, int, int, int]:
-        base = index * SIZE
-        for _ in range(_TRIES):
-            writes = _WRITES.unpack_from(self._map, base)[0]
-            found: tuple[float, float, int, int, int] = _VALUE.unpack_from(self._map, base + _PLACES[writes & 1])
-            if _WRITES.unpack_from(self._map, base)[0] == writes:  # else this place may be in use again
-                return found
-        return _NOTHING
+        number, content = self._newest[index].read()
+        if not number:
+            return math.nan
+        value, time, *_ = _READING.unpack(content)
+        return math.nan if now - time > timeout else float(value)
 
     def close(self) -> None:
-        self._map.close()
-        os.close(self.fd)
+        self._memory.close()

@@ -1,0 +1,122 @@
+"""Whatever a reader meets in shared memory, it takes nothing for a value that was not written so."""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsa_ctrl.system.shared_memory import Newest, Places, SharedMemory, space
+
+SIZE = 40  # bytes of content
+WORDS = space(1, SIZE) // 8
+_VALUES = struct.Struct("=5Q")
+
+
+@pytest.fixture
+def memory() -> Iterator[SharedMemory]:
+    made = SharedMemory(space(4, SIZE))
+    yield made
+    made.close()
+
+
+def content(number: int) -> bytes:
+    return _VALUES.pack(*(number for _ in range(5)))
+
+
+def test_what_was_written_is_read_by_its_number_alone(memory: SharedMemory) -> None:
+    places = Places(memory, 0, 4, SIZE)
+    places.write(6, b"six")
+    assert places.read(6) == b"six"
+    assert [places.read(number) for number in (2, 5, 7, 10)] == [None, None, None, None]
+
+
+def test_memory_that_nobody_wrote_holds_nothing(memory: SharedMemory) -> None:
+    assert [Places(memory, 0, 4, SIZE).read(number) for number in (1, 2, 3, 4)] == [None] * 4
+    assert Newest(memory, 0, SIZE).read() == (0, b"")
+
+
+@given(st.lists(st.booleans(), min_size=WORDS, max_size=WORDS), st.integers(1, 1000))
+def test_a_write_of_which_any_part_has_arrived_is_whole_or_nothing(arrived: list[bool], before: int) -> None:
+    """As on a processor that shows the writes of another one in any order (ARM)."""
+    memory = SharedMemory(space(1, SIZE))
+    places = Places(memory, 0, 1, SIZE)
+    places.write(before, content(before))
+    old = memory.words.tolist()
+    places.write(before + 1, content(before + 1))
+    new = memory.words.tolist()
+    for n, come in enumerate(arrived):
+        memory.words[n] = new[n] if come else old[n]
+    assert places.read(before) in (None, content(before))
+    assert places.read(before + 1) in (None, content(before + 1))
+    assert (places.read(before + 1) is not None) == (memory.words.tolist() == new)
+    memory.close()
+
+
+@given(st.binary(max_size=SIZE), st.integers(0, 8 * space(1, SIZE) - 1))
+def test_one_wrong_bit_is_found(data: bytes, bit: int) -> None:
+    memory = SharedMemory(space(1, SIZE))
+    places = Places(memory, 0, 1, SIZE)
+    places.write(1, data)
+    memory.bytes[bit // 8] ^= 1 << bit % 8
+    assert (places.read(1) == data) == (bit // 8 >= 16 + len(data))
+    memory.close()
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4])
+def test_a_writer_stopped_in_the_middle_of_a_write_leaves_what_was_before(memory: SharedMemory, number: int) -> None:
+    newest = Newest(memory, 0, SIZE)
+    for n in range(1, number + 1):
+        newest.write(content(n))
+    half = bytes(memory.bytes)
+    newest.write(content(number + 1))
+    at = (number + 1) % 2 * space(1, SIZE) + 24  # the rest of it never came
+    memory.bytes[at:] = half[at:]
+    assert Newest(memory, 0, SIZE).read() == (number, content(number))
+
+
+def test_a_writer_that_follows_another_goes_on_with_its_numbers(memory: SharedMemory) -> None:
+    Newest(memory, 0, SIZE).write(b"first")
+    Newest(memory, 0, SIZE).write(b"second")
+    assert Newest(memory, 0, SIZE).read() == (2, b"second")
+
+
+def test_a_content_that_is_too_long_is_refused(memory: SharedMemory) -> None:
+    with pytest.raises(ValueError, match="41 bytes, there is room for 40"):
+        Places(memory, 0, 4, SIZE).write(1, bytes(SIZE + 1))
+
+
+def test_a_reader_sees_whole_contents_only_while_another_process_writes() -> None:
+    memory = SharedMemory(space(2, SIZE))
+    newest = Newest(memory, 0, SIZE)
+    newest.write(content(1))
+    writer = os.fork()
+    if writer == 0:
+        for number in range(2, 10**9):
+            newest.write(content(number))
+    try:
+        found = [newest.read() for _ in range(20_000)]
+    finally:
+        os.kill(writer, signal.SIGKILL)
+        os.waitpid(writer, 0)
+    read = [(number, _VALUES.unpack(data)) for number, data in found if number]
+    assert read[-1][0] > read[0][0]
+    assert all(set(values) == {number} for number, values in read)
+    memory.close()
+
+
+def test_another_mapping_of_the_descriptor_is_the_same_memory(memory: SharedMemory) -> None:
+    other = SharedMemory(space(4, SIZE), os.dup(memory.descriptor))
+    memory.words[3] = 1 << 63
+    assert other.words[3] == 1 << 63
+    other.close()
+
+
+def test_less_memory_than_asked_for_is_refused(memory: SharedMemory) -> None:
+    with pytest.raises(ValueError, match="mmap length is greater"):
+        SharedMemory(1 << 20, memory.descriptor)

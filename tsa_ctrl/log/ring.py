@@ -1,0 +1,175 @@
+"""The shared-memory ring that carries records out of the real-time process, and notes: texts of what happened.
+
+One writer, any number of readers, no locks and no system calls. Each record and each note is a place of its own (see
+`system.shared_memory`): a reader takes what is whole and has the number that comes next. What is not there yet it takes
+the next time; what was written over meanwhile is counted as lost.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.log.record import FIELDS, Record
+from tsa_ctrl.system.shared_memory import Places, SharedMemory, space
+
+SLOTS = 8192  # records per axis: 8 s at 1 kHz, for a disk that hangs
+NOTE_BYTES = 1022  # of one note
+
+_MAGIC = 0x74736172696E6732  # "tsaring2"
+_HEADER = 4096  # bytes
+_FORMAT = struct.Struct(f"={len(FIELDS)}d")
+_NOTES = 64  # notes that may wait; the oldest is overwritten
+
+
+class _Word(IntEnum):
+    """What stands where in the header, 8 bytes each."""
+
+    MAGIC = 0
+    AXES = 1
+    SLOTS = 2
+    FIELDS = 3
+    CLOSED = 4  # by the owner: no more records
+    NOTES = 5  # by the owner: notes written
+    WRITER_STATE = 8  # by the log writer, as the words that follow
+    WRITTEN = 9
+    LOST = 10
+    TROUBLE = 11  # errno of what kept the writer from writing, 0: none
+    BYTES = 12
+    COUNT = 64  # of axis 0: records written; one word per axis from here
+
+
+MAX_AXES = _HEADER // 8 - _Word.COUNT
+
+
+class WriterState(IntEnum):
+    """What the log writer says of itself through the ring."""
+
+    STARTING = 0
+    WRITING = 1
+    TROUBLED = 2  # cannot write; drains the ring, counts what is lost and tries again
+    ENDED = 3
+
+
+class Ring:
+    """The mapping itself; use `RingWriter` and `RingReader`."""
+
+    def __init__(self, axes: int, slots: int, fd: int | None = None) -> None:
+        records, notes = space(slots, _FORMAT.size), space(_NOTES, NOTE_BYTES)
+        self._memory = SharedMemory(_HEADER + axes * records + notes, fd)
+        self.fd = self._memory.descriptor
+        self.axes = axes
+        self.slots = slots
+        self._words = self._memory.words
+        self._places = [Places(self._memory, _HEADER + n * records, slots, _FORMAT.size) for n in range(axes)]
+        self._notes = Places(self._memory, _HEADER + axes * records, _NOTES, NOTE_BYTES)
+
+    def close(self) -> None:
+        """Give the mapping back; the memory goes when the last process has."""
+        self._memory.close()
+
+    def word(self, word: _Word) -> int:
+        return self._words[word]
+
+
+class RingWriter(Ring):
+    """The real-time side. `fd` goes to the readers (`subprocess.Popen(pass_fds=[ring.fd])`)."""
+
+    def __init__(self, axes: int, slots: int = SLOTS) -> None:
+        """Memory for `axes` axes; raises ValueError for sizes that make no sense."""
+        if not 0 < axes <= MAX_AXES or slots < 2:
+            raise ValueError(f"{axes} axes of {slots} slots: need 1 to {MAX_AXES} axes and at least 2 slots")
+        super().__init__(axes, slots)
+        self._counts = [0] * axes
+        for word, value in ((_Word.AXES, axes), (_Word.SLOTS, slots), (_Word.FIELDS, len(FIELDS))):
+            self._words[word] = value
+        self._words[_Word.MAGIC] = _MAGIC
+
+    def push(self, axis: int, record: Record) -> None:
+        """Store one record. Never blocks; the oldest is overwritten."""
+        self._counts[axis] = count = self._counts[axis] + 1
+        self._places[axis].write(count, _FORMAT.pack(*record))
+        self._words[_Word.COUNT + axis] = count
+
+    def note(self, text: bytes) -> None:
+        """Store one note, cut to NOTE_BYTES. Never blocks; the oldest note is overwritten."""
+        count = self._words[_Word.NOTES] + 1
+        self._notes.write(count, text[:NOTE_BYTES])
+        self._words[_Word.NOTES] = count
+
+    def finish(self) -> None:
+        """Say that no more records come: the log writer drains the ring, completes the file and ends."""
+        self._words[_Word.CLOSED] = 1
+
+
+class RingReader(Ring):
+    """A reader with a position of its own; reads what is there from now on (or all that is kept, `from_start`)."""
+
+    def __init__(self, fd: int, from_start: bool = True) -> None:
+        """Map the ring behind a descriptor; raises ValueError when it is none."""
+        magic, axes, slots, fields = struct.unpack("=4Q", os.pread(fd, 32, 0).ljust(32, b"\0"))
+        if magic != _MAGIC or fields != len(FIELDS):
+            raise ValueError("not a ring of this version")
+        super().__init__(axes, slots, os.dup(fd))
+        self._next = [1 if from_start else self._count(axis) + 1 for axis in range(self.axes)]
+        self._next_note = 1 if from_start else self.word(_Word.NOTES) + 1
+        self.lost = 0
+
+    def _count(self, axis: int) -> int:
+        return self._words[_Word.COUNT + axis]
+
+    def read(self, axis: int) -> NDArray[np.float64]:
+        """Records of one axis since the last call, oldest first, shape (k, fields); overwritten ones count as lost."""
+        first = self._next[axis]
+        found, self._next[axis] = _taken(self._places[axis], first, self._count(axis))
+        self.lost += self._next[axis] - first - len(found)
+        return np.frombuffer(b"".join(found)).reshape(-1, len(FIELDS))
+
+    def notes(self) -> list[bytes]:
+        """Notes since the last call, oldest first; overwritten ones are left out."""
+        found, self._next_note = _taken(self._notes, self._next_note, self.word(_Word.NOTES))
+        return found
+
+    @property
+    def finished(self) -> bool:
+        """True once the owner has said that no more records come."""
+        return bool(self._words[_Word.CLOSED])
+
+    def report(self, state: WriterState, written: int, lost: int, trouble: int, size: int) -> None:
+        """Leave word for the owner: records written and lost, errno of a trouble (0: none), bytes of the file."""
+        self._words[_Word.WRITTEN] = written
+        self._words[_Word.LOST] = lost
+        self._words[_Word.TROUBLE] = trouble
+        self._words[_Word.BYTES] = size
+        self._words[_Word.WRITER_STATE] = state
+
+
+def _taken(places: Places, first: int, last: int) -> tuple[list[bytes], int]:
+    """What is whole of the numbers `first` to `last`, and the number to go on with: the first that is not there yet."""
+    found = []
+    for number in range(max(first, last + 1 - places.count), last + 1):
+        content = places.read(number)
+        if content is not None:
+            found.append(content)
+        elif places.claimed(number) <= number:  # on its way: nothing later has taken its place
+            return found, number
+    return found, last + 1
+
+
+class LogHealth:
+    """What the log writer last said through a ring: for status pages and the summary at exit."""
+
+    def __init__(self, ring: Ring) -> None:
+        self.state = WriterState(ring.word(_Word.WRITER_STATE))
+        self.written = ring.word(_Word.WRITTEN)
+        self.lost = ring.word(_Word.LOST)
+        self.bytes = ring.word(_Word.BYTES)
+        trouble = ring.word(_Word.TROUBLE)
+        self.trouble = os.strerror(trouble) if trouble else ""
+
+    def __repr__(self) -> str:
+        return f"LogHealth({self.state.name}, written={self.written}, lost={self.lost}, trouble={self.trouble!r})"

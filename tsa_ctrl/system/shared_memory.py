@@ -1,0 +1,133 @@
+"""Memory that processes share without a lock, and the one rule by which either side believes what it finds there.
+
+A word is 8 bytes, aligned, with one writer. It goes through a memoryview cast to "Q", which copies it by a memcpy of
+constant size: one load or store of a 64-bit processor, never half of one. (`struct.pack_into` with "<" or "=" may copy
+byte by byte.)
+
+Of the order of two writes nothing is concluded. Another processor may see them the other way round (ARM does that, x86
+does not), and Python has no barrier against it. So what is longer than a word lies in a place: its number, a check sum
+over number and content, the content. A reader copies the place and believes the copy only when it has the number asked
+for and the sum is right; what it met half-way (torn, not there yet, written over meanwhile) is no value. That holds on
+every machine, as nothing is assumed of it; a wrong copy passes once in 2^32 of such meetings. The sum
+makes storing a record of 25 numbers 0.6 us longer.
+
+Who writes again and again uses two places or more in turn: a writer that is stopped in the middle of a write keeps
+nobody from what was there before.
+
+The memory has no name (memfd) and is handed to child processes as a descriptor: it ends with its last user, however
+that one ends.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import struct
+from zlib import crc32
+
+_HEAD = struct.Struct("=QQ")  # check sum, and the length of the content above its 32 bits; number
+_WORD = struct.Struct("=Q")
+_LINE = 64  # bytes of a cache line: places begin on one
+_U32 = 0xFFFFFFFF
+_TRIES = 100  # of a reader; one is lost only when whole writes began and ended in the middle of it
+
+
+class SharedMemory:
+    """`size` bytes, made here and touched once so that no page fault comes later, or mapped from a `descriptor`."""
+
+    def __init__(self, size: int, descriptor: int | None = None) -> None:
+        """Raises ValueError when there is less behind the descriptor."""
+        made = descriptor is None
+        if descriptor is None:
+            descriptor = os.memfd_create("tsa", os.MFD_CLOEXEC)
+            os.ftruncate(descriptor, size)
+        self.descriptor = descriptor
+        self.bytes = mmap.mmap(descriptor, size)
+        if made:
+            self.bytes[:] = bytes(size)
+        self._view = memoryview(self.bytes)
+        self.words = self._view[: size // 8 * 8].cast("Q")
+
+    def array(self, at: int, count: int) -> memoryview:
+        """`count` words from byte `at` on."""
+        return self.words[at // 8 : at // 8 + count]
+
+    def close(self) -> None:
+        """Unmap and give the descriptor back; who holds an `array` releases it before. Raises BufferError otherwise."""
+        self.words.release()
+        self._view.release()
+        self.bytes.close()
+        os.close(self.descriptor)
+
+
+def space(count: int, size: int) -> int:
+    """Bytes that `count` places for contents of up to `size` bytes take."""
+    return count * (-(-(_HEAD.size + size) // _LINE) * _LINE)
+
+
+class Places:
+    """Numbered contents in places that are taken in turn: number n lies in place n modulo `count`. Numbers from 1."""
+
+    def __init__(self, memory: SharedMemory, at: int, count: int, size: int) -> None:
+        """From byte `at`, a multiple of 64, on; `size`: the longest content in bytes."""
+        self._bytes = memory.bytes
+        self._words = memory.words
+        self._step = space(1, size)
+        self._at = [at + n * self._step for n in range(count)]
+        self.count = count
+        self.size = size
+
+    def write(self, number: int, content: bytes) -> None:
+        """Only the one writer of these places may; raises ValueError for a content that is too long."""
+        length = len(content)
+        if length > self.size:
+            raise ValueError(f"{length} bytes, there is room for {self.size}")
+        at = self._at[number % self.count]
+        summed = _WORD.pack(number) + content
+        self._bytes[at : at + _HEAD.size + length] = _WORD.pack(crc32(summed) | length << 32) + summed
+
+    def read(self, number: int) -> bytes | None:
+        """The content of this number; None unless it is there and whole."""
+        at = self._at[number % self.count]
+        if self._words[at // 8 + 1] != number:  # spares the copy, in which it is looked at again
+            return None
+        copy = self._bytes[at : at + self._step]
+        check, found = _HEAD.unpack_from(copy)
+        summed = copy[_WORD.size : _HEAD.size + (check >> 32)]
+        return summed[_WORD.size :] if found == number and crc32(summed) == check & _U32 else None
+
+    def claimed(self, number: int) -> int:
+        """The number that stands where this one belongs, whole or not."""
+        return self._words[self._at[number % self.count] // 8 + 1]
+
+    def newest(self) -> tuple[int, bytes]:
+        """Number and content of the newest that is whole; 0 and nothing before the first."""
+        words = self._words
+        for _ in range(_TRIES):
+            claimed = sorted((words[at // 8 + 1] for at in self._at), reverse=True)
+            for number in claimed:
+                if number and (content := self.read(number)) is not None:
+                    return number, content
+            if not any(claimed):
+                break
+        return 0, b""
+
+
+class Newest:
+    """One content that is written again and again, in two places in turn; a reader gets the newest that is whole."""
+
+    def __init__(self, memory: SharedMemory, at: int, size: int) -> None:
+        self._places = Places(memory, at, 2, size)
+        self._number, _ = self.read()
+
+    def write(self, content: bytes) -> None:
+        """Only its one writer may; raises ValueError for a content that is too long."""
+        self._number += 1
+        self._places.write(self._number, content)
+
+    def read(self) -> tuple[int, bytes]:
+        """Number and content; 0 and nothing before the first, or when it was written over each time it was read."""
+        one, other = self._places.claimed(0), self._places.claimed(1)
+        number = one if one > other else other
+        content = self._places.read(number) if number else None
+        return self._places.newest() if content is None else (number, content)
