@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.header import LogHeader
-from tsa_ctrl.log.record import FIELD_NAMES, LogHealth, RingReader, RingWriter
+from tsa_ctrl.log.record import FIELD_NAMES
+from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter
 from tsa_ctrl.log.writer import LogWriter
 from tsa_ctrl.outputs import move_into
 

@@ -84,7 +84,7 @@ class _Run:
         self._rig = Rig(self._wire.host, file.bus, file.axes, configuration.profiles)
         self._axes = control_axes(configuration, self._rig)
         self._tuners = tuners_of(self._axes, configuration.period)
-        self._mailbox = Mailbox.create(len(file.axes), len(self._tuners[0].parameters))
+        self._mailbox = Mailbox(len(file.axes), len(self._tuners[0].parameters))
         events = Events()
         telemetry = Telemetry(self._rig, self._axes, self._tuners, self._mailbox, self._records.ring, None, events)
         self._loop = Loop(
