@@ -8,8 +8,9 @@ import pytest
 from tests.identify.diagnosis.test_pipeline import diagnosed
 from tsa_ctrl.identify.diagnosis import pipeline
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error
 from tsa_ctrl.identify.diagnosis.parameters import profile_refinement
-from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, on_plain_error
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 
 
 def test_a_step_that_the_rest_of_the_model_cannot_follow_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.data.prepare import Frame
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
@@ -51,10 +52,8 @@ def audit(frame: Frame) -> Audit:
     top = max(float(np.quantile(np.abs(tau_m), 0.99)), 1e-9) * 1.05
     load_edges = np.linspace(-top, top, LOAD_BINS + 1)
     occupancy = np.histogram2d(omega, tau_m, bins=(speed_edges, load_edges))[0] / max(len(omega), 1)
-    seconds = frame.seconds
-    target = np.concatenate([run.target for run in frame.runs])
     return Audit(
-        seconds=seconds,
+        seconds=frame.seconds,
         rate=frame.runs[0].raw.rate,
         moving=float(np.mean(moving)),
         reversals=reversals,
@@ -64,7 +63,7 @@ def audit(frame: Frame) -> Audit:
         load_edges=load_edges,
         notes=tuple(dict.fromkeys(note for run in frame.runs for note in run.raw.notes)),
         suspicions=_suspicions(frame),
-        insufficient=_insufficient(omega, seconds, len(frame), fast, noise, float(np.mean(moving)), tau_m, target),
+        insufficient=_insufficient(float(np.mean(moving)), fast, noise, frame),
     )
 
 
@@ -73,22 +72,25 @@ def _steady(omega: Array, noise: float) -> Array:
     return hold_direction(np.where(np.abs(omega) > 3.0 * noise, omega, 0.0))
 
 
-def _insufficient(
-    omega: Array, seconds: float, samples: int, fast: float, noise: float, moving: float, tau_m: Array, target: Array
-) -> str:
-    if seconds < SHORTEST or samples < FEWEST:
-        return f"the logs hold {seconds:.2g} s; at least {SHORTEST:g} s are needed"
-    if float(np.ptp(target)) == 0.0:
+def _insufficient(moving: float, fast: float, noise: float, frame: Frame) -> str:
+    """Why these logs cannot be diagnosed. moving: share of the time; fast: speed that is hardly exceeded, rad/s."""
+    if frame.seconds < SHORTEST or len(frame) < FEWEST:
+        return f"the logs hold {frame.seconds:.2g} s; at least {SHORTEST:g} s are needed"
+    if _is_constant([run.target for run in frame.runs]):
         return "the measured torque does not change at all: is the sensor connected?"
-    if float(np.ptp(tau_m)) == 0.0:
+    if _is_constant([run.signals.tau_m for run in frame.runs]):
         return "tau_m does not change at all: is the drive's torque recorded?"
-    if float(np.ptp(omega)) == 0.0 and fast > 0.0:
+    if _is_constant([run.signals.omega_j for run in frame.runs]) and fast > 0.0:
         return "the velocity does not change at all: is it recorded?"
     if fast <= 0.0:
         return "the joint does not move: friction shows only in motion"
     if fast < 6.0 * noise or moving < 0.02:
         return "the joint hardly moves: its speed does not stand out of the velocity's noise"
     return ""
+
+
+def _is_constant(columns: Sequence[Array]) -> bool:
+    return float(np.ptp(np.concatenate(columns))) == 0.0
 
 
 def _is_noise(column: Array) -> bool:

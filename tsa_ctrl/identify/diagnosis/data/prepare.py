@@ -10,23 +10,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.denoise import denoised, distortion
+from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.signals import Signals, hold_direction, low_pass
+from tsa_ctrl.model.signals import Signals, low_pass
 
 COMPUTE_RATE = 500.0  # Hz at most: reversals are placed to 2 ms
 COMPUTE_SAMPLES = 90_000  # of all logs together at most
 SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
 SCORE_SAMPLES = 12_000  # of all logs together at most
-BLOCKS = 24  # for block-robust statistics
 SHARP = 100.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; and of angles at most
 VELOCITY_HIGHEST = 40.0  # Hz
 ACCELERATION_HIGHEST = 20.0  # Hz, of a velocity that is to be derived
@@ -35,82 +33,6 @@ RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is 
 JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
 DERIVED_CUTOFF = 10.0  # Hz, of the filter that derives a velocity
-
-
-@dataclass(frozen=True)
-class Run:
-    """One log: `signals` and `target` (n) at the compute rate, `bin` of them to one score sample.
-
-    `full` and `full_target` are the same at the log's own rate, `full_bin` of them to one score sample.
-    """
-
-    name: str
-    signals: Signals
-    target: Array  # N*m, measured; what the model predicts
-    bin: int
-    velocity_noise: float  # rad/s, of the denoised velocity
-    velocity_error: Array  # (n) rad/s: noise, and what denoising and differentiating may have bent
-    raw: Dataset
-    full: Signals
-    full_target: Array
-    full_bin: int
-
-    @property
-    def count(self) -> int:
-        """Number of score samples."""
-        return len(self.target) // self.bin
-
-    @property
-    def period(self) -> float:
-        """Of the score samples, s."""
-        return self.signals.period * self.bin
-
-    def average(self, y: Array) -> Array:
-        """Means over bins: shape (count,) from (n,), or (count, k) from (n, k)."""
-        kept = self.count * self.bin
-        return np.asarray(y[:kept].reshape(self.count, self.bin, *y.shape[1:]).mean(axis=1))
-
-
-@dataclass(frozen=True)
-class Frame:
-    """All runs stacked at the score rate; `train` (n) masks the samples to learn from."""
-
-    runs: tuple[Run, ...]
-    train: NDArray[np.bool_]
-    blocks: NDArray[np.int64]  # (n), block number of each sample, over the train samples about equal in length
-
-    @property
-    def period(self) -> float:
-        """Of the score samples, s."""
-        return self.runs[0].period
-
-    @property
-    def slices(self) -> list[slice]:
-        """Where each run stands in a stacked array."""
-        edges = np.concatenate([[0], np.cumsum([run.count for run in self.runs])])
-        return [slice(int(a), int(b)) for a, b in pairwise(edges)]
-
-    def __len__(self) -> int:
-        return sum(run.count for run in self.runs)
-
-    def stack(self, parts: Sequence[Array]) -> Array:
-        """Averages of per-run arrays at the compute rate, stacked."""
-        return np.concatenate([run.average(part) for run, part in zip(self.runs, parts, strict=True)])
-
-    def column(self, name: str) -> Array:
-        """A column of `Signals` at the score rate, stacked."""
-        return self.stack([getattr(run.signals, name) for run in self.runs])
-
-    def has(self, name: str) -> bool:
-        return all(getattr(run.signals, name) is not None for run in self.runs)
-
-    @property
-    def target(self) -> Array:
-        return self.stack([run.target for run in self.runs])
-
-    @property
-    def seconds(self) -> float:
-        return len(self) * self.period
 
 
 def prepare(logs: Sequence[Dataset], target: str) -> list[Run]:
@@ -200,23 +122,3 @@ def _count(log: Dataset, omega: Array) -> float:
         return resolution(log[angle]) * DERIVED_CUTOFF
     values = np.unique(omega)
     return resolution(omega) if len(values) < 0.2 * len(omega) else 0.0
-
-
-def block_numbers(counts: Sequence[int], used: NDArray[np.bool_], blocks: int = BLOCKS) -> NDArray[np.int64]:
-    """Contiguous blocks over the used samples, none across two runs; unused samples get the block they lie in."""
-    total = int(used.sum())
-    labels = np.zeros(sum(counts), dtype=np.int64)
-    start, number = 0, 0
-    for count in counts:
-        here = used[start : start + count]
-        share = max(1, round(blocks * int(here.sum()) / max(total, 1)))
-        passed = np.cumsum(here)
-        inside = np.minimum((passed - 1).clip(0) * share // max(int(passed[-1]), 1), share - 1)
-        labels[start : start + count] = number + inside
-        start, number = start + count, number + share
-    return labels
-
-
-def direction(frame: Frame) -> Array:
-    """sigma at the score rate, averaged: between -1 and 1 in a bin with a reversal."""
-    return frame.stack([hold_direction(run.signals.omega_j) for run in frame.runs])

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.diagnosis.data.prepare import Frame, Run, block_numbers
+from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run, block_numbers
 
 STRETCHES = 12  # of one log; every third is held out
 GAP = 0.3  # s between what is learned from and what is held out

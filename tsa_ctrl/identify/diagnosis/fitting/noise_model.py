@@ -6,34 +6,55 @@ projected out first, then, in the colours found so, only those that matter.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
-from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
-from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, scores
-from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise, estimate
+from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, responses, scores
+from tsa_ctrl.identify.diagnosis.hypotheses.base import base_of
+from tsa_ctrl.identify.diagnosis.hypotheses.scales import Scales
+from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, all_but
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise, estimate, white_noise
+from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance, nuisance
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
 
+PILOT_NOISE = 0.02  # of the torque, before anything is known of the noise
 WORTH = 12.0  # decrease of the sum of squares for which a column is taken into the pilot model
 MOST_COLUMNS = 16
 MOST_SHARE = 0.1  # of the samples, that saturation may span
 
 
-def pilot_noise(problem: Problem, fitted: Fit, found: Sequence[Response]) -> tuple[Problem, Fit]:
-    """The problem under its noise model, and the base fitted anew under it."""
+def recalibrated(frame: Frame, model: Model, scales: Scales, catalogue: Catalogue) -> tuple[Problem, Fit]:
+    """The noise model from what the catalogue cannot explain, and the recalibrated base of `model` under it."""
+    base = base_of(model, scales)
+    start = Hypothesis(base)
+    nothing = Nuisance(np.zeros((len(frame), 0)))
+    problem = Problem(frame, base, white_noise(PILOT_NOISE * scales.torque), nothing, frame.train)
+    fitted = fit(problem, start, base.start())
+    problem = dataclasses.replace(problem, nuisance=nuisance(frame, base, start.model(fitted.point)))
+    fitted = fit(problem, start, fitted.point)
+    return pilot_noise(problem, fitted, catalogue)
+
+
+def pilot_noise(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
+    """The problem under its noise model, and the same hypothesis fitted anew under it."""
+    found = responses(problem, fitted, all_but(fitted.names, catalogue))
     for span in (_saturated, _pursuit):
         problem, fitted = _under(problem, fitted, span(problem, fitted, found))
     return problem, fitted
 
 
 def _under(problem: Problem, fitted: Fit, basis: Array) -> tuple[Problem, Fit]:
-    problem = problem.with_noise(noise_after(problem, fitted.residual, basis))
+    problem = problem.with_noise(_noise_after(problem, fitted.residual, basis))
     return problem, fit(problem, fitted.hypothesis, fitted.point)
 
 
-def noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
+def _noise_after(problem: Problem, residual: Array, basis: Array) -> Noise:
     """Noise from the white residual (m,) once `basis` (m, k) is projected out."""
     rest = residual - basis @ (basis.T @ residual)
     count = len(problem.frame)

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.diagnosis.data.prepare import Frame
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base, Coordinate
-from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Variant
+from tsa_ctrl.identify.diagnosis.hypotheses.variants import Variant
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance, Projection
 from tsa_ctrl.model.catalogue import Value

@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.hypotheses.scales import Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -153,6 +154,19 @@ class RigidBase:
         return {
             name: (getattr(self.given, name) or 0.0, float(getattr(model, name)), _RIGID[name]) for name in self.free
         }
+
+
+def base_of(model: Model, scales: Scales) -> Base:
+    """The base of a model file, scaled to these logs."""
+    if isinstance(model, RigidDrive):
+        sizes = {
+            "inertia": scales.torque / scales.acceleration,
+            "coulomb_friction": scales.torque,
+            "viscous_friction": scales.torque / scales.speed,
+            "torque_offset": scales.torque,
+        }
+        return RigidBase(model, sizes)
+    return TendonBase(model)
 
 
 def _half_loop(model: TendonSheath) -> float:

@@ -22,7 +22,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix
 from scipy.special import erf
 
-from tsa_ctrl.identify.diagnosis.data.prepare import Frame, Run
+from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
 from tsa_ctrl.model.effects.memory import TransportDelay

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.diagnosis.data.prepare import Frame
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
-from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
-from tsa_ctrl.identify.diagnosis.parameters.refit import refit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fitted_on_plain_error, full_residuals
 from tsa_ctrl.identify.diagnosis.selection.extension import without
-from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
-from tsa_ctrl.model.predict import predict
 
 
 @dataclass(frozen=True)
@@ -39,12 +37,12 @@ class HeldOut:
 def held_out(problem: Problem, base: Fit, found: Fit, split: Split, leftover_share: float) -> HeldOut:
     """Fit on the fit samples, measure on the held ones. `leftover_share`: of the mean square that is no noise."""
     frame = split.frame
-    recalibrated = refit(problem, base, split.fit).fitted
-    extended = refit(problem, found, split.fit).fitted if found.names else recalibrated
-    own = refit(problem, extended, split.held).fitted
+    recalibrated = fitted_on_plain_error(problem, base, mask=split.fit)
+    extended = fitted_on_plain_error(problem, found, mask=split.fit) if found.names else recalibrated
+    own = fitted_on_plain_error(problem, extended, mask=split.held)
     samples = float(split.held.sum())
     rms = {
-        "as_given": _rms(frame, frame_model(base.hypothesis), split.held),
+        "as_given": _rms(frame, base.hypothesis.base.given, split.held),
         "recalibrated": _rms(frame, recalibrated.hypothesis.model(recalibrated.point), split.held),
         "extended": _rms(frame, extended.hypothesis.model(extended.point), split.held),
     }
@@ -56,20 +54,10 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, leftover_sha
         if len(found.names) == 1:
             lost.append(1.0)
             continue
-        smaller = refit(problem, without(problem, extended, index), split.fit).fitted
+        smaller = fitted_on_plain_error(problem, without(problem, extended, index), mask=split.fit)
         error = _rms(frame, smaller.hypothesis.model(smaller.point), split.held)
         lost.append(float(np.clip((error**2 - rms["extended"] ** 2) / won, 0.0, 1.0)))
     return HeldOut(**rms, noise_floor=float(min(floor, rms["extended"])), lost=tuple(lost))
-
-
-def frame_model(hypothesis: Hypothesis) -> Model:
-    """The model as given."""
-    return hypothesis.base.given
-
-
-def full_residuals(frame: Frame, model: Model) -> list[Array]:
-    """Measured minus predicted torque of each run at the log's own rate, N*m."""
-    return [run.full_target - predict(model, run.full) for run in frame.runs]
 
 
 def _rms(frame: Frame, model: Model, mask: NDArray[np.bool_]) -> float:

@@ -15,8 +15,9 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error, through_reversals
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
-from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, on_plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.model.functions import Array
 
 POINTS = 41  # of a profile

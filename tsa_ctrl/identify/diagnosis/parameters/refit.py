@@ -6,7 +6,6 @@ sees: shipped as they are, they cost up to the whole gain. So the causes found a
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +16,7 @@ from scipy.stats import t as student
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.noise.autoregressive import white_noise
-from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error, through_reversals
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import CATALOGUE, Value
 from tsa_ctrl.model.functions import Array
@@ -47,20 +45,9 @@ class Refit:
         return Quantity(value, max(value - half, low), min(value + half, high), unit)
 
 
-def through_reversals(found: Fit) -> bool:
-    """Whether the hypothesis says what friction does in a reversal, so that none of its moments is unknown."""
-    return "presliding_hysteresis" in found.names
-
-
-def refit(
-    problem: Problem, found: Fit, mask: NDArray[np.bool_] | None = None, *, reversals: bool | None = None
-) -> Refit:
-    """Fit of the same hypothesis on the plain error over `mask` (default: the problem's own), started at `found`.
-
-    `reversals`: whether the moments of reversals count; default: where the hypothesis goes `through_reversals`. Errors
-    of two hypotheses compare only where it is the same for both.
-    """
-    plain = on_plain_error(problem, through_reversals(found) if reversals is None else reversals, mask)
+def refit(problem: Problem, found: Fit) -> Refit:
+    """Fit of the same hypothesis on the simulation error, started at `found`."""
+    plain = on_plain_error(problem, through_reversals(found))
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))
@@ -69,13 +56,6 @@ def refit(
     if index.size and plain.count:
         covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
     return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM)))
-
-
-def on_plain_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
-    """The problem whose residual is the simulation error, in units of the noise; see `refit`."""
-    used = problem.mask if mask is None else mask
-    plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
-    return dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0)))) if reversals else plain
 
 
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:

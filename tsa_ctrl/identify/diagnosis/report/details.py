@@ -1,12 +1,24 @@
-"""The curves and tables behind a diagnosis, as the pictures and the report show them; nothing is computed there."""
+"""The curves and tables behind a diagnosis, at the score rate, as the pictures and the page show them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
+from tsa_ctrl.identify.diagnosis.data.frame import Run
+from tsa_ctrl.identify.diagnosis.report.outcome import Outcome
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
+from tsa_ctrl.identify.diagnosis.rivals.groups import Group
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import hold_direction
+
+LAGS = 60  # of the autocorrelation
 
 
 @dataclass(frozen=True)
@@ -54,3 +66,89 @@ class Details:
     held_out: str  # what was held out, in words
     logs: tuple[tuple[str, str], ...]  # name and hash
     notes: tuple[str, ...]
+
+
+def details(outcome: Outcome, grouped: Sequence[Group]) -> Details:
+    """The curves and tables behind an outcome; `grouped`: its groups in the order of the report."""
+    parts, found, shipped = outcome.parts, outcome.audit, outcome.shipped
+    base, chosen, findings = outcome.base, outcome.chosen, outcome.findings
+    models = (
+        base.hypothesis.base.given,
+        base.hypothesis.model(base.point),
+        shipped.fitted.hypothesis.model(shipped.fitted.point),
+    )
+    residual = chosen.fitted.residual
+    variance = float(residual @ residual)
+    correlation = np.array([float(residual[lag:] @ residual[: len(residual) - lag]) / variance for lag in range(LAGS)])
+    logs = [(run.name, run.raw.sha256) for run in parts.frame.runs]
+    held = (
+        f"logs {', '.join(parts.held_logs)}"
+        if parts.held_logs
+        else "every third of twelve stretches of each log, with gaps"
+    )
+    return Details(
+        target=base.hypothesis.base.target,
+        curves=tuple(_curves(run, models) for run in parts.frame.runs),
+        noise=chosen.problem.noise.rms,
+        period=parts.frame.period,
+        ranking=_ranking(chosen, grouped),
+        autocorrelation=correlation,
+        band=1.96 / float(np.sqrt(len(residual))),
+        audit=found,
+        findings=tuple(findings),
+        excluded=_excluded(grouped),
+        held_out=held,
+        logs=tuple(logs),
+        notes=(*found.notes, *found.suspicions),
+    )
+
+
+def _excluded(grouped: Sequence[Group]) -> tuple[str, ...]:
+    """Rivals that take no cause's place, nearest first."""
+    possible = {name for group in grouped for name in (group.name, *(r.name for r in group.alternatives))}
+    names = dict.fromkeys(rival.name for group in grouped for rival in group.rivals if rival.excluded)
+    return tuple(name for name in names if name not in possible)
+
+
+def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
+    s = run.signals
+    as_given, recalibrated, extended = (run.average(predict(model, s)) for model in models)
+    angle = s.q_j if s.q_j is not None else np.cumsum(s.omega_j) * s.period
+    elapsed, distance = _since_reversal(s.omega_j, angle, s.period)
+    return Curves(
+        name=run.name,
+        t=run.average(s.t),
+        measured=run.average(run.target),
+        as_given=as_given,
+        recalibrated=recalibrated,
+        extended=extended,
+        omega=run.average(s.omega_j),
+        sigma=np.sign(run.average(hold_direction(s.omega_j))),
+        angle=run.average(angle),
+        tau_m=run.average(s.tau_m),
+        temperature=None if s.temperature is None else run.average(s.temperature),
+        elapsed=run.average(elapsed),
+        distance=run.average(distance),
+    )
+
+
+def _since_reversal(omega: Array, angle: Array, period: float) -> tuple[Array, Array]:
+    flips = np.concatenate([[True], np.diff(hold_direction(omega)) != 0.0])
+    last = np.maximum.accumulate(np.where(flips, np.arange(len(omega)), 0))
+    elapsed = np.asarray((np.arange(len(omega)) - last) * period, dtype=np.float64)
+    return elapsed, np.asarray(np.abs(angle - angle[last]), dtype=np.float64)
+
+
+def _ranking(chosen: Selection, grouped: Sequence[Group]) -> tuple[Ranked, ...]:
+    """Candidates beside the recalibrated base, best first, with the group that each belongs to."""
+    stage = chosen.stages[0]
+    member = {
+        name: number
+        for number, group in enumerate(grouped)
+        for name in (group.name, *(r.name for r in group.alternatives))
+    }
+    count = chosen.problem.count
+    best: dict[str, float] = {score.variant.effect: score.gain for score in stage.screened}
+    best |= {found.names[-1]: stage.fitted.rss - found.rss for found in stage.ranked}
+    ordered = sorted(best.items(), key=lambda pair: -pair[1])
+    return tuple(Ranked(name, max(gain, 0.0) / count, member.get(name, -1)) for name, gain in ordered)

@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
-from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Scales
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Experiment, Verdict
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
@@ -67,10 +66,12 @@ def advice(
     causes: Sequence[Cause],
     found: Audit,
     not_testable: Mapping[str, str],
-    scales: Scales,
-    seed: int,
+    torque: float,
 ) -> Experiment:
-    """What to record next, always with a set-point that excites what a torque can excite."""
+    """What to record next, always with a set-point that excites what a torque can excite.
+
+    torque: RMS of the measured torque's change, N*m.
+    """
     groups = [(cause.effect, *cause.alternatives) for cause in causes if cause.alternatives]
     wanted = [text for group in groups for text in parted_by(group)]
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
@@ -82,7 +83,7 @@ def advice(
     )
     told = " or ".join(dict.fromkeys(name.replace("_", " ") for group in groups for name in group))
     text = f"{what}: this would tell {told}" if groups else what
-    return _playable(text, _setpoint(scales.torque))
+    return _playable(text, _setpoint(torque))
 
 
 def first_motion(model: Model) -> Experiment:

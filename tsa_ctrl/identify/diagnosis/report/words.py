@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Verdict
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import CATALOGUE
 
@@ -87,6 +88,27 @@ def summary_of(name: str) -> str:
         if name in CATALOGUE
         else "the file's friction angle or pretension is further off than it says"
     )
+
+
+def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
+    """The largest findings first; `suspicions` of the data, for what nothing else explains."""
+    if not left:
+        return ""
+    first, *others = left[:3]
+    share = f"({first.share:.0%} of its mean square)"
+    told = [
+        f"what is left depends on {first.what} {share}" if _drives(first) else f"what is left is {first.what} {share}"
+    ]
+    depends = [finding.what for finding in others if _drives(finding)]
+    are = [finding.what for finding in others if not _drives(finding)]
+    told += [f"it also depends on {listed(depends)}"] if depends else []
+    told += [f"there is also {listed(are)}"] if are else []
+    return "; ".join([*told, *suspicions])
+
+
+def _drives(finding: Finding) -> bool:
+    """Whether a finding names a signal on which the rest depends; else it names the rest itself."""
+    return not finding.what.startswith(("a ", "bursts"))
 
 
 def _torque(value: float) -> str:

@@ -6,12 +6,12 @@ in what hangs on the direction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.residual.dependence import LEAST_SHARE, Finding
 from tsa_ctrl.model.functions import Array
 
@@ -31,18 +31,14 @@ DRIFT_RATIO = 4.0  # of its power to the continued noise
 
 
 def steps(
-    residual: Array,
-    jacobian: Array,
-    factors: dict[str, Array],
-    slices: Sequence[slice],
-    times: Sequence[float],
-    whiten: Callable[[Array], Array],
-    rng: np.random.Generator,
+    problem: Problem, residual: Array, jacobian: Array, factors: Mapping[str, Array], rng: np.random.Generator
 ) -> Finding:
     """A jump of the mean, of what hangs on the direction or on the load, at one moment of one run.
 
-    residual (m,) white, jacobian (m, p); factors: score-rate signals (n,) by name; times: length of each run, s.
+    residual (m,) white, jacobian (m, p); factors: score-rate signals (n,) by name.
     """
+    slices = problem.frame.slices
+    times = [run.count * run.period for run in problem.frame.runs]
     columns, labels = [], []
     for number, part in enumerate(slices):
         count = part.stop - part.start
@@ -55,7 +51,7 @@ def steps(
                 column[part.start + at : part.stop] = factor[part.start + at : part.stop]
                 columns.append(column)
                 labels.append((number, at / count * times[number], name))
-    white = whiten(np.column_stack(columns))
+    white = problem.whiten(np.column_stack(columns))
     basis = orthonormal(jacobian)
     white -= basis @ (basis.T @ white)
     rest = residual - basis @ (basis.T @ residual)
@@ -78,7 +74,7 @@ def steps(
     )
 
 
-def lines(residual: Array, factors: dict[str, Array], period: float) -> Finding:
+def lines(residual: Array, factors: Mapping[str, Array], period: float) -> Finding:
     """A periodic part: one line of the spectrum of the white residual, or of it times a factor (m,)."""
     best = Finding("a periodic part", 0.0, 0.0, False)
     frequency = np.fft.rfftfreq(len(residual), period)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
-from tsa_ctrl.identify.diagnosis.selection.evidence import FOLDS
+from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
 DRAWS = 200

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.data.prepare import Frame, Run
+from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction, low_pass
 

@@ -10,20 +10,23 @@ Where most of what is left is structure, the simulation error decides (`misfit`)
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, safely
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Variant
-from tsa_ctrl.identify.diagnosis.parameters.refit import through_reversals
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.hypotheses.base import Coordinate
+from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, Variant, all_but
 from tsa_ctrl.identify.diagnosis.residual.features import angle
-from tsa_ctrl.identify.diagnosis.rivals.simulation_error import Misfit, plain_error
-from tsa_ctrl.identify.diagnosis.rivals.temperature_confound import warmth
+from tsa_ctrl.identify.diagnosis.residual.structure import Misfit
 from tsa_ctrl.identify.diagnosis.selection.extension import from_the_file, rivals, without
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
+from tsa_ctrl.model.catalogue import Value
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.signals import Signals
 
 PARAMETER_ERROR = "parameter_error"
 SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
@@ -32,7 +35,8 @@ INEXACT = 0.02  # of what the cause explains: inputs and filters are no better k
 MOST_INEXACT = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 UNSEEN = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
-CLEARLY = 0.9  # of the mean square, below which another name simulates clearly better
+RISE = 10.0  # K, of the temperature that is made up
+REFERENCE = 25.0  # deg C
 FITTED = 6  # rivals that are fitted in full
 
 
@@ -73,16 +77,12 @@ class Group:
         return float(1.0 / (1.0 + sum(weights)))
 
 
-def groups(
-    problem: Problem, fitted: Fit, catalogue: Mapping[str, tuple[Variant, ...]], structure: Misfit | None = None
-) -> list[Group]:
+def groups(problem: Problem, fitted: Fit, catalogue: Catalogue, structure: Misfit | None = None) -> list[Group]:
     """One group for each cause of `fitted`. `structure`: what is left of it, where that is more than noise."""
     return [_group(problem, fitted, index, catalogue, structure) for index in range(len(fitted.names))]
 
 
-def _group(
-    problem: Problem, fitted: Fit, index: int, catalogue: Mapping[str, tuple[Variant, ...]], structure: Misfit | None
-) -> Group:
+def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, structure: Misfit | None) -> Group:
     smaller = without(problem, fitted, index)
     name = fitted.names[index]
     fits: list[tuple[str, Fit | None]]
@@ -91,8 +91,8 @@ def _group(
     if not np.all(smaller.free[: len(wide.base.coordinates())]):
         fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
     if name == "pretension_relaxation" and UNSEEN not in catalogue:
-        fits.append((UNSEEN, warmth(problem, fitted, smaller, index)))
-    others = [v for other, options in catalogue.items() if other not in fitted.names for v in options]
+        fits.append((UNSEEN, _warmth(problem, fitted, smaller, index)))
+    others = all_but(fitted.names, catalogue)
     fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
     tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
@@ -109,23 +109,6 @@ def _group(
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
     return Group(name, tuple(sorted(best.values(), key=lambda rival: rival.worse)))
-
-
-def better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
-    """The causes with an alternative in place of one, that simulates best and clearly better; None where none does.
-
-    For what is mostly structure: there the noise that whitens is no judge between alternatives.
-    """
-    reversals = through_reversals(fitted)
-    best, least = None, CLEARLY * plain_error(problem, fitted, reversals)
-    for group in grouped:
-        for rival in group.alternatives:
-            if rival.fitted.hypothesis.wide or rival.fitted.names[-1] != rival.name or rival.name == UNSEEN:
-                continue
-            error = plain_error(problem, rival.fitted, reversals)
-            if error < least:
-                best, least = rival.fitted, error
-    return best
 
 
 def _by_misfit(
@@ -172,3 +155,33 @@ def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: fl
     spread = min(max(1.0, float(np.linalg.norm(within - within.mean())) / expected), MOST_SPREAD)
     extra = PER_COORDINATE * (len(rival.point) - len(fitted.point))
     return Rival(name, rival, (total + min(extra, 0.0)) / spread**2, tolerance)
+
+
+def _warmth(problem: Problem, fitted: Fit, smaller: Fit, index: int) -> Fit | None:
+    """The fit of `smaller` with a hidden warm-up in place of the relaxation, which is number `index` of `fitted`.
+
+    Any course of a temperature that nobody recorded is possible, so the rival gets the one that imitates the relaxation
+    best: its own. Only the slope, which follows friction and not pretension, can part the two. None where a temperature
+    was recorded.
+    """
+    frame = problem.frame
+    if frame.has("temperature"):
+        return None
+    parameters = fitted.hypothesis.variants[index].parameters(fitted.hypothesis.own(fitted.point)[index])
+    runs = tuple(dataclasses.replace(run, signals=_warmed(run.signals, parameters)) for run in frame.runs)
+    warmed = dataclasses.replace(problem, frame=dataclasses.replace(frame, runs=runs))
+    return safely(warmed, smaller.hypothesis.plus(_drift()), np.append(smaller.point, 0.0))
+
+
+def _warmed(signals: Signals, relaxation: dict[str, Value]) -> Signals:
+    elapsed = (signals.t - signals.t[0]) / float(relaxation["time_constant"])
+    course = np.log10(1.0 + elapsed) if relaxation.get("law") == "logarithmic" else -np.expm1(-elapsed)
+    return dataclasses.replace(signals, temperature=REFERENCE + RISE * course)
+
+
+def _drift() -> Variant:
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"temperature_coefficient": float(u[0]) / RISE, "reference_temperature": REFERENCE}
+
+    coordinate = Coordinate("temperature_coefficient", -0.95, 0.95, 1e-3)
+    return Variant("thermal_friction_drift", (coordinate,), ((0.0,),), (0,), parameters)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
-from tsa_ctrl.identify.diagnosis.fitting.score_test import Score
+from tsa_ctrl.identify.diagnosis.fitting.score_test import scores
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import noise_rms
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, SMALLEST, SMALLEST_GAIN
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.model.functions import Array
 
 POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9
@@ -17,27 +21,43 @@ SPREAD = 1.15  # a block-robust deviation exceeds the nominal one by so much now
 INVISIBLE = 1e-6  # of the largest response: an effect that changes nothing here
 
 
-def detection_limits(
-    problem: Problem, screened: Sequence[Score], raw: dict[int, Array], threshold: float, noise_rms: float
-) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Size in N*m by effect, the median over its grid; and the effects that change nothing in these logs.
+@dataclass(frozen=True)
+class DetectionLimits:
+    """`sizes` in N*m by effect, the median over its grid; `invisible`: effects that change nothing in these logs."""
 
-    `raw`: by position in `screened`, the response (n, k) in N*m that is not whitened, the recalibration projected out.
-    """
-    needed = max(threshold, SMALLEST_GAIN * problem.count)
+    sizes: Mapping[str, float]
+    invisible: tuple[str, ...]
+
+
+def detection_limits(chosen: Selection) -> DetectionLimits:
+    """What the first stage of a selection, beside the base alone, would have seen."""
+    problem, stage = chosen.problem, chosen.stages[0]
+    screened = scores(problem, stage.fitted, stage.found)
+    recalibration = orthonormal(_tangents(problem, stage.fitted))
+    noise = noise_rms(problem, chosen.fitted)
+    needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
     white_size = max(np.sqrt(needed), SPREAD * BLOCK_T) + POWER
     found: dict[str, list[float]] = defaultdict(list)
     sizes = [float(np.linalg.norm(score.columns)) for score in screened]
-    for position, score in enumerate(screened):
-        if sizes[position] < INVISIBLE * max(sizes):
+    for response, score, size in zip(stage.found, screened, sizes, strict=True):
+        if size < INVISIBLE * max(sizes):
             continue
-        per_white = float(np.sqrt(np.mean(raw[position] ** 2))) / sizes[position]
-        found[score.variant.effect].append(max(per_white * white_size, SMALLEST * noise_rms))
+        raw = response.columns[problem.mask]
+        raw = raw - recalibration @ (recalibration.T @ raw)
+        per_white = float(np.sqrt(np.mean(raw**2))) / size
+        found[score.variant.effect].append(max(per_white * white_size, SMALLEST * noise))
     names = {score.variant.effect for score in screened}
-    return {name: float(np.median(values)) for name, values in found.items()}, tuple(sorted(names - set(found)))
+    limits = {name: float(np.median(values)) for name, values in found.items()}
+    return DetectionLimits(limits, tuple(sorted(names - set(found))))
 
 
-def without_recalibration(columns: Array, tangents: Array) -> Array:
-    """What is left of responses (n, k) in N*m when the base's tangents (n, p) are projected out."""
-    basis = orthonormal(tangents)
-    return np.asarray(columns - basis @ (basis.T @ columns))
+def _tangents(problem: Problem, fitted: Fit) -> Array:
+    """d prediction / d base coordinates that no bound holds, (m, p) in N*m, not whitened."""
+    present = problem.predicted(fitted.hypothesis.model(fitted.point))
+    columns = []
+    for i, free in enumerate(fitted.free[: len(fitted.hypothesis.base.coordinates())]):
+        if free:
+            moved = fitted.point.copy()
+            moved[i] += 1e-3
+            columns.append((problem.predicted(fitted.hypothesis.model(moved)) - present)[problem.mask])
+    return np.column_stack(columns) if columns else np.zeros((problem.count, 0))

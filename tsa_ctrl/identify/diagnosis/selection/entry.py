@@ -1,19 +1,28 @@
-"""Whether a cause may enter: every test of `confirm`, and what the simulation error loses by it."""
+"""Whether a cause may enter: family-wise threshold, block-robust test, cross-validation, size, simulation error.
+
+With the effects' own columns thousands of samples make any trifle significant in white noise; so an entry must also
+hold between about 24 blocks, predict blocks that it was not fitted on, and be large enough to matter.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
-from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.score_test import Score
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fitted_on_plain_error, noise_rms, through_reversals
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
-from tsa_ctrl.identify.diagnosis.parameters.refit import refit, through_reversals
-from tsa_ctrl.identify.diagnosis.selection.evidence import Evidence, evidence
 from tsa_ctrl.identify.diagnosis.selection.extension import MOVING
 
-NoiseRms = Callable[[Problem, Fit], float]
-
+DRAWS = 300
+FAMILY_LEVEL = 0.002  # chance that the best of all candidates passes the threshold on noise alone
+FOLDS = 6
 BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
 KEPT = 0.4  # share of the gain that must hold on blocks not fitted on
 SPREAD = 0.12  # share of the gain that must be left without the best block
@@ -23,17 +32,97 @@ LEAST_WORTH = 0.4  # of the noise RMS at the score rate, that the plain error mu
 SMALLEST_GAIN = 0.008  # of the number of samples
 
 
-def enters(problem: Problem, before: Fit, found: Fit, threshold: float, noise_rms: NoiseRms) -> bool:
+@dataclass(frozen=True)
+class Evidence:
+    """Of one effect beside the others."""
+
+    gain: float  # decrease of the sum of squares, white units
+    block_t: float  # block-robust t of its strength
+    cross_validated: float  # decrease on blocks not fitted on, white units
+    spread: float  # share of the gain that is left without the block that gains most
+    size: float  # RMS of what it adds, N*m at the score rate
+
+    @property
+    def kept(self) -> float:
+        """Share of the gain that holds on blocks not fitted on."""
+        return self.cross_validated / self.gain if self.gain > 0.0 else 0.0
+
+
+def family_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
+    """Decrease of the sum of squares that the best candidate exceeds on noise with probability FAMILY_LEVEL.
+
+    Parametric bootstrap: white noise projected on every candidate's response; the maximum's tail by a Gumbel law.
+    """
+    bases = [orthonormal(score.columns) for score in found]
+    bases = [basis for basis in bases if basis.shape[1]]
+    if not bases:
+        return 0.0
+    columns = np.concatenate(bases, axis=1)
+    groups = np.repeat(np.arange(len(bases)), [basis.shape[1] for basis in bases])
+    gram = columns.T @ columns
+    values, vectors = np.linalg.eigh(gram)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    projections = (root @ rng.standard_normal((len(values), DRAWS))) ** 2
+    sums = np.zeros((len(bases), DRAWS))
+    np.add.at(sums, groups, projections)
+    best = sums.max(axis=0)
+    scale = float(np.std(best)) * np.sqrt(6.0) / np.pi
+    return float(np.mean(best) - 0.5772 * scale - scale * np.log(-np.log1p(-FAMILY_LEVEL)))
+
+
+def evidence(problem: Problem, smaller: Fit, larger: Fit) -> Evidence:
+    """What `larger` has over `smaller`, of which it is an extension."""
+    difference = smaller.residual - larger.residual
+    basis = orthonormal(smaller.jacobian)
+    difference = difference - basis @ (basis.T @ difference)
+    blocks = problem.blocks
+    count = int(blocks[-1]) + 1
+    scores = np.bincount(blocks, difference * larger.residual, count)
+    spread = float(np.sqrt(np.sum(scores**2) * count / max(count - 1, 1)))
+    strength = float(difference @ smaller.residual)
+    gains = np.bincount(blocks, smaller.residual**2 - larger.residual**2, count)
+    gain = float(gains.sum())
+    before = problem.predicted(smaller.hypothesis.model(smaller.point))
+    after = problem.predicted(larger.hypothesis.model(larger.point))
+    change = (after - before)[problem.mask]
+    return Evidence(
+        gain=gain,
+        block_t=strength / max(spread, 1e-12),
+        cross_validated=cross_validated(smaller, blocks) - cross_validated(larger, blocks),
+        spread=1.0 - float(gains.max()) / gain if gain > 0.0 else 0.0,
+        size=float(np.sqrt(np.mean(change**2))),
+    )
+
+
+def cross_validated(fitted: Fit, blocks: NDArray[np.int64]) -> float:
+    """Sum of squares over blocks that the coordinates were not fitted on (one Gauss-Newton step from the full fit)."""
+    jacobian = fitted.jacobian
+    if jacobian.shape[1] == 0:
+        return fitted.rss
+    width = 0.5 * (fitted.hypothesis.high - fitted.hypothesis.low)[fitted.free]
+    prior = np.diag(1.0 / width**2)  # a coordinate moves within its bounds, however little one fold knows of it
+    gram = jacobian.T @ jacobian + prior
+    total = 0.0
+    for fold in range(FOLDS):
+        inside = blocks % FOLDS == fold
+        part, rest = jacobian[inside], fitted.residual[inside]
+        left = gram - part.T @ part
+        left[np.diag_indices(len(left))] *= 1.0 + 1e-9
+        step = np.linalg.solve(left, jacobian[~inside].T @ fitted.residual[~inside])
+        total += float(np.sum((rest - part @ step) ** 2))
+    return total
+
+
+def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
     """Whether the last effect of `found` is to be named beside those of `before`.
 
-    threshold: of the decrease of the sum of squares, for the family of candidates (white units). noise_rms: RMS of the
-    noise at the logs' own rate, N*m.
+    threshold: of the decrease of the sum of squares, for the family of candidates (white units).
     """
     needed = max(threshold, SMALLEST_GAIN * problem.count)
     proof = evidence(problem, before, found)
     if not _is_sure(proof, needed):
         return False
-    if _is_broad(problem, before, found, proof, needed, noise_rms):
+    if _is_broad(problem, before, found, proof, needed):
         return True
     if before.names or found.names[-1] not in MOVING:
         return False
@@ -41,14 +130,14 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float, noise_rm
     bare = dataclasses.replace(problem, nuisance=Nuisance(problem.nuisance.smooth))
     smaller, larger = (fit(bare, each.hypothesis, each.point) for each in (before, found))
     proof = evidence(bare, smaller, larger)
-    return _is_sure(proof, needed) and _is_broad(bare, smaller, larger, proof, needed, noise_rms)
+    return _is_sure(proof, needed) and _is_broad(bare, smaller, larger, proof, needed)
 
 
 def _is_sure(proof: Evidence, needed: float) -> bool:
     return proof.gain > needed and proof.block_t > BLOCK_T and proof.kept > KEPT
 
 
-def _is_broad(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float, noise_rms: NoiseRms) -> bool:
+def _is_broad(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:
     """More than a burst in one block (without a parameter there is nothing to fit one with), and large enough."""
     return (
         (proof.spread > SPREAD or not found.hypothesis.variants[-1].coordinates)
@@ -64,5 +153,5 @@ def _is_worth(problem: Problem, smaller: Fit, larger: Fit) -> bool:
     Measured by the noise, or by all that is left where a noise model that holds structure exceeds it.
     """
     reversals = through_reversals(larger) or not problem.nuisance.moments
-    before, after = (refit(problem, fitted, reversals=reversals).fitted.rss for fitted in (smaller, larger))
+    before, after = (fitted_on_plain_error(problem, fitted, reversals).rss for fitted in (smaller, larger))
     return before - after > LEAST_WORTH**2 * min(problem.count, after)

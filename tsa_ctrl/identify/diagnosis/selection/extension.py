@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, safely
-from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, Score, best_by_effect, responses, scores
-from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Variant
+from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, Variant, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
-from tsa_ctrl.identify.diagnosis.selection.profile import refined
-
-Catalogue = Mapping[str, tuple[Variant, ...]]
+from tsa_ctrl.model.functions import Array
 
 MOVING = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
 FITTED = 5  # best candidates that are refined, and fitted in full
 WITHIN = 0.25  # of the best gain: candidates below are not fitted
+SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)  # golden section
+STEPS = 9
 
 
 def from_the_file(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float] = ()) -> Fit | None:
@@ -62,7 +62,7 @@ def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
 
 def rivals(problem: Problem, smaller: Fit, catalogue: Catalogue, barred: Sequence[str], most: int) -> list[Fit]:
     """The best fits of `smaller` with one more effect that is not barred, best first."""
-    variants = [v for name, options in catalogue.items() if name not in barred for v in options]
+    variants = all_but(barred, catalogue)
     found = responses(problem, smaller, variants)
     best = best_scores(problem, smaller, scores(problem, smaller, found), found)
     fits = []
@@ -89,7 +89,7 @@ def best_scores(
         number = id(score.variant)
         if score.variant.effect in names and (number not in by_variant or score.whole > by_variant[number].whole):
             by_variant[number] = score
-    finer = [refined(problem, fitted, score, found) for score in by_variant.values()]
+    finer = [_refined(problem, fitted, score, found) for score in by_variant.values()]
     others = [score for score in best_by_effect(screened) if score.variant.effect not in names]
     return finer if each else best_by_effect([*finer, *others])
 
@@ -100,3 +100,46 @@ def without(problem: Problem, fitted: Fit, index: int) -> Fit:
     base = len(hypothesis.base.coordinates())
     own = fitted.hypothesis.own(fitted.point)
     return fit(problem, hypothesis, np.concatenate([fitted.point[:base], *own[:index], *own[index + 1 :]]))
+
+
+def _refined(problem: Problem, fitted: Fit, score: Score, found: list[Response]) -> Score:
+    """`score` moved to the best value between its neighbours on the grid; unchanged for other kinds of variants.
+
+    Play, presliding, delays and lags have no amplitude, and their sum of squares is neither smooth nor convex in their
+    one coordinate; so its exact profile (everything else solved for linearly) is searched, not descended.
+    """
+    variant = score.variant
+    if variant.amplitude or len(variant.coordinates) != 1:
+        return score
+    basis = orthonormal(fitted.jacobian)
+    residual = fitted.residual - basis @ (basis.T @ fitted.residual)
+    present = problem.predicted(fitted.hypothesis.model(fitted.point))
+    hypothesis = fitted.hypothesis.plus(variant)
+
+    def gain(u: float) -> tuple[float, Array]:
+        model = hypothesis.model(np.concatenate([fitted.point, [u]]))
+        column = problem.whiten(problem.predicted(model) - present)
+        column -= basis @ (basis.T @ column)
+        return float(2.0 * column @ residual - column @ column), column
+
+    grid = sorted({float(r.start[0]) for r in found if r.variant is variant} | {float(score.start[0])})
+    at = grid.index(float(score.start[0]))
+    coordinate = variant.coordinates[0]
+    low = grid[at - 1] if at else coordinate.low
+    high = grid[at + 1] if at + 1 < len(grid) else min(coordinate.high, 2.0 * grid[at] - low)
+    best, (most, column) = float(score.start[0]), gain(float(score.start[0]))
+    a, b = high - SHRINK * (high - low), low + SHRINK * (high - low)
+    at_a, at_b = gain(a), gain(b)
+    for _ in range(STEPS):
+        for u, (value, response) in ((a, at_a), (b, at_b)):
+            if value > most:
+                best, most, column = u, value, response
+        if at_a[0] > at_b[0]:
+            high, b, at_b = b, a, at_a
+            a = high - SHRINK * (high - low)
+            at_a = gain(a)
+        else:
+            low, a, at_a = a, b, at_b
+            b = low + SHRINK * (high - low)
+            at_b = gain(b)
+    return Score(variant, np.array([best]), most, column[:, None], most)

@@ -13,15 +13,23 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import pilot_noise
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, Score, responses, scores
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
-from tsa_ctrl.identify.diagnosis.parameters.refit import on_plain_error, through_reversals
-from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, KEPT, SMALLEST_GAIN, SPREAD, NoiseRms, enters
-from tsa_ctrl.identify.diagnosis.selection.evidence import Evidence, evidence, family_threshold
+from tsa_ctrl.identify.diagnosis.selection.entry import (
+    BLOCK_T,
+    KEPT,
+    SMALLEST_GAIN,
+    SPREAD,
+    Evidence,
+    enters,
+    evidence,
+    family_threshold,
+)
 from tsa_ctrl.identify.diagnosis.selection.extension import (
     FITTED,
     MOVING,
     WITHIN,
-    Catalogue,
     best_scores,
     extended,
     from_the_file,
@@ -61,9 +69,8 @@ def select(
     start: Fit,
     catalogue: Catalogue,
     rng: np.random.Generator,
-    noise_rms: NoiseRms,
 ) -> Selection:
-    """Causes that the data demand. `noise_rms`: RMS of the noise at the logs' own rate, N*m."""
+    """Causes that the data demand beside those of `start`, which is the recalibrated base."""
     fitted = start
     stages: list[Stage] = []
     while True:
@@ -72,7 +79,7 @@ def select(
         if len(fitted.names) >= MOST_CAUSES:
             break
         tried = chain(stage.ranked, _hidden(problem, fitted, catalogue))
-        entry = next((found for found in tried if enters(problem, fitted, found, stage.threshold, noise_rms)), None)
+        entry = next((found for found in tried if enters(problem, fitted, found, stage.threshold)), None)
         if entry is None:
             break
         problem, fitted = _renoised(problem, entry, catalogue)
@@ -82,7 +89,7 @@ def select(
 
 
 def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Stage:
-    variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
+    variants = all_but(fitted.names, catalogue)
     found = responses(problem, fitted, variants)
     screened = scores(problem, fitted, found)
     best = best_scores(problem, fitted, screened, found)
@@ -102,7 +109,7 @@ def _stage(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
 def _hidden(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
     """Effects without a parameter that recalibration may have made up for: tried when nothing else enters."""
     if fitted.rss > LEFT * problem.count:
-        variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
+        variants = all_but(fitted.names, catalogue)
         found = [from_the_file(problem, fitted, v) for v in variants if not v.coordinates]
         yield from sorted((each for each in found if each is not None), key=lambda each: each.rss)
 
@@ -132,8 +139,7 @@ def _renoised(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Prob
         columns = nuisance(problem.frame, problem.base, fitted.hypothesis.model(fitted.point))
         problem = dataclasses.replace(problem, nuisance=columns)
         fitted = fit(problem, fitted.hypothesis, fitted.point)
-    variants = [v for name, options in catalogue.items() if name not in fitted.names for v in options]
-    return pilot_noise(problem, fitted, responses(problem, fitted, variants))
+    return pilot_noise(problem, fitted, catalogue)
 
 
 def _rechosen(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:

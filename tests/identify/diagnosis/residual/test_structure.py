@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tsa_ctrl.identify.diagnosis.rivals.simulation_error import Misfit
+from tsa_ctrl.identify.diagnosis.residual.structure import Misfit
 
 
 @pytest.mark.parametrize(

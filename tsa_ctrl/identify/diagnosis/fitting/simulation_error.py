@@ -1,0 +1,77 @@
+"""The simulation error: what a user of the model sees of it, not whitened, and the least squares on it.
+
+Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of this error.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.noise.autoregressive import white_noise
+from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.model.predict import predict
+
+
+def through_reversals(found: Fit) -> bool:
+    """Whether the hypothesis says what friction does in a reversal, so that none of its moments is unknown."""
+    return "presliding_hysteresis" in found.names
+
+
+def on_plain_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
+    """The problem whose residual is the simulation error over `mask` (default: its own samples), in units of the noise.
+
+    `reversals`: whether the moments of reversals count. Errors of two hypotheses compare only where it is the same for
+    both.
+    """
+    used = problem.mask if mask is None else mask
+    plain = dataclasses.replace(problem, noise=white_noise(problem.noise.rms), mask=used)
+    return dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0)))) if reversals else plain
+
+
+def fitted_on_plain_error(
+    problem: Problem, found: Fit, reversals: bool | None = None, mask: NDArray[np.bool_] | None = None
+) -> Fit:
+    """The same hypothesis fitted `on_plain_error`, started at `found`. `reversals`: default `through_reversals`."""
+    plain = on_plain_error(problem, through_reversals(found) if reversals is None else reversals, mask)
+    return fit(plain, found.hypothesis, found.point)
+
+
+def plain_error(problem: Problem, fitted: Fit, reversals: bool | None = None) -> float:
+    """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate.
+
+    `reversals` as of `fitted_on_plain_error`.
+    """
+    return fitted_on_plain_error(problem, fitted, reversals).rss * problem.noise.rms**2
+
+
+def full_residuals(frame: Frame, model: Model) -> list[Array]:
+    """Measured minus predicted torque of each run at the log's own rate, N*m."""
+    return [run.full_target - predict(model, run.full) for run in frame.runs]
+
+
+def noise_rms(problem: Problem, fitted: Fit) -> float:
+    """RMS of the noise at the logs' own rate, N*m: of the noise model, and of what is faster than the score rate.
+
+    At most the whole residual's, which holds whatever is not found yet. Medians, not means, for the sake of what wrong
+    directions add.
+    """
+    residuals = full_residuals(problem.frame, fitted.hypothesis.model(fitted.point))
+    fast = []
+    for run, residual in zip(problem.frame.runs, residuals, strict=True):
+        bins = residual[: run.count * run.full_bin].reshape(run.count, run.full_bin)
+        fast.append((bins - bins.mean(axis=1, keepdims=True)).ravel())
+    return min(
+        _deviation(np.concatenate(residuals)), float(np.hypot(problem.noise.rms, _deviation(np.concatenate(fast))))
+    )
+
+
+def _deviation(y: Array) -> float:
+    return float(np.median(np.abs(y))) / 0.6745

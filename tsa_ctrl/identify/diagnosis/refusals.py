@@ -1,0 +1,76 @@
+"""Why a diagnosis refuses: logs that show nothing, and logs or models that cannot belong together."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.data.audit import Audit
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
+from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
+
+BLIND = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
+ABSURD = 5.0  # times the torque's own variation: a simulation so far off is of another log; (3.55) may miss by twice
+UNSUITED = (
+    "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
+    "or is the model another drive's?"
+)
+UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
+HELPED = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
+STRANGE = (
+    "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, a unit wrong, "
+    "or is one column of another log?"
+)
+
+
+class InsufficientError(Exception):
+    """These logs cannot tell, for the reason that is the message. Leads to a verdict, not to an error."""
+
+
+def refuse_unexciting(found: Audit) -> None:
+    """Logs in which the audit sees too little."""
+    if found.insufficient:
+        raise InsufficientError(found.insufficient)
+
+
+def refuse_unsuited(problem: Problem, base: Fit) -> None:
+    """A simulation that has nothing of the measured torque; and tendons whose friction does not show."""
+    mask = problem.mask
+    error = (problem.frame.target - problem.predicted(base.hypothesis.model(base.point)))[mask]
+    if not float(np.std(error)) <= ABSURD * float(np.std(problem.frame.target[mask])):
+        raise InsufficientError(UNSUITED)
+    if problem.base.target != "tau_m":
+        _refuse_unseen_friction(problem, base)
+
+
+def refuse_without_friction(problem: Problem, base: Fit, named: bool) -> None:
+    """A plain drive whose friction does not show though nothing is `named` that could hide it."""
+    if problem.base.target == "tau_m" and not named:
+        _refuse_unseen_friction(problem, base)
+
+
+def refuse_unrelated(problem: Problem, held: NDArray[np.bool_], errors: HeldOut, structure: float) -> None:
+    """Tendons where causes, if any, hardly help a simulation that has hardly anything of the measured torque.
+
+    held (n): samples that no fit has seen; structure: share of what is left that is no noise.
+    """
+    if problem.base.target == "tau_m" or structure <= 0.0:
+        return
+    torque = float(np.sqrt(np.mean(np.square(problem.frame.target[held]))))
+    if errors.extended > UNRELATED * torque and errors.extended > HELPED * errors.recalibrated:
+        raise InsufficientError(STRANGE)
+
+
+def _refuse_unseen_friction(problem: Problem, base: Fit) -> None:
+    found = base_quantities(refit(problem, base))
+    name = "half_loop_torque" if "half_loop_torque" in found else "coulomb_friction"
+    quantity = found[name][1]
+    if not base.free.any() or quantity.value <= 0.0:
+        return
+    width = 0.5 * (quantity.high - quantity.low) / quantity.value
+    if width > BLIND and np.all(base.free):
+        raise InsufficientError(
+            "friction does not show: the motion or the load is too small beside the noise, or goes one way only"
+        )

@@ -1,0 +1,100 @@
+"""The conclusion: what the stages found as one result, with its verdict and its first sentence."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.data.audit import Audit
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
+from tsa_ctrl.identify.diagnosis.report.details import details
+from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
+from tsa_ctrl.identify.diagnosis.report.outcome import Outcome
+from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, Verdict
+from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, what_is_left
+from tsa_ctrl.model.parameters import Model, RigidDrive
+
+BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
+PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
+
+
+def conclude(model: Model, outcome: Outcome) -> Diagnosis:
+    """The result on logs that show something. `model`: as given."""
+    shipped, errors = outcome.shipped, outcome.errors
+    order = [int(i) for i in np.argsort([-proof.gain for proof in outcome.chosen.evidence], kind="stable")]
+    grouped = [outcome.groups[i] for i in order]
+    parameters = effect_quantities(shipped)
+    causes = tuple(
+        Cause(
+            effect=group.name,
+            alternatives=tuple(rival.name for rival in group.alternatives),
+            probability=group.probability,
+            parameters=parameters[group.name],
+            explained_fraction=errors.lost[index],
+        )
+        for index, group in zip(order, grouped, strict=True)
+    )
+    nothing = dict.fromkeys(outcome.limits.invisible, "it would change nothing in the motion and load of these logs")
+    not_testable = {**outcome.testable.not_testable, **nothing}
+    left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
+    verdict = _verdict(named=bool(causes), left=bool(left))
+    result = Diagnosis(
+        verdict=verdict,
+        sentence="",
+        causes=causes,
+        parameter_errors=_parameter_errors(shipped, outcome.parts.frame, model),
+        unexplained=what_is_left(left, () if causes else outcome.audit.suspicions),
+        not_testable=dict(sorted(not_testable.items())),
+        detection_limit=dict(sorted(outcome.limits.sizes.items())),
+        experiment=advice(model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque),
+        rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor),
+        gain=min(errors.gain, 1.0) if causes else 0.0,
+        model=shipped.fitted.hypothesis.model(shipped.fitted.point),
+        details=details(outcome, grouped),
+    )
+    return dataclasses.replace(result, sentence=sentence(result))
+
+
+def insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[str, str]) -> Diagnosis:
+    """The result on logs that cannot tell."""
+    return Diagnosis(
+        verdict=Verdict.INSUFFICIENT,
+        sentence=insufficient_sentence("; ".join([reason, *found.suspicions])),
+        causes=(),
+        parameter_errors={},
+        unexplained="",
+        not_testable=dict(sorted(not_testable.items())),
+        detection_limit={},
+        experiment=first_motion(model),
+        rms=Rms(),
+        gain=0.0,
+        model=model,
+    )
+
+
+def _verdict(named: bool, left: bool) -> Verdict:
+    if named:
+        return Verdict.PARTLY_EXPLAINED if left else Verdict.EXPLAINED
+    return Verdict.UNEXPLAINED if left else Verdict.CONSISTENT
+
+
+def _parameter_errors(shipped: Refit, frame: Frame, model: Model) -> dict[str, ParameterError]:
+    """The base model's numbers; x and T_p only where a varied bending angle parts them."""
+    quantities = base_quantities(shipped)
+    out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}
+    if isinstance(model, RigidDrive):
+        return out
+    angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
+    varied = bool(angles) and float(np.ptp(np.concatenate(angles))) > BENDING_VARIED * model.bending_angle
+    for name, width in (
+        ("friction_angle", model.friction_angle_uncertainty),
+        ("pretension", model.pretension_uncertainty),
+    ):
+        quantity = out[name].found
+        half = 0.5 * (quantity.high - quantity.low) / max(quantity.value, 1e-12)
+        if not varied or half > PARTED * width or half == 0.0:
+            del out[name]
+    return out

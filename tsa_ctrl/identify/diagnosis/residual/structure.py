@@ -1,0 +1,108 @@
+"""Structure: what is left beyond noise once the causes are named, and when it decides instead of the noise.
+
+On measured drives most of what is left is structure that nothing in the catalogue explains. There white residuals say
+which of two wrong models has the whiter error, and a difference smaller than what is left unexplained excludes nothing.
+So where structure is most of what is left, the simulation error decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import plain_error
+from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue
+from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast
+from tsa_ctrl.identify.diagnosis.residual import changes, features
+from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection, one_more
+from tsa_ctrl.model.functions import Array
+
+STRUCTURE = 0.5  # share of what is left that is structure, from which on it decides
+PART = 0.5  # of what a cause explains, that a rival must explain
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """`share` of what is left that is structure; `error`: (N*m)^2, sum of squares of the simulation error."""
+
+    share: float
+    error: float
+
+    def covers(self, rival: float, without: float) -> bool:
+        """Whether a rival with this simulation error, where `without` any it is that much, does as well as the cause.
+
+        It does when it explains more than half as much, and is worse by less than what is left unexplained.
+        """
+        worse = rival - self.error
+        return worse < self.share * self.error and worse < (1.0 - PART) * (without - self.error)
+
+
+def residual_structure(
+    chosen: Selection, catalogue: Catalogue, rng: np.random.Generator
+) -> tuple[Selection, tuple[Finding, ...]]:
+    """What the causes leave; where that is mostly structure, first with the further causes that the error demands."""
+    findings = _tested(chosen.problem, chosen.fitted, rng)
+    while misfit(chosen.problem, chosen.fitted, findings) is not None:
+        more = one_more(chosen, catalogue)
+        if more is None:
+            break
+        chosen, findings = more, _tested(more.problem, more.fitted, rng)
+    return chosen, tuple(findings)
+
+
+def share_of(findings: Sequence[Finding]) -> float:
+    """Of the mean square of what is left, that is structure."""
+    return max((finding.share for finding in findings if finding.found), default=0.0)
+
+
+def misfit(problem: Problem, fitted: Fit, findings: Sequence[Finding]) -> Misfit | None:
+    """None where noise decides."""
+    share = min(share_of(findings), 1.0)
+    return Misfit(share, plain_error(problem, fitted)) if share > STRUCTURE and fitted.names else None
+
+
+def _tested(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Finding]:
+    """All tests of what the causes found leave."""
+    frame = problem.frame
+    predicted = problem.predicted(fitted.hypothesis.model(fitted.point))
+    sigma, load = features.direction_and_load(frame, predicted)
+    families = features.families(frame, predicted, rng)
+    families["time"] = features.time_family(frame, sigma, load)
+    sizes = [family.shape[1] for family in families.values()]
+    white = problem.whiten(np.concatenate(list(families.values()), axis=1))
+    pieces = np.split(white, np.cumsum(sizes)[:-1], axis=1)
+    columns = dict(zip(families, pieces, strict=True))
+    known = _accounted(problem, fitted)
+    findings = dependence(fitted.residual, known, columns, problem.blocks, rng)
+    mask = problem.mask
+    factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
+    findings.append(changes.steps(problem, fitted.residual, known, factors, rng))
+    masked = {name: factor[mask] for name, factor in factors.items()}
+    findings.append(changes.lines(fitted.residual, masked, frame.period))
+    findings.append(changes.bursts(fitted.residual, frame.period))
+    rest = frame.target - predicted
+    findings.append(changes.drift(_known(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
+    return findings
+
+
+def _accounted(problem: Problem, fitted: Fit) -> Array:
+    """What is no structure, (m, k) white: every coordinate, also where a bound holds it, and noise of tau_m."""
+    columns = [gradients(problem, fitted)]
+    if problem.base.target != "tau_m":
+        frame = problem.frame
+        columns.append(problem.whiten(np.column_stack([frame.stack(fast(frame, edge)) for edge in FASTEST])))
+    return np.concatenate(columns, axis=1)
+
+
+def _known(problem: Problem, residual: Array) -> Array:
+    """A residual (n,) in N*m with the moments of unknown direction filled by straight lines."""
+    inside = np.ones(len(residual), dtype=np.bool_)
+    for moment in problem.nuisance.moments:
+        inside[moment.start : moment.start + len(moment.values)] = False
+    index = np.arange(len(residual))
+    return np.where(inside, residual, np.interp(index, index[inside], residual[inside])) if inside.any() else residual
