@@ -48,16 +48,17 @@ def main(arguments: list[str]) -> int:
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # commands run a process per core: threads inside would be in the way
     sys.argv = [f"tools/run {name}", *arguments[1:]]
-    from tsa_ctrl.errors import TsaError
-
     try:
         code = importlib.import_module(f"tools.{name.replace('/', '.')}").main()
-    except TsaError as error:
-        print(f"tools/run {name}: {error}", file=sys.stderr)
-        return error.exit_code
     except KeyboardInterrupt:
         print(f"tools/run {name}: interrupted", file=sys.stderr)
         return 130
+    except Exception as error:
+        errors = sys.modules.get("tsa_ctrl.errors")  # the guest's commands never load the package
+        if errors is None or not isinstance(error, errors.TsaError):
+            raise
+        print(f"tools/run {name}: {error}", file=sys.stderr)
+        return int(error.exit_code)
     return int(code)
 
 

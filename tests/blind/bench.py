@@ -60,9 +60,12 @@ class Run:
     def sparse(self) -> Scene:
         """The scene at the log's samples only: enough where no effect has a memory."""
         s = self.scene
-        scale = (None if f is None else self.pick(f) for f in (s.friction_scale, s.pretension_scale))
-        columns = (s.t, s.q, s.omega, s.acceleration, s.q_m, s.tau_m, s.theta, s.temperature)
-        return Scene(*(self.pick(c) for c in columns), 0, self.pick(s.direction()), *scale)
+        t, q, omega, acceleration, q_m, tau_m, theta, temperature = (
+            self.pick(c) for c in (s.t, s.q, s.omega, s.acceleration, s.q_m, s.tau_m, s.theta, s.temperature)
+        )
+        friction, pretension = (None if f is None else self.pick(f) for f in (s.friction_scale, s.pretension_scale))
+        sigma = self.pick(s.direction())
+        return Scene(t, q, omega, acceleration, q_m, tau_m, theta, temperature, 0, sigma, friction, pretension)
 
     def plain(self, rig: Rig, motor_angle: bool) -> Array:
         """Joint torque without effects on the fine grid; kept, because a disturbance is tried at several strengths."""

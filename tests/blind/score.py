@@ -159,6 +159,7 @@ TARGETS = (
     Target("plain drive, one effect: named uniquely", "rigid", _key("unique"), 0.95),
 )
 
+QUIET = ("consistent", "insufficient")
 FURTHER = (
     Target(
         "no effect: a verdict but consistent or insufficient", "none", lambda r: r["verdict"] not in QUIET, 0.05, True
@@ -167,7 +168,6 @@ FURTHER = (
     Target("outside the catalogue: a confident name", "outside", _key("wrong"), 0.05, at_most=True),
     Target("exactly confounded: a confident name", "confounded", _key("wrong"), 0.0, at_most=True),
 )
-QUIET = ("consistent", "insufficient")
 
 
 def family_of(result: dict[str, Any]) -> str:

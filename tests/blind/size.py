@@ -50,10 +50,10 @@ class Channels:
 
 def channels(bench: Bench, effects: Effects) -> Channels:
     """Noise-free channels; with a velocity lag among the effects the direction is the lagged one."""
-    sigma = []
+    sigma: list[Array] = []
     for run in bench.runs:
         late = "velocity_lag" in effects
-        sigma.append(run.pick(memory.direction(bench.seen_velocity(run, effects))) if late else run.sparse.sigma)
+        sigma.append(run.pick(memory.direction(bench.seen_velocity(run, effects))) if late else run.sparse.direction())
     tau_m = np.concatenate([run.sparse.tau_m for run in bench.runs])
     theta = np.concatenate([run.sparse.theta for run in bench.runs])
     return Channels(bench.rig, tau_m, theta, np.concatenate(sigma))

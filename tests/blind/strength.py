@@ -75,7 +75,7 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
             return Strength(name, {}, "offset", sign * 0.1 * tau, sign * tau)
         case "torque_ripple":
             cycles = int(rng.choice([2, 3, 4, 6, 7, 11, 12, 14, 18, 24]))
-            drawn = {"cycles_per_revolution": cycles, "phase": rng.uniform(-np.pi, np.pi)}
+            drawn: dict[str, Any] = {"cycles_per_revolution": cycles, "phase": rng.uniform(-np.pi, np.pi)}
             return Strength(name, drawn, "amplitude", 0.05 * limit, 0.4 * limit)
         case "motor_side_friction":
             return Strength(name, {}, "coulomb", 0.05 * limit, 0.4 * limit)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from . import case
 from .naive import Bank, best_validation, forward_bic, lasso, name_effects, thresholded
+
+Strategy = Callable[[Bank], list[int]]
 
 
 def bank(seed: int, signal: float) -> Bank:
@@ -18,12 +22,12 @@ def bank(seed: int, signal: float) -> Bank:
 
 
 @pytest.mark.parametrize("strategy", [forward_bic, best_validation, lasso, thresholded])
-def test_finds_the_features_that_carry_the_signal(strategy) -> None:
+def test_finds_the_features_that_carry_the_signal(strategy: Strategy) -> None:
     assert {3, 7} <= set(strategy(bank(0, 2.0)))
 
 
 @pytest.mark.parametrize("strategy", [forward_bic, thresholded])
-def test_keeps_nothing_of_white_noise(strategy) -> None:
+def test_keeps_nothing_of_white_noise(strategy: Strategy) -> None:
     """With the noise that they assume, both are honest; measured noise is not white."""
     assert strategy(bank(1, 0.0)) == []
 

@@ -17,7 +17,9 @@ def hidden(family: str, *effects: str, **truth: Any) -> Case:
     )
 
 
-def said(*causes: tuple[str, tuple[str, ...]], verdict: str = "explained", experiment: str = "", **more: Any) -> dict:
+def said(
+    *causes: tuple[str, tuple[str, ...]], verdict: str = "explained", experiment: str = "", **more: Any
+) -> dict[str, Any]:
     listed = [{"effect": name, "alternatives": list(others), "parameters": {}} for name, others in causes]
     return {"verdict": verdict, "causes": listed, "experiment": experiment, "parameter_errors": {}, **more}
 

@@ -44,9 +44,17 @@ class SpoiledBus:
     def counters(self) -> Counters:
         return self._bus.counters
 
+    @counters.setter
+    def counters(self, value: Counters) -> None:
+        self._bus.counters = value
+
     @property
     def fault(self) -> BusFault | None:
         return self._bus.fault
+
+    @fault.setter
+    def fault(self, value: BusFault | None) -> None:
+        self._bus.fault = value
 
     def clock(self) -> float:
         return self._bus.clock()

@@ -7,35 +7,43 @@ The logs come from the elongation equilibrium of two tendons (tests/identify/ten
 
 from __future__ import annotations
 
-import json
 import os
 import time
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.stats import beta
 
 from tests.identify import tendon_logs
 from tools import command
+from tools.bench.results import Results, Row
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.dataset import Dataset, load_log
 from tsa_ctrl.identify.simulate import simulate
-from tsa_ctrl.model.parameters import load_tendon_sheath, model_from
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from
 
+Job = tuple[int, str, str]  # seed, profile, kind
 VARIED = ("pretension varied", "bending varied", "tensions measured", "gain certified")
 
 
-def one(job: tuple[int, str, str]) -> dict[str, object]:
+def nominal_of(rig: tendon_logs.Rig, rng: np.random.Generator) -> TendonSheath:
+    """The model file that is written for a rig."""
+    model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal")
+    assert isinstance(model, TendonSheath)
+    return model
+
+
+def one(job: Job) -> Row:
     """Draw a rig and a log by seed, calibrate, and say for each quantity whether its interval holds the truth."""
     seed, profile, kind = job
     rng = np.random.default_rng([seed, tendon_logs.PROFILES.index(profile), sum(map(ord, kind))])
     rig = tendon_logs.draw_rig(rng, profile)
-    nominal = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal")
+    nominal = nominal_of(rig, rng)
     change = 0.4 * rig.pretension
-    options: dict[str, object] = {}
     logs = {
         "a.csv": tendon_logs.record(
             rig, rng, theta_swing=0.3 * rig.theta * (kind == "bending varied"), tensions=kind == "tensions measured"
@@ -43,13 +51,15 @@ def one(job: tuple[int, str, str]) -> dict[str, object]:
     }
     if kind == "pretension varied":
         logs["b.csv"] = tendon_logs.record(rig, rng, tensioner=change)
-        options["tensioner"] = {"b.csv": change}
-    if kind == "gain certified":
-        options["certified_gain"] = True
     datasets = [Dataset.from_arrays(columns, name) for name, columns in logs.items()]
     started = time.process_time()  # of the processor: other processes do not count
     try:
-        result = calibrate(datasets, nominal, **options)
+        result = calibrate(
+            datasets,
+            nominal,
+            tensioner={"b.csv": change} if "b.csv" in logs else None,
+            certified_gain=kind == "gain certified",
+        )
     except UsageError as error:
         return {"seed": seed, "profile": profile, "kind": kind, "refused": str(error)}
     seconds = time.process_time() - started
@@ -68,20 +78,16 @@ def one(job: tuple[int, str, str]) -> dict[str, object]:
     }
 
 
-def run(jobs: list[tuple[int, str, str]], workers: int, file: Path | None) -> list[dict[str, object]]:
+def run(jobs: list[Job], workers: int, file: Path | None) -> list[Row]:
     """Results of all jobs; those that `file` holds are read from it, the others appended as they come."""
-    known = [json.loads(line) for line in file.read_text().splitlines()] if file is not None and file.exists() else []
-    done = {(r["seed"], r["profile"], r["kind"]): r for r in known}
-    rest = [job for job in jobs if job not in done]
-    with ProcessPoolExecutor(workers) as pool, (file or Path(os.devnull)).open("a") as out:
-        for job, result in zip(rest, pool.map(one, rest, chunksize=1), strict=True):
-            done[job] = result
-            out.write(json.dumps(result) + "\n")
-            out.flush()
-    return [done[job] for job in jobs]
+    results = Results(file, lambda row: (row["seed"], row["profile"], row["kind"]))
+    with ProcessPoolExecutor(workers) as pool:
+        for row in pool.map(one, [job for job in jobs if job not in results], chunksize=1):
+            results.add(row)
+    return [results[job] for job in jobs]
 
 
-def covered(results: list[dict[str, object]], name: str) -> str:
+def covered(results: list[Row], name: str) -> str:
     hits = sum(r["hits"][name] for r in results)
     n = len(results)
     low = float(beta.ppf(0.025, hits, n - hits + 1)) if hits else 0.0
@@ -96,15 +102,20 @@ def davinci(folder: Path) -> None:
     train = [log for name, log in logs.items() if name[4:7] in {"010", "050", "090"}]
     test = [log for name, log in logs.items() if name[4:7] in {"030", "070"}]
 
-    def error(model: object) -> float:
-        residuals = [simulate(log, model).residual for log in test]
+    def error(model: TendonSheath) -> float:
+        found = [simulate(log, model) for log in test]
+        residuals = [each.residual for each in found if each.residual is not None]
         return 1e3 * float(np.sqrt(np.mean(np.square(np.concatenate(residuals)))))
 
     print(
         f"\nmeasured cable drive, calibrated on loads 10, 50, 90; RMS error on loads 30, 70 of all samples\n"
         f"  as given                                  {error(model):5.1f} mN*m"
     )
-    for label, split in (("calibrated, the file's split kept", "keep"), ("calibrated, --split fit", "fit")):
+    splits: dict[str, Literal["keep", "fit"]] = {
+        "calibrated, the file's split kept": "keep",
+        "calibrated, --split fit": "fit",
+    }
+    for label, split in splits.items():
         result = calibrate(train, model, split=split)
         print(
             f"  {label:40s}  {error(result.model):5.1f} mN*m   x = {result.friction_angle}, T_p = {result.pretension}"
@@ -114,7 +125,7 @@ def davinci(folder: Path) -> None:
 def speed() -> None:
     rng = np.random.default_rng(0)
     rig = tendon_logs.draw_rig(rng, "uniform")
-    nominal = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal")
+    nominal = nominal_of(rig, rng)
     log = Dataset.from_arrays(tendon_logs.record(rig, rng, seconds=60.0, rate=1000.0), "a.csv")
     started = time.process_time()
     calibrate([log], nominal)

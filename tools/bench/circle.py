@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 from tools import command
+from tools.bench.results import Results, Row
 from tsa_ctrl.system.processes import tsa
 
 CASES = (
@@ -33,7 +34,7 @@ CASES = (
 STAGES = ("none", "nominal", "calibrated", "extended", "true")
 
 
-def one(case: str, arguments: argparse.Namespace) -> dict[str, object]:
+def one(case: str, arguments: argparse.Namespace) -> Row:
     names, _, seed = case.partition(":")
     hidden = [part for name in names.split("+") for part in ("--hidden", name)]
     with tempfile.TemporaryDirectory(prefix="full-circle-") as folder:
@@ -45,7 +46,7 @@ def one(case: str, arguments: argparse.Namespace) -> dict[str, object]:
     return {"case": case, **json.loads(run.stdout)}
 
 
-def line(row: dict[str, object]) -> str:
+def line(row: Row) -> str:
     hidden = str(row["case"])
     if "error" in row:
         return f"{hidden:36s} {row['error']}"
@@ -63,9 +64,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="of torque per run")
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz")
     arguments = parser.parse_args()
-    known: dict[str, dict[str, object]] = {}
-    if arguments.results is not None and arguments.results.exists():
-        known = {row["case"]: row for row in map(json.loads, arguments.results.read_text().splitlines())}
+    known = Results(arguments.results, lambda row: row["case"])
     print(
         f"{arguments.seconds:g} s per run at {arguments.rate:g} Hz; RMS joint torque error in mN*m; shares in % of the "
         f"reduction that the true parameters reach\n{'hidden:seed':36s} {' '.join(f'{s:>10s}' for s in STAGES)}"
@@ -77,11 +76,8 @@ def main() -> int:
         if case not in known:
             if made == arguments.at_most:
                 continue
-            known[case] = one(case, arguments)
+            known.add(one(case, arguments))
             made += 1
-            if arguments.results is not None:
-                with arguments.results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(known[case]) + "\n")
         print(line(known[case]), flush=True)
         if "error" not in known[case]:
             shares.append(known[case]["share_of_reachable"]["from_none"])

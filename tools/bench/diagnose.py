@@ -25,20 +25,25 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.blind import FAMILIES, case
+from tests.blind import FAMILIES, HiddenLog, case
 from tests.blind.gain import fresh_gain
 from tests.blind.naive import name_effects
 from tests.blind.score import mark
 from tests.blind.table import failed, print_table
 from tools import command
+from tools.bench.results import Results, Row
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import model_from
 from tsa_ctrl.system.processes import tsa
 
 # Cases per name of a family; of none and pair: all together.
 FULL = {"none": 400, "single": 30, "pair": 60, "outside": 8, "confounded": 6, "rigid": 10}
+Job = tuple[str, str, int, bool]  # family, name, seed, short
 QUICK = {"none": 40, "single": 2}
 
 
-def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> Iterator[tuple[str, str, int, bool]]:
+def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> Iterator[Job]:
     """Every case to run, families interleaved so that an interrupted run has a bit of each."""
     queues = []
     for family, count in counts.items():
@@ -51,24 +56,20 @@ def jobs(counts: dict[str, int], names: list[str], seed: int, short: bool) -> It
         yield job
 
 
-def ask(logs: list, model: str) -> tuple[dict, float]:
+def ask(logs: list[HiddenLog], model: str) -> tuple[Row, float]:
     """The contents of diagnosis.json, and the seconds that it took."""
-    from tsa_ctrl.identify import diagnose
-    from tsa_ctrl.identify.dataset import Dataset
-    from tsa_ctrl.model.parameters import model_from
-
     datasets = [Dataset.from_arrays(log.columns, log.name) for log in logs]
     started = time.perf_counter()
     report = json.loads(diagnose(datasets, model_from(tomllib.loads(model), "nominal.toml")).to_json())
     return report, time.perf_counter() - started
 
 
-def one(job: tuple[str, str, int, bool]) -> dict:
+def one(job: Job) -> Row:
     """Draw a case, diagnose it and its experiment, mark both; naive strategies on the same logs."""
     hidden = case(*job)
     family, name, seed, short = job
     truth = hidden.truth
-    result = {
+    result: Row = {
         "family": family,
         "name": name,
         "seed": seed,
@@ -102,10 +103,10 @@ def one(job: tuple[str, str, int, bool]) -> dict:
     return result
 
 
-SILENT = {"verdict": "error", "causes": [], "parameter_errors": {}, "experiment": ""}
+SILENT: Row = {"verdict": "error", "causes": [], "parameter_errors": {}, "experiment": ""}
 
 
-def as_report(names: list[str]) -> dict:
+def as_report(names: list[str]) -> Row:
     """What a strategy that knows neither doubt nor groups would write."""
     causes = [{"effect": name, "alternatives": [], "parameters": {}} for name in names]
     return {**SILENT, "verdict": "explained" if names else "consistent", "causes": causes}
@@ -121,15 +122,19 @@ def code_version() -> str:
     return digest.hexdigest()[:12]
 
 
-def run(queue: list[tuple[str, str, int, bool]], workers: int, out: Path, version: str) -> None:
+def key(row: Row) -> Job:
+    """What a row is the result of."""
+    return row["family"], row["name"], row["seed"], row["short"]
+
+
+def run(queue: list[Job], workers: int, results: Results, version: str) -> None:
     """Work through the queue; each result is on disk before the next is waited for."""
     started = time.perf_counter()
-    with out.open("a") as file, ProcessPoolExecutor(workers) as pool:
+    with ProcessPoolExecutor(workers) as pool:
         waiting = {pool.submit(one, job): job for job in queue}
         for done, future in enumerate(as_completed(waiting), 1):
             try:
-                file.write(json.dumps({**future.result(), "version": version}) + "\n")
-                file.flush()
+                results.add({**future.result(), "version": version})
             except (RuntimeError, ValueError) as problem:  # no such case can be drawn: said, and not counted
                 print(problem, file=sys.stderr)
             if sys.stderr.isatty() or done % 20 == 0:
@@ -168,13 +173,6 @@ def speed(seed: int) -> None:
         )
 
 
-def read(out: Path, version: str) -> list[dict]:
-    if not out.exists():
-        return []
-    lines = [json.loads(line) for line in out.read_text().splitlines() if line.endswith("}")]
-    return [line for line in lines if line["version"] == version]
-
-
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--quick", action="store_true", help="the gate: 40 without effect, 2 per effect, short logs")
@@ -204,14 +202,14 @@ def main() -> int:
     out.parent.mkdir(parents=True, exist_ok=True)
     version = code_version()
     wanted = list(jobs(counts, arguments.names, arguments.seed, arguments.quick or arguments.short))
-    known = {(r["family"], r["name"], r["seed"], r["short"]) for r in read(out, version)}
-    queue = [job for job in wanted if job not in known]
+    results = Results(out, key, lambda row: row["version"] == version)
+    queue = [job for job in wanted if job not in results]
     if not arguments.list:
         print(f"{len(queue)} cases to run, {len(wanted) - len(queue)} known; results in {out}", file=sys.stderr)
-        run(queue, arguments.jobs, out, version)
-    results = [r for r in read(out, version) if (r["family"], r["name"], r["seed"], r["short"]) in set(wanted)]
-    print_table(results, [] if arguments.list or arguments.quick else timing(arguments.seed))
-    errors = Counter(r["error"] for r in results if r["error"])
+        run(queue, arguments.jobs, results, version)
+    rows = [results[job] for job in wanted if job in results]
+    print_table(rows, [] if arguments.list or arguments.quick else timing(arguments.seed))
+    errors = Counter(row["error"] for row in rows if row["error"])
     for error, count in errors.most_common(10):
         print(f"ERROR {count} times: {error}")
-    return 1 if arguments.quick and (errors or failed(results)) else 0
+    return 1 if arguments.quick and (errors or failed(rows)) else 0

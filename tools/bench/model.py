@@ -31,7 +31,7 @@ UPDATES = 4000  # of the feedforward, per effect
 
 
 def example_log(seconds: float) -> Signals:
-    t = np.arange(round(seconds / PERIOD)) * PERIOD
+    t = np.arange(round(seconds / PERIOD), dtype=np.float64) * PERIOD
     q = 0.6 * np.sin(2 * np.pi * 0.7 * t) + 0.2 * np.sin(2 * np.pi * 1.9 * t)
     return Signals(
         t=t,
@@ -90,7 +90,7 @@ def growth(model: TendonSheath, repeats: int) -> None:
 def live_rows(log: Signals) -> list[tuple[float, ...]]:
     desired = 0.6 * np.sin(2 * np.pi * 0.5 * log.t)
     columns = (desired, np.sign(log.omega_j), log.omega_j, log.q_j, log.q_m, log.temperature, log.t)
-    rows = zip(*(column[:UPDATES].tolist() for column in columns), strict=True)
+    rows = zip(*(np.asarray(column)[:UPDATES].tolist() for column in columns), strict=True)
     return [(*row[:6], math.nan, row[6]) for row in rows]
 
 

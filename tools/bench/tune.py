@@ -17,12 +17,14 @@ import tempfile
 import time
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomlkit
 
 from tests.tune import rig
 from tools import command
+from tools.bench.results import Results, Row
 from tsa_ctrl.demo.bus_choice import choose
 from tsa_ctrl.demo.rig import FADE_IN, NOMINAL
 from tsa_ctrl.errors import BusError
@@ -36,28 +38,29 @@ CURVATURES = ("uniform", "motor_end", "joint_end")
 ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
 
 
-def one(number: int, arguments: argparse.Namespace) -> dict[str, object]:
+def one(number: int, arguments: argparse.Namespace) -> Row:
     """Draw a rig by its number, tune it, and return what came out."""
     rng = np.random.default_rng([arguments.seed, number])
     truth = {name: float(1.0 / (1.0 + rng.uniform(-OFF, OFF))) for name in PERTURBED}
     curvature = str(rng.choice(CURVATURES)) if arguments.curvature == "any" else arguments.curvature
+    drawn = {"number": number, "truth": truth, "curvature": curvature}
     with tempfile.TemporaryDirectory(prefix="bench-tune-") as name:
         folder = Path(name)
-        changes = {"perturbation": truth, "tendon": {"curvature": curvature}}
+        changes: dict[str, dict[str, Any]] = {"perturbation": truth, "tendon": {"curvature": curvature}}
         controller = rig.write(folder, choose(arguments.bus), arguments.rate, arguments.tendon, changes)
-        seconds = ("--seconds", f"{arguments.seconds:g}", "--verify-seconds", f"{arguments.verify_seconds:g}")
-        verb = tsa("tune", str(controller), "--json", "--yes", *seconds, "--out", str(folder / "out"), *arguments.more)
+        spans = ("--seconds", f"{arguments.seconds:g}", "--verify-seconds", f"{arguments.verify_seconds:g}")
+        verb = tsa("tune", str(controller), "--json", "--yes", *spans, "--out", str(folder / "out"), *arguments.more)
         begin = time.monotonic()
         with plant(folder):
             run = subprocess.run(verb, capture_output=True, text=True, check=False, cwd=folder)
             if run.returncode != 0:
-                return {"truth": truth, "curvature": curvature, "error": run.stderr.strip().splitlines()[-1]}
+                return {**drawn, "error": run.stderr.strip().splitlines()[-1]}
             seconds = time.monotonic() - begin
             try:
                 limit = with_truth(folder / "out", truth, curvature, arguments.verify_seconds)
             except BusError as error:
-                return {"truth": truth, "curvature": curvature, "error": f"true parameters: {error}"}
-        return {"truth": truth, "curvature": curvature, "seconds": seconds, "true": limit, **json.loads(run.stdout)}
+                return {**drawn, "error": f"true parameters: {error}"}
+        return {**drawn, "seconds": seconds, "true": limit, **json.loads(run.stdout)}
 
 
 def with_truth(folder: Path, truth: dict[str, float], curvature: str, seconds: float) -> float:
@@ -75,25 +78,19 @@ def with_truth(folder: Path, truth: dict[str, float], curvature: str, seconds: f
     return read_run("true", folder / str(summary["log"]), "joint", FADE_IN, seconds).rms
 
 
-def read(path: Path) -> dict[int, dict[str, object]]:
-    """The runs that a file holds and that did not fail, by number."""
-    runs = [json.loads(text) for text in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
-    return {int(run["number"]): run for run in runs if "error" not in run}
-
-
-def true_reduction(found: dict[str, object]) -> float:
+def true_reduction(found: Row) -> float:
     """Per cent by which the true parameters reduce the error."""
-    return 100.0 * (1.0 - found["true"] / found["verification"]["rms"]["without"])
+    return 100.0 * float(1.0 - found["true"] / found["verification"]["rms"]["without"])
 
 
-def spread(runs: list[dict[str, object]]) -> list[str]:
+def spread(runs: list[Row]) -> list[str]:
     """Median and worst reduction with the given file, the new one and the true parameters."""
     columns = [[r["verification"]["reduction_percent"][key] for r in runs] for key in ("before", "after")]
     columns.append([true_reduction(r) for r in runs])
     return [f"{np.median(column):.1f} ({min(column):.1f})" for column in columns]
 
 
-def line(number: int, found: dict[str, object]) -> str:
+def line(number: int, found: Row) -> str:
     factors = "  ".join(f"{value:.2f}" for value in found["truth"].values())
     head = f"{number:3d}  {factors}  {found['curvature']:10s}"
     if "error" in found:
@@ -132,16 +129,13 @@ def main() -> int:
         flush=True,
     )
     results, made = [], 0
-    known = {} if arguments.results is None else read(arguments.results)
+    known = Results(arguments.results, lambda row: row["number"], lambda row: "error" not in row)
     for number in range(1, arguments.runs + 1):
         if number not in known:
             if made == arguments.at_most:
                 continue
-            known[number] = one(number, arguments)
+            known.add(one(number, arguments))
             made += 1
-            if arguments.results is not None:
-                with arguments.results.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps({"number": number, **known[number]}) + "\n")
         print(line(number, known[number]), flush=True)
         results.append(known[number])
     good = [r for r in results if "error" not in r]

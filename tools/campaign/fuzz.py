@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable
+from typing import Any
 
 from tests.fuzz import configuring, files, master, nodes, requests
 from tests.fuzz.part import Part
@@ -43,7 +44,8 @@ def main() -> int:
     unknown = [name for name in options.parts if name not in PARTS]
     if unknown:
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
-    rows, problems = [], []
+    rows: list[dict[str, Any]] = []
+    problems: list[str] = []
     for name in options.parts or PARTS:
         begin = time.monotonic()
         part = PARTS[name](options.frames, options.seed)
@@ -56,11 +58,11 @@ def main() -> int:
         print(json.dumps({"schema": 1, "parts": rows, "problems": problems}))
     else:
         print("\n".join(problems), end="\n" if problems else "")
-        print(f"{sum(int(row['inputs']) for row in rows)} inputs, {len(problems)} problems")
+        print(f"{sum(row['inputs'] for row in rows)} inputs, {len(problems)} problems")
     return 1 if problems else 0
 
 
-def describe(part: Part, seconds: float) -> tuple[dict[str, object], list[str]]:
+def describe(part: Part, seconds: float) -> tuple[dict[str, Any], list[str]]:
     """A line of the table, and what is wrong."""
     growth = part.after.memory - part.before.memory
     opened = part.after.descriptors - part.before.descriptors
@@ -69,7 +71,7 @@ def describe(part: Part, seconds: float) -> tuple[dict[str, object], list[str]]:
         problems.append(f"{part.name}: memory grew by {growth / 2**20:.1f} MiB")
     if opened > 0:
         problems.append(f"{part.name}: {opened} descriptors were left open")
-    row: dict[str, object] = {
+    row: dict[str, Any] = {
         "part": part.name,
         "inputs": part.inputs,
         "seconds": round(seconds, 1),
@@ -82,10 +84,9 @@ def describe(part: Part, seconds: float) -> tuple[dict[str, object], list[str]]:
     return row, problems
 
 
-def show(row: dict[str, object]) -> None:
-    before, after = (float(str(row[key])) / 2**20 for key in ("memory_before", "memory_after"))
+def show(row: dict[str, Any]) -> None:
+    before, after = (row[key] / 2**20 for key in ("memory_before", "memory_after"))
     counts = row["counts"]
-    assert isinstance(counts, dict)
     print(
         f"{row['part']:9}{row['inputs']:>9} inputs in {row['seconds']:>6} s, memory {before:.1f} -> {after:.1f} MiB, "
         f"descriptors {row['descriptors_before']} -> {row['descriptors_after']}; "

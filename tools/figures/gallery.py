@@ -38,7 +38,7 @@ def seconds_of(shown: Shown) -> tuple[float, float]:
 
 def example_log(*, varying_bending: bool) -> Signals:
     """60 s at 1 kHz: joint motion of three frequencies, torque of both signs to beyond the slack bound, warm-up."""
-    t = np.arange(60_000) * 1e-3
+    t = np.arange(60_000, dtype=np.float64) * 1e-3
     q = 0.5 * np.sin(2 * np.pi * 0.31 * t) + 0.22 * np.sin(2 * np.pi * 0.83 * t + 1.0) + 0.05 * np.sin(9.7 * t)
     omega = np.gradient(q, t)
     return Signals(
@@ -53,12 +53,18 @@ def example_log(*, varying_bending: bool) -> Signals:
     )
 
 
+def column(log: Signals, name: str) -> Array:
+    """A signal that the example log has."""
+    return np.asarray(getattr(log, name))
+
+
 def since_reversal(log: Signals) -> Array:
     """Joint travel since the last reversal, rad."""
     sigma = hold_direction(log.omega_j)
     turns = np.concatenate([[0], np.flatnonzero(np.diff(sigma)) + 1])
     start = turns[np.searchsorted(turns, np.arange(len(log)), side="right") - 1]
-    return np.abs(log.q_j - log.q_j[start])
+    q = column(log, "q_j")
+    return np.asarray(np.abs(q - q[start]))
 
 
 def views(log: Signals, tau_j: Array) -> dict[str, tuple[str, Array]]:
@@ -66,13 +72,13 @@ def views(log: Signals, tau_j: Array) -> dict[str, tuple[str, Array]]:
     return {
         "speed": ("joint velocity ω (rad/s)", log.omega_j),
         "load": ("joint torque τ_J by (3.55) (N·m)", tau_j),
-        "angle": ("joint angle q (rad)", log.q_j),
+        "angle": ("joint angle q (rad)", column(log, "q_j")),
         "time": ("time (s)", log.t),
-        "motor": ("motor angle q_M (rad)", log.q_m),
+        "motor": ("motor angle q_M (rad)", column(log, "q_m")),
         "since": ("travel since reversal |q − q_r| (rad)", since_reversal(log)),
-        "acceleration": ("joint acceleration (rad/s²)", log.acceleration_j),
-        "temperature": ("temperature (°C)", log.temperature),
-        "theta": ("bending angle Θ (rad)", log.theta),
+        "acceleration": ("joint acceleration (rad/s²)", column(log, "acceleration_j")),
+        "temperature": ("temperature (°C)", column(log, "temperature")),
+        "theta": ("bending angle Θ (rad)", column(log, "theta")),
     }
 
 
@@ -133,7 +139,7 @@ def overview(folder: Path, effects: dict[str, Signature]) -> None:
             axis, *views(shown.log, shown.tau_j)[entry.view], shown, seconds_of(entry) if entry.view == "time" else None
         )
         axis.set_title(f"{name}\n{entry.equation}", fontsize=8.5)
-        axis.xaxis.label.set_size(8)
+        axis.xaxis.label.set_fontsize(8)
         axis.tick_params(labelsize=7.5)
     last = cells[len(effects)]
     last.axis("off")

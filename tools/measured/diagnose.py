@@ -69,14 +69,16 @@ def fold(job: tuple[str, str, Path, Path]) -> Fold:
         for c in (result.details.curves if result.details else ())
         if c.name in held and c.name in SHOWN
     )
-    errors = (result.rms.as_given, result.rms.recalibrated, result.rms.extended)
-    rms = tuple(1e3 * (np.nan if value is None else value) for value in errors)
-    return Fold(pattern, rms, result.causes, result.sentence, seconds, curves)
+    given, recalibrated, extended = (
+        1e3 * (np.nan if value is None else value)
+        for value in (result.rms.as_given, result.rms.recalibrated, result.rms.extended)
+    )
+    return Fold(pattern, (given, recalibrated, extended), result.causes, result.sentence, seconds, curves)
 
 
 def pooled(folds: list[Fold]) -> np.ndarray:
     """All folds hold out as many samples: the root of the mean of the squares, mN*m, shape (3,)."""
-    return np.sqrt(np.mean(np.square([each.rms for each in folds]), axis=0))
+    return np.asarray(np.sqrt(np.mean(np.square([each.rms for each in folds]), axis=0)))
 
 
 def print_table(split: str, folds: list[Fold]) -> None:

@@ -7,6 +7,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import tomlkit
 
 from tools.bench.effects import EFFECTS, STACK
 from tools.bench.loop import ways
-from tools.bench.loop.blocks import measure, responder
+from tools.bench.loop.blocks import Factory, measure, responder
 from tools.bench.loop.rig import controller_text
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration, load_configuration
@@ -39,8 +40,8 @@ def by_axes(interface: str, rounds: int, cycles: int) -> Table:
             found = measure(
                 {
                     "bare sleep": ways.bare_sleep,
-                    "raw socket": lambda c=configuration: ways.raw_socket(c),
-                    "ours": lambda c=configuration: ways.ours(c),
+                    "raw socket": partial(ways.raw_socket, configuration),
+                    "ours": partial(ways.ours, configuration),
                 },
                 rate,
                 rounds,
@@ -62,13 +63,13 @@ def by_axes(interface: str, rounds: int, cycles: int) -> Table:
 def by_estimator(interface: str, rounds: int, cycles: int) -> Table:
     """The whole cycle (with what follows the RPDO) for every estimator; its estimate is used by the law."""
     with contextlib.ExitStack() as stack:
-        table = {}
+        table: dict[str, Factory] = {}
         for kind in ESTIMATORS:
             each = f'[axis.estimator]\nkind = "{kind}"\nuse = {"false" if kind == "fixed" else "true"}'
             if kind == "map":
                 each += '\n[axis.bending]\nsource = "command"'
             configuration = stack.enter_context(_configuration(interface, 1, each))
-            table[kind] = lambda c=configuration: _whole(c)
+            table[kind] = partial(_whole, configuration)
         stack.enter_context(responder(interface, 1))
         return _against_first(measure(table, configuration.file.controller.rate, rounds, cycles), "estimator")
 
@@ -79,11 +80,11 @@ def by_effect(interface: str, rounds: int, cycles: int) -> Table:
     stacks.update({name: {name: values} for name, values in EFFECTS.items()})
     stacks[f"all {len(STACK)} that go together"] = STACK
     with contextlib.ExitStack() as stack:
-        table = {}
+        table: dict[str, Factory] = {}
         alone: dict[str, list[float]] = {name: [] for name in stacks}
         for name, effects in stacks.items():
             configuration = stack.enter_context(_configuration(interface, 1, effects=effects))
-            table[name] = lambda c=configuration, spans=alone[name]: ways.ours(c, prepare=_stamp_law(spans))
+            table[name] = partial(ways.ours, configuration, prepare=_stamp_law(alone[name]))
         stack.enter_context(responder(interface, 1))
         rows = _against_first(measure(table, configuration.file.controller.rate, rounds, cycles), "effect")
     for row in rows:
@@ -103,7 +104,7 @@ def _stamp_law(spans: list[float]) -> Callable[[Sequence[ControlAxis]], None]:
             spans.append(1e6 * (time.perf_counter() - start))
             return result
 
-        axes[0].law.update = stamped  # type: ignore[method-assign]
+        axes[0].law.update = stamped  # type: ignore[method-assign, assignment]
 
     return put
 
