@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -11,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tsa_ctrl.bus.wire.link import Interface
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo import bus_choice, rig
@@ -69,7 +72,7 @@ def test_a_missing_file_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_an_interface_that_is_not_there_is_a_usage_error() -> None:
-    with pytest.raises(UsageError, match="no CAN interface can97 that is up"):
+    with pytest.raises(UsageError, match="no CAN interface can97; up are: "):
         choose("can97")
 
 
@@ -79,8 +82,47 @@ def test_any_interface_of_python_can_may_be_asked_for() -> None:
 
 def test_without_a_vcan_the_bus_needs_no_rights(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus_choice, "can_interfaces", dict)
-    monkeypatch.setattr(bus_choice, "_make_vcan", lambda name: False)
+    monkeypatch.setattr(bus_choice, "make_vcan", denied)
     assert choose().interface == "udp_multicast"
+
+
+def denied(*arguments: object) -> None:
+    raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+
+def there(monkeypatch: pytest.MonkeyPatch, *links: Interface) -> None:
+    monkeypatch.setattr(bus_choice, "can_interfaces", lambda: {link.name: link for link in links})
+
+
+def test_a_vcan_that_is_down_is_brought_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    switched: list[tuple[str, bool]] = []
+    there(monkeypatch, Interface(False, "vcan", name="vcan3"))
+    monkeypatch.setattr(bus_choice, "set_up", lambda name, up: switched.append((name, up)))
+    assert choose() == BusChoice("socketcan", "vcan3")
+    assert switched == [("vcan3", True)]
+
+
+def test_a_vcan_that_is_down_and_stays_so_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    there(monkeypatch, Interface(False, "vcan", name="vcan3"))
+    monkeypatch.setattr(bus_choice, "set_up", denied)
+    assert choose(say=told.append).interface == "udp_multicast"
+    assert told == [
+        "demo: vcan3 is down and cannot be brought up (Operation not permitted): ip link set vcan3 up; "
+        "goes on without it"
+    ]
+
+
+def test_a_vcan_that_is_up_comes_before_one_that_is_named_and_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    there(monkeypatch, Interface(False, "vcan", name="vcan0"), Interface(True, "vcan", name="vcan1"))
+    monkeypatch.setenv("TSA_VCAN", "vcan0")
+    assert choose() == BusChoice("socketcan", "vcan1")
+
+
+def test_an_interface_that_was_asked_for_and_is_down_is_a_usage_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    there(monkeypatch, Interface(False, "can", name="can0"))
+    with pytest.raises(UsageError, match="can0 is down; bring it up"):
+        choose("can0")
 
 
 def test_the_files_that_the_demo_writes_are_valid(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import copy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,36 +11,20 @@ import pytest
 
 from tests.bus.fake import FakeBus
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.link import CanState, Interface
 from tsa_ctrl.doctor import can_interface, machine
 from tsa_ctrl.doctor.check import Check, Result
 from tsa_ctrl.system.realtime import RealtimeSettings
 
-LINK: dict[str, Any] = {  # of `ip -details -statistics -json link show dev can0`, a good one
-    "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"],
-    "txqlen": 128,
-    "linkinfo": {
-        "info_kind": "can",
-        "info_data": {
-            "state": "ERROR-ACTIVE",
-            "berr_counter": {"tx": 0, "rx": 0},
-            "restart_ms": 0,
-            "bittiming": {"bitrate": 1_000_000},
-        },
-    },
-    "stats64": {"rx": {"errors": 0, "dropped": 0}, "tx": {"errors": 0, "dropped": 0}},
-}
+GOOD = Interface(
+    up=True, kind="can", queue_length=128, bitrate=1_000_000, state=CanState.ERROR_ACTIVE, errors=(0, 0), is_can=True,
+    restart_ms=0, name="can0",
+)  # fmt: skip
 
 
-def of_link(monkeypatch: pytest.MonkeyPatch, place: str = "", value: object = None) -> dict[str, Check]:
-    """The lines of the interface, with one figure of the kernel's report replaced."""
-    link = copy.deepcopy(LINK)
-    *way, last = place.split("/")
-    at = link
-    for name in way:
-        at = at[name]
-    if last:
-        at[last] = value
-    monkeypatch.setattr(can_interface, "_link", lambda channel: link)
+def of_link(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> dict[str, Check]:
+    """The lines of the interface, with some of what the kernel reports replaced."""
+    monkeypatch.setattr(can_interface, "read", lambda channel: replace(GOOD, **changes))
     checks = can_interface.checks(BusSettings(channel="can0"), [], 1000.0)
     return {check.name: check for check in checks}
 
@@ -52,23 +36,22 @@ def test_a_good_interface_passes_in_every_line(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    ("place", "value", "name", "result", "found", "fix"),
+    ("changes", "name", "result", "found", "fix"),
     [
-        ("flags", ["NOARP"], "CAN interface", Result.FAIL, "down", "ip link set can0 up"),
-        ("linkinfo/info_data/bittiming/bitrate", 500_000, "bit rate", Result.FAIL, "500000 bit/s", "bitrate 1000000"),
-        ("linkinfo/info_data/state", "ERROR-PASSIVE", "error counters", Result.FAIL, "ERROR-PASSIVE", "termination"),
-        ("linkinfo/info_data/berr_counter/rx", 3, "error counters", Result.FAIL, "rx 3", "termination"),
-        ("linkinfo/info_data/restart_ms", 100, "automatic restart", Result.WARN, "restart-ms 100", "restart-ms 0"),
-        ("txqlen", 1000, "transmit queue", Result.WARN, "1000 frames", "txqueuelen 128"),
-        ("txqlen", 0, "transmit queue", Result.WARN, "0 frames", "txqueuelen 128"),
-        ("stats64/tx/dropped", 5, "lost frames", Result.WARN, "5 errors and drops", "bus load"),
-        ("stats64/rx/errors", 2, "lost frames", Result.WARN, "2 errors and drops", "cable"),
+        ({"up": False}, "CAN interface", Result.FAIL, "down", "ip link set can0 up"),
+        ({"bitrate": 500_000}, "bit rate", Result.FAIL, "500000 bit/s", "bitrate 1000000"),
+        ({"state": CanState.ERROR_PASSIVE}, "error counters", Result.FAIL, "ERROR-PASSIVE", "termination"),
+        ({"errors": (0, 3)}, "error counters", Result.FAIL, "rx 3", "termination"),
+        ({"restart_ms": 100}, "automatic restart", Result.WARN, "restart-ms 100", "restart-ms 0"),
+        ({"queue_length": 1000}, "transmit queue", Result.WARN, "1000 frames", "txqueuelen 128"),
+        ({"queue_length": 0}, "transmit queue", Result.WARN, "0 frames", "txqueuelen 128"),
+        ({"lost": 5}, "lost frames", Result.WARN, "5 errors and drops", "bus load"),
     ],
 )
 def test_each_line_of_an_interface_can_say_no(
-    monkeypatch: pytest.MonkeyPatch, place: str, value: object, name: str, result: Result, found: str, fix: str
+    monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], name: str, result: Result, found: str, fix: str
 ) -> None:
-    line = of_link(monkeypatch, place, value)[name]
+    line = of_link(monkeypatch, **changes)[name]
     assert (line.result, found in line.found, fix in line.fix) == (result, True, True)
 
 

@@ -23,9 +23,10 @@ import shutil
 import sys
 from typing import NoReturn
 
-from tools.guest import guest, link, namespace
+from tools.guest import guest, namespace
 from tools.guest.guest import GRACE_SECONDS, Limits
 from tools.guest.kernel import UnavailableError, kernel
+from tsa_ctrl.bus.wire import link
 
 DEFAULT = "vcan0"
 FAILED, USAGE, SKIPPED, NOT_FOUND, INTERRUPTED = 1, 2, 77, 127, 130
@@ -77,20 +78,19 @@ def run_in_guest(command: list[str], interface: str, limits: Limits) -> int:
 
 def found_or_created(name: str) -> str | None:
     """The name of a vcan of this machine that is up; None where there is none and this user may not make one."""
-    existing = {interface.name: interface for interface in link.interfaces()}
-    if name and name in existing and existing[name].kind != "vcan":
-        end(
-            USAGE,
-            f"TSA_VCAN={name}: that is no vcan but an interface of kind '{existing[name].kind or 'none'}'",
-        )
+    existing = link.can_interfaces()
+    named = link.read(name) if name else None
+    if named is not None and named.kind != "vcan":
+        end(USAGE, f"TSA_VCAN={name}: that is no vcan but an interface of kind '{named.kind or 'none'}'")
     up = sorted(interface.name for interface in existing.values() if interface.kind == "vcan" and interface.up)
     if name in up or (up and not name):
         return name or up[0]
     name = name or DEFAULT
     try:
-        if name not in existing:
-            link.create_vcan(name)
-        link.set_flags(name, link.IFF_UP)
+        if name in existing:
+            link.set_up(name, True)
+        else:
+            link.make_vcan(name)
     except OSError:
         return None
     print(f"tools/vcan: made {name}, which stays until 'ip link del {name}'", file=sys.stderr)

@@ -69,7 +69,7 @@ def command(
 
     seconds = SECONDS if seconds is None else seconds
     play = gait() if setpoint is None else from_file(setpoint, rig.MOST_TORQUE)
-    chosen = choose(bus)
+    chosen = choose(bus, lambda line: click.echo(line, err=True))
     folder = _folder(out)
     with _progress(chosen) as say:
         outcome = demo(folder, chosen, play, seconds, rate, tendon, say)
@@ -101,7 +101,7 @@ def _full_circle(
     from tsa_ctrl.demo.hidden import draw
 
     hidden = draw(seed, names)
-    chosen = choose(bus)
+    chosen = choose(bus, lambda line: click.echo(line, err=True))
     folder = _folder(out)
     with _progress(chosen) as say:
         found = circle(folder, chosen, hidden, seconds, rate, say)

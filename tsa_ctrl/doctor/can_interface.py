@@ -1,19 +1,16 @@
-"""The CAN interface as the kernel reports it (`ip -details -statistics -json link`), its echo, and the bus load."""
+"""The CAN interface as the kernel reports it, its echo, and the bus load."""
 
 from __future__ import annotations
 
-import json
-import shutil
-import subprocess
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import CanState, read
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.doctor.check import Check, Result, judge
 from tsa_ctrl.errors import TsaError
@@ -36,7 +33,7 @@ def checks(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Ite
 
 def _socketcan(settings: BusSettings) -> Iterator[Check]:
     channel = settings.channel
-    link = _link(channel)
+    link = read(channel)
     make = f"ip link set {channel} type can bitrate {settings.bitrate} && ip link set {channel} up"
     if link is None:
         make = (
@@ -46,53 +43,36 @@ def _socketcan(settings: BusSettings) -> Iterator[Check]:
         )
         yield Check("CAN interface", Result.FAIL, f"no interface {channel}", "an interface that is up", make)
         return
-    kind = link.get("linkinfo", {}).get("info_kind", link.get("link_type", "unknown"))
-    up = "UP" in link.get("flags", [])
-    yield judge("CAN interface", up, f"{channel} ({kind}), {'up' if up else 'down'}", "up", make, Result.FAIL)
-    details: dict[str, Any] = link.get("linkinfo", {}).get("info_data", {})
-    if kind == "can":
-        bitrate = int(details.get("bittiming", {}).get("bitrate", 0))
+    kind = link.kind or "no CAN interface"
+    yield judge("CAN interface", link.up, f"{channel} ({kind}), {'up' if link.up else 'down'}", "up", make, Result.FAIL)
+    if link.kind == "can":
         yield judge(
-            "bit rate", bitrate == settings.bitrate, f"{bitrate} bit/s", f"{settings.bitrate} bit/s",
+            "bit rate", link.bitrate == settings.bitrate, f"{link.bitrate or 0} bit/s", f"{settings.bitrate} bit/s",
             f"ip link set {channel} down && {make}", Result.FAIL,
         )  # fmt: skip
-        state = str(details.get("state", "unknown"))
-        counters = details.get("berr_counter", {})
-        found = f"{state}, tx {counters.get('tx', '?')}, rx {counters.get('rx', '?')}"
+        state = "unknown" if link.state is None else link.state.name.replace("_", "-")
+        tx, rx = link.errors or ("?", "?")
         yield judge(
-            "error counters", state == "ERROR-ACTIVE" and not any(counters.values()), found, "ERROR-ACTIVE, 0, 0",
+            "error counters", link.state is CanState.ERROR_ACTIVE and not any(link.errors or ()),
+            f"{state}, tx {tx}, rx {rx}", "ERROR-ACTIVE, 0, 0",
             "check termination (60 ohm between the lines), wiring and bit rate of every node", Result.FAIL,
         )  # fmt: skip
-        restart = int(details.get("restart_ms", 0))
+        restart = link.restart_ms or 0
         yield judge(
             "automatic restart", restart == 0, f"restart-ms {restart}", "0: bus-off stays until somebody asks",
             f"ip link set {channel} down && ip link set {channel} type can restart-ms 0 && ip link set {channel} up",
         )  # fmt: skip
     else:
         yield Check("bit rate", Result.PASS, f"{kind} has none", "computed from the configuration")
-    queue = int(link.get("txqlen", 0))
+    queue = link.queue_length or 0
     yield judge(
         "transmit queue", 0 < queue <= MOST_QUEUE, f"{queue} frames", f"1 to {MOST_QUEUE}, about 128",
         f"ip link set {channel} txqueuelen 128",
     )  # fmt: skip
-    statistics = link.get("stats64", {})
-    dropped = sum(int(statistics.get(way, {}).get(key, 0)) for way in ("rx", "tx") for key in ("errors", "dropped"))
     yield judge(
-        "lost frames", dropped == 0, f"{dropped} errors and drops since the interface is up", "0",
+        "lost frames", link.lost == 0, f"{link.lost} errors and drops since the interface is up", "0",
         "look at the bus load and at the adapter's cable; the count starts again when the interface is set down and up",
     )  # fmt: skip
-
-
-def _link(channel: str) -> dict[str, Any] | None:
-    """What `ip` says of one link; None when there is no such link."""
-    if shutil.which("ip") is None:
-        raise TsaError("doctor: the command 'ip' is not installed; install iproute2")
-    command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", channel]
-    run = subprocess.run(command, capture_output=True, text=True, check=False)
-    if run.returncode != 0:
-        return None
-    links = json.loads(run.stdout or "[]")
-    return dict(links[0]) if links else None
 
 
 def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check]:

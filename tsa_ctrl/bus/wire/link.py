@@ -1,31 +1,34 @@
-"""What the kernel says of a CAN interface (rtnetlink, RTM_GETLINK): kind, bit rate, state, error counters, queue.
-
-And to switch one down and up (RTM_NEWLINK), for the simulated machine's faults.
-"""
+"""CAN links of this machine: what the kernel says of them, and to make one and to switch it up and down."""
 
 from __future__ import annotations
 
-import os
+import contextlib
 import socket
 import struct
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
+from tsa_ctrl.bus.wire.netlink import (
+    CREATE,
+    DUMP,
+    EXCLUSIVE,
+    LINK,
+    RTM_DELLINK,
+    RTM_GETLINK,
+    RTM_NEWLINK,
+    attribute,
+    attributes,
+    request,
+)
 from tsa_ctrl.errors import BusError
 
-_MESSAGE = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
-_LINK = struct.Struct("=BxHiII")  # ifinfomsg: family, type, index, flags, change
-_ATTRIBUTE = struct.Struct("=HH")  # rtattr: length, type
-_RTM_NEWLINK, _RTM_GETLINK, _NLM_F_REQUEST, _NLM_F_ACK = 16, 18, 1, 4
 _IFF_UP = 1
 _ARPHRD_CAN = 280  # linux/if_arp.h
-_TYPE_MASK = 0x3FFF  # without NLA_F_NESTED
-_IFLA_TXQLEN, _IFLA_LINKINFO, _INFO_KIND, _INFO_DATA = 13, 18, 1, 2
-_CAN_BITTIMING, _CAN_STATE, _CAN_BERR_COUNTER = 1, 4, 8  # of linux/can/netlink.h
-_BUFFER = 65536
-_TIMEOUT = 1.0  # s
+_IFLA_IFNAME, _IFLA_TXQLEN, _IFLA_LINKINFO, _IFLA_STATS64 = 3, 13, 18, 23  # linux/if_link.h
+_INFO_KIND, _INFO_DATA = 1, 2
+_CAN_BITTIMING, _CAN_STATE, _CAN_RESTART_MS, _CAN_BERR_COUNTER = 1, 4, 6, 8  # linux/can/netlink.h
+_STATS = struct.Struct("=32x4Q")  # rtnl_link_stats64 from rx_errors on: errors rx, tx, dropped rx, tx
 
 
 class CanState(IntEnum):
@@ -41,7 +44,7 @@ class CanState(IntEnum):
 
 @dataclass(frozen=True)
 class Interface:
-    """One interface; what it does not have (a vcan has no bit rate) is None."""
+    """One link; what it does not have (a vcan has no bit rate) is None."""
 
     up: bool
     kind: str | None = None  # "can", "vcan", "slcan", ...
@@ -50,60 +53,72 @@ class Interface:
     state: CanState | None = None
     errors: tuple[int, int] | None = None  # transmit and receive error counters
     is_can: bool = False  # of whatever kind
+    restart_ms: int | None = None  # after which the kernel leaves bus-off by itself; 0: never
+    lost: int = 0  # frames since it is up: errors and drops, both ways
+    name: str = ""
 
 
 def read(channel: str) -> Interface | None:
-    """Ask the kernel; None when it does not answer (no such interface, no netlink)."""
+    """Ask the kernel; None when it does not answer (no such link, no netlink)."""
     try:
-        index = socket.if_nametoindex(channel)
-        body = _LINK.pack(0, 0, index, 0, 0)
-        request = _MESSAGE.pack(_MESSAGE.size + len(body), _RTM_GETLINK, _NLM_F_REQUEST, 1, 0) + body
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as netlink:
-            netlink.settimeout(_TIMEOUT)
-            netlink.send(request)
-            return parse(netlink.recv(_BUFFER))
-    except (OSError, AttributeError):  # AttributeError: not Linux
+        found = request(RTM_GETLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), 0, 0))
+    except OSError:
         return None
-
-
-def set_up(channel: str, up: bool) -> None:
-    """Switch an interface up or down, as `ip link set CHANNEL up`; raises OSError with the kernel's reason."""
-    body = _LINK.pack(0, 0, socket.if_nametoindex(channel), int(up), _IFF_UP)
-    request = _MESSAGE.pack(_MESSAGE.size + len(body), _RTM_NEWLINK, _NLM_F_REQUEST | _NLM_F_ACK, 1, 0) + body
-    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as netlink:
-        netlink.settimeout(_TIMEOUT)
-        netlink.send(request)
-        code = -struct.unpack_from("=i", netlink.recv(_BUFFER), _MESSAGE.size)[0]
-    if code:
-        raise OSError(code, os.strerror(code))
-
-
-def parse(message: bytes) -> Interface | None:
-    """Decode the kernel's answer; None when it is an error message."""
-    length, kind, *_ = _MESSAGE.unpack_from(message)
-    if kind != _RTM_NEWLINK:
-        return None
-    _, link_type, _, flags, _ = _LINK.unpack_from(message, _MESSAGE.size)
-    attributes = dict(_attributes(message[_MESSAGE.size + _LINK.size : length]))
-    info = dict(_attributes(attributes.get(_IFLA_LINKINFO, b"")))
-    data = dict(_attributes(info.get(_INFO_DATA, b"")))
-    name = info.get(_INFO_KIND)
-    real = name is not None and name.rstrip(b"\0") == b"can"
-    return Interface(
-        up=bool(flags & _IFF_UP),
-        is_can=link_type == _ARPHRD_CAN,
-        kind=None if name is None else name.rstrip(b"\0").decode(),
-        queue_length=_u32(attributes.get(_IFLA_TXQLEN)),
-        bitrate=_u32(data.get(_CAN_BITTIMING)) if real else None,
-        state=_state(_u32(data.get(_CAN_STATE))) if real else None,
-        errors=_pair(data.get(_CAN_BERR_COUNTER)) if real else None,
-    )
+    return parse(found[0]) if found else None
 
 
 def can_interfaces() -> dict[str, Interface]:
-    """The CAN interfaces of this machine that are up, by name."""
-    found = {name: read(name) for _, name in socket.if_nameindex()}
-    return {name: link for name, link in found.items() if link is not None and link.is_can and link.up}
+    """The CAN links of this machine by name, up or down; none where the kernel denies netlink."""
+    try:
+        found = [parse(body) for body in request(RTM_GETLINK, DUMP, LINK.pack(0, 0, 0, 0, 0))]
+    except OSError:
+        return {}
+    return {link.name: link for link in found if link.is_can}
+
+
+def set_up(channel: str, up: bool) -> None:
+    """Switch a link up or down, as `ip link set CHANNEL up`; raises OSError with the kernel's reason."""
+    request(RTM_NEWLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(channel), int(up), _IFF_UP))
+
+
+def make_vcan(name: str) -> None:
+    """A vcan that is up, as `ip link add dev NAME type vcan; ip link set NAME up`; raises OSError, and leaves none."""
+    info = attribute(_IFLA_LINKINFO, attribute(_INFO_KIND, b"vcan"))
+    body = LINK.pack(0, 0, 0, 0, 0) + attribute(_IFLA_IFNAME, name.encode() + b"\0") + info
+    request(RTM_NEWLINK, CREATE | EXCLUSIVE, body)
+    try:
+        set_up(name, True)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            delete(name)
+        raise
+
+
+def delete(name: str) -> None:
+    """As `ip link del NAME`; raises OSError with the kernel's reason."""
+    request(RTM_DELLINK, 0, LINK.pack(0, 0, socket.if_nametoindex(name), 0, 0))
+
+
+def parse(body: bytes) -> Interface:
+    """Decode what the kernel says of one link (RTM_NEWLINK without its header)."""
+    _, link_type, _, flags, _ = LINK.unpack_from(body)
+    of = attributes(body[LINK.size :])
+    info = attributes(of.get(_IFLA_LINKINFO, b""))
+    kind = info.get(_INFO_KIND)
+    data = attributes(info.get(_INFO_DATA, b"")) if kind is not None and _text(kind) == "can" else {}
+    stats = of.get(_IFLA_STATS64, b"")
+    return Interface(
+        up=bool(flags & _IFF_UP),
+        is_can=link_type == _ARPHRD_CAN,
+        kind=None if kind is None else _text(kind),
+        queue_length=_u32(of.get(_IFLA_TXQLEN)),
+        bitrate=_u32(data.get(_CAN_BITTIMING)),
+        state=_state(_u32(data.get(_CAN_STATE))),
+        errors=_pair(data.get(_CAN_BERR_COUNTER)),
+        restart_ms=_u32(data.get(_CAN_RESTART_MS)),
+        lost=sum(_STATS.unpack_from(stats)) if len(stats) >= _STATS.size else 0,
+        name=_text(of.get(_IFLA_IFNAME, b"")),
+    )
 
 
 def check(channel: str, bitrate: int) -> None:
@@ -130,14 +145,8 @@ def check(channel: str, bitrate: int) -> None:
         )
 
 
-def _attributes(data: bytes) -> Iterator[tuple[int, bytes]]:
-    position = 0
-    while position + _ATTRIBUTE.size <= len(data):
-        length, kind = _ATTRIBUTE.unpack_from(data, position)
-        if length < _ATTRIBUTE.size:
-            return
-        yield kind & _TYPE_MASK, data[position + _ATTRIBUTE.size : position + length]
-        position += (length + 3) & ~3
+def _text(data: bytes) -> str:
+    return data.rstrip(b"\0").decode(errors="replace")
 
 
 def _u32(data: bytes | None) -> int | None:
