@@ -75,6 +75,19 @@ def test_a_synchronous_command_acts_one_period_after_its_measurement(tmp_path: P
     assert 1.0e-3 < acted - sent < 1.1e-3
 
 
+@pytest.mark.parametrize(("rpdo", "delay"), [("sync", 1), ("sync", 2), ("arrival", 1)])
+def test_a_drive_may_act_later_by_whole_periods(tmp_path: Path, rpdo: str, delay: int) -> None:
+    tables = controller(
+        setpoint={"kind": "step", "amplitude": 0.5, "at": 0.3, "rate": 10_000.0}, file={"bus": {"rpdo": rpdo}}
+    )
+    late = plant(motion={"kind": "still"}, drive={"delay_periods": delay})
+    result = simulate_loop(*write(tmp_path, tables, late), 0.6)
+    sent = result.log["t"][np.argmax(np.abs(result.log["tau_m_cmd"]) > 0.1)] + result.axes[0].start
+    acted = result.truth["clock"][np.argmax(np.abs(result.truth["command"]) > 0.1)]
+    periods = delay + (rpdo == "sync")
+    assert 1e-3 * periods < acted - sent < 1e-3 * periods + 1e-4
+
+
 def test_a_command_on_arrival_acts_within_the_period(tmp_path: Path) -> None:
     tables = controller(
         setpoint={"kind": "step", "amplitude": 0.5, "at": 0.3, "rate": 10_000.0}, file={"bus": {"rpdo": "arrival"}}
@@ -99,6 +112,23 @@ def test_a_fault_begins_at_its_time_and_is_told(tmp_path: Path) -> None:
     assert axis.faults[0].startswith("emergency: drive node 1")
     first = next(event for event in result.summary.events if event.fault)
     assert 0.7 <= first.t < 0.71
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "factor"),
+    [("pretension value=0.5", "pretension", 0.5), ("bending value=1.1", "theta", 1.1)],
+)
+def test_the_rig_may_change_while_it_runs(tmp_path: Path, line: str, column: str, factor: float) -> None:
+    truth = simulate_loop(*write(tmp_path), 1.0, faults=[Fault(line, 0.8)]).truth
+    assert truth[column][-1] / truth[column][0] == pytest.approx(factor)
+
+
+def test_a_push_moves_a_joint_that_can(tmp_path: Path) -> None:
+    still = controller(setpoint={"kind": "constant"})
+    pushed = [Fault("push value=3 duration=0.1", 0.6)]
+    truth = simulate_loop(*write(tmp_path, still, plant(joint={"load": "free"})), 1.0, faults=pushed).truth
+    assert truth["tau_outside"].max() == 3.0
+    assert truth["omega_j"].max() > 1.0
 
 
 def test_nodes_that_do_not_answer_are_a_bus_error(tmp_path: Path) -> None:

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import build_chain, settle
+from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
 from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.record import COLUMNS
-from tsa_ctrl.plant.settings import AxisSettings, PhysicsSettings
-from tsa_ctrl.plant.state import DELAY_SAMPLES, MAX_ELEMENTS, PARAMETERS, STATE, Load, Presliding
+from tsa_ctrl.plant.settings import AxisSettings, MotionSettings, PhysicsSettings
+from tsa_ctrl.plant.state import DELAY_SAMPLES, MAX_ELEMENTS, PARAMETERS, STATE, Presliding
 
 CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "uniform": ((0.0, 0.0), (1.0, 1.0)),
@@ -47,11 +48,13 @@ class Axis:
         self.readings = Readings()
         self.command = MotorCommand()
         model = load_tendon_sheath(settings.actuator)
-        motion = build_motion(settings.motion)
+        joint = settings.joint
+        held = MotionSettings(kind="still", offset=joint.initial_angle)
+        motion = build_motion(held if joint.load == "held" else settings.motion)
         self.parameters: NDArray[Any] = np.zeros(1, PARAMETERS)
         self.state: NDArray[Any] = np.zeros(1, STATE)
         _set(self.parameters, step=physics.step)
-        _set(self.parameters, **_transmission(model, settings), **_motor(settings), **_joint(settings))
+        _set(self.parameters, **_transmission(model, settings), **_motor(settings), **load_parameters(settings.joint))
         _set(self.parameters, **_neutral(model, settings))
         _set(self.parameters, **_effects(settings.effects, model))
         _set(
@@ -60,8 +63,10 @@ class Axis:
             motion_repeat=int(motion.repeat),
             motion_ramp=motion.ramp,
         )
+        self.friction = float(self.parameters["friction"][0])  # mu at the start
         self._start_at_once = physics.start == "power_on"
         curve = np.ascontiguousarray(np.array(_profile(settings), dtype=np.float64).T)
+        _set(self.parameters, centre=_centre(curve, self.parameters[0]))
         self._arrays = Arrays(
             ring=np.zeros((2, DELAY_SAMPLES)),
             slip=np.zeros(MAX_ELEMENTS),
@@ -70,10 +75,11 @@ class Axis:
             motion=np.ascontiguousarray(np.vstack((motion.angle, motion.speed))),
             bending=_table(settings.environment.bending),
             temperature=_table(settings.environment.temperature),
+            hand=hand_table(settings.joint),
         )
         self.time = 0.0  # s since the plant's start
         self._started = self._start_at_once
-        self._rest(motion.angle[0] if settings.joint.load == "imposed" else settings.joint.initial_angle)
+        self._rest(motion.angle[0] if joint.load == "imposed" else joint.initial_angle)
 
     def _build_chains(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
         """Both tendons element by element; a single element that nobody asks where the full model is chosen."""
@@ -164,6 +170,12 @@ def _profile(settings: AxisSettings) -> tuple[tuple[float, float], ...]:
     return CURVATURES[chosen] if isinstance(chosen, str) else tuple(chosen)
 
 
+def _centre(curve: NDArray[np.float64], p: Any) -> float:
+    """Share of a tendon's compliance between the motor, where the series element is, and the centre of the bending."""
+    place = 1.0 - float(np.trapezoid(curve[1], curve[0]))  # mean of the fraction of length over the bending
+    return float((p["series_length"] + place * p["length"]) / (p["series_length"] + p["length"]))
+
+
 def _transmission(model: TendonSheath, settings: AxisSettings) -> dict[str, float]:
     factor = settings.perturbation
     stiffness = model.axial_stiffness * factor.axial_stiffness
@@ -180,6 +192,7 @@ def _transmission(model: TendonSheath, settings: AxisSettings) -> dict[str, floa
         "series_length": series,
         "pretension": pretension,
         "pretension_factor": 1.0,
+        "theta_factor": 1.0,
         "tendon_stiffness": tendon_stiffness,
         "bending_arm": model.contact_offset + model.diameter / 2.0,
         "friction": mu,
@@ -195,19 +208,6 @@ def _motor(settings: AxisSettings) -> dict[str, float]:
         "motor_damping": motor.damping,
         "torque_lag": drive.torque_time_constant,
         "peak_torque": drive.peak_torque * drive.gear_ratio,
-    }
-
-
-def _joint(settings: AxisSettings) -> dict[str, float]:
-    joint = settings.joint
-    return {
-        "load": Load[joint.load.upper()],
-        "load_inertia": joint.inertia,
-        "load_damping": joint.damping,
-        "load_stiffness": joint.stiffness,
-        "load_rest": joint.rest_angle,
-        "weight": joint.weight_torque,
-        "weight_phase": joint.weight_phase,
     }
 
 

@@ -6,9 +6,10 @@ import json
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.channel import ControlSocket
-from tsa_ctrl.plant.faults import FAULTS, parse_fault
+from tsa_ctrl.plant.faults import CHANGES, FAULTS, parse_fault
 from tsa_ctrl.plant.machine import Machine
 
+KINDS = {**FAULTS, **CHANGES}
 HELP = "NAME [axis=AXIS] [node=drive|encoder|torque_sensor] [value=NUMBER] [duration=SECONDS] [at=SECONDS]"
 
 
@@ -29,7 +30,7 @@ class Console:
         if line in ("", "help"):
             return f"{HELP}; or clear, state, list"
         if line == "list":
-            return "\n".join(f"{name}: {kind.doc}{_value(name)}" for name, kind in FAULTS.items())
+            return "\n".join(f"{name}: {kind.doc}{_value(name)}" for name, kind in KINDS.items())
         if line == "state":
             return self._state()
         if line == "clear":
@@ -58,5 +59,5 @@ class Console:
 
 
 def _value(name: str) -> str:
-    kind = FAULTS[name]
+    kind = KINDS[name]
     return f" (value: {kind.unit}, default {kind.value:g})" if kind.unit else ""

@@ -198,12 +198,37 @@ FAULTS: Mapping[str, FaultKind] = {
 }  # fmt: skip
 
 
+CHANGES: Mapping[str, FaultKind] = {
+    "friction": FaultKind(
+        "the friction coefficient changes",
+        lambda t: _parameter(t, "friction", t.value * t.axis.friction),
+        0.5, "of that at the start", 0, 10,
+    ),
+    "pretension": FaultKind(
+        "the pretension changes",
+        lambda t: _parameter(t, "pretension_factor", t.value),
+        0.5, "of that at the start", 0, 10,
+    ),
+    "bending": FaultKind(
+        "the sheath bends otherwise; the path length follows (3.50)",
+        lambda t: _parameter(t, "theta_factor", t.value),
+        1.2, "of the bending angle", 0, 10,
+    ),
+    "push": FaultKind(
+        "a torque on the joint from outside", lambda t: _parameter(t, "push", t.value), 0.5, "N*m", -100, 100
+    ),
+    "let_go": FaultKind("the hand lets the joint go", lambda t: _parameter(t, "hand_factor", 0.0)),
+}  # fmt: skip
+"""What may happen to a healthy rig while it runs; begun, ended and parsed as faults are."""
+
+
 def check_fault(fault: FaultSettings, where: str) -> FaultKind:
     """The kind that a fault names; raises UsageError for an unknown name or a value out of range."""
-    kind = FAULTS.get(fault.name)
+    kind = FAULTS.get(fault.name) or CHANGES.get(fault.name)
     if kind is None:
-        near = difflib.get_close_matches(fault.name, FAULTS, n=1, cutoff=0.5)
-        advice = f"did you mean '{near[0]}'?" if near else f"known faults are {', '.join(FAULTS)}"
+        known = [*FAULTS, *CHANGES]
+        near = difflib.get_close_matches(fault.name, known, n=1, cutoff=0.5)
+        advice = f"did you mean '{near[0]}'?" if near else f"known faults are {', '.join(known)}"
         raise UsageError(f"{where}: unknown fault '{fault.name}'; {advice}")
     if fault.value is None:
         return kind

@@ -3,9 +3,10 @@
     EA (T_p0 (l + lambda) / EA -+ e) = T (l A(+-z x) + lambda),     e = r_M q_M - r_J q_J,     lambda = EA / k_s
     T2 = T1 exp(+z x_a),     T4 = T3 exp(-z x_b),     A(rho) = mean over the length of exp(rho Theta(s) / Theta)
 
-z is the sign of motion while sliding. At standstill it lies between. It follows the displacement of the tendon's
-middle like the slip front that runs into an evenly bent sheath: mean of elements that slip at D (i/N)^2, where D is how
-far the friction stretches half a tendon; or effect `presliding_hysteresis` says how.
+z is the sign of motion while sliding. At standstill it lies between. It follows the displacement of the tendon where
+the bending has its centre (with any other place a closed small cycle could create energy), like the slip front that
+runs into an evenly bent sheath: mean of elements that slip at D (i/N)^2, where D is how far the friction stretches half
+a tendon; or effect `presliding_hysteresis` says how.
 Both tensions are >= 0: a tendon cannot push.
 """
 
@@ -55,7 +56,7 @@ def _direction(s: Any, p: Any, slip: Any, u: float, v: float) -> tuple[float, fl
     """z at the end of the sub-step and its derivatives by the displacements u, v of motor and joint pulley."""
     du, dv = u - p.r_m * s.q_m, v - p.r_j * s.q_j
     if p.hysteresis == _ELASTIC:
-        by_u, by_v = 0.5, 0.5
+        by_u, by_v = 1.0 - p.centre, p.centre
     elif p.hysteresis == _MOTOR:
         by_u, by_v = 1.0 / p.r_m, 0.0
     else:
@@ -116,7 +117,7 @@ def commit_full(s: Any, p: Any, slip: Any, q_m: float, q_j: float, z: float) -> 
     """Make the friction's state that belongs to the solution the one that the next sub-step starts from."""
     s.z = z
     if p.hysteresis == _ELASTIC:
-        n, moved = NATURAL_ELEMENTS, 0.5 * (p.r_m * (q_m - s.q_m) + p.r_j * (q_j - s.q_j))
+        n, moved = NATURAL_ELEMENTS, (1.0 - p.centre) * p.r_m * (q_m - s.q_m) + p.centre * p.r_j * (q_j - s.q_j)
     else:
         n, moved = p.hysteresis_elements, q_m - s.q_m if p.hysteresis == _MOTOR else q_j - s.q_j
     for i in range(n):

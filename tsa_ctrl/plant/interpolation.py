@@ -23,6 +23,35 @@ def table_value(table: Any, x: float, before: float) -> float:
 
 
 @compiled
+def hand(s: Any, p: Any, table: Any, time: float) -> None:
+    """Stiffness, damping, angle and speed of the hand at `time` s since the start, into the state.
+
+    Stiffness and damping are linear between rows; the angle rests at each of them and goes smoothly between.
+    """
+    n = table.shape[1]
+    if n == 0:
+        return
+    last = table[0, n - 1]
+    if p.hand_repeat and time > last > 0.0:
+        time = time % last
+    i = 1
+    while i < n and time >= table[0, i]:
+        i += 1
+    if i >= n or time <= table[0, 0]:
+        row = n - 1 if i >= n else 0
+        stiffness, damping, s.hand_angle, s.hand_speed = table[1, row], table[2, row], table[3, row], 0.0
+    else:
+        width = table[0, i] - table[0, i - 1]
+        y = (time - table[0, i - 1]) / width
+        stiffness = (1.0 - y) * table[1, i - 1] + y * table[1, i]
+        damping = (1.0 - y) * table[2, i - 1] + y * table[2, i]
+        way = table[3, i] - table[3, i - 1]
+        s.hand_angle = table[3, i - 1] + way * y * y * (3.0 - 2.0 * y)
+        s.hand_speed = way * 6.0 * y * (1.0 - y) / width
+    s.hand_stiffness, s.hand_damping = p.hand_factor * stiffness, p.hand_factor * damping
+
+
+@compiled
 def imposed_motion(p: Any, motion: Any, time: float) -> tuple[float, float, float]:
     """Angle, speed and acceleration of the imposed motion, `time` s after its beginning; negative: it waits."""
     last = motion.shape[1] - 1

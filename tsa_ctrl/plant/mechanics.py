@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
 from tsa_ctrl.plant.compiled import compiled
 from tsa_ctrl.plant.full import commit_full, full_tensions
-from tsa_ctrl.plant.interpolation import imposed_motion, table_value
+from tsa_ctrl.plant.interpolation import hand, imposed_motion, table_value
 from tsa_ctrl.plant.losses import (
     MICRO,
     friction_coefficient,
@@ -51,6 +51,7 @@ class Arrays(NamedTuple):
     motion: NDArray[np.float64]  # (2, n): imposed angle and speed on the grid
     bending: NDArray[np.float64]  # (2, n): times in s and factors on the bending angle
     temperature: NDArray[np.float64]  # (2, n): times in s and deg C
+    hand: NDArray[np.float64]  # (4, n): times in s, N*m/rad, N*m*s/rad, rad
 
 
 @compiled
@@ -71,21 +72,23 @@ def advance(
 
 
 @compiled
-def _load_torque(p: Any, q: float, omega: float) -> tuple[float, float]:
-    """Torque that the load takes besides its inertia, and its derivative by the angle at constant speed."""
+def _load_torque(s: Any, p: Any, q: float, omega: float) -> tuple[float, float]:
+    """Torque that load and hand take besides the inertia, and its derivative by the angle at constant speed."""
+    taken = p.load_damping * omega - p.push
+    taken += s.hand_stiffness * (q - s.hand_angle) + s.hand_damping * (omega - s.hand_speed)
     if p.load == _SPRING:
-        return p.load_damping * omega + p.load_stiffness * (q - p.load_rest), p.load_stiffness
+        return taken + p.load_stiffness * (q - p.load_rest), s.hand_stiffness + p.load_stiffness
     if p.load == _WEIGHT:
         a = q + p.weight_phase
-        return p.load_damping * omega + p.weight * math.sin(a), p.weight * math.cos(a)
-    return p.load_damping * omega, 0.0
+        return taken + p.weight * math.sin(a), s.hand_stiffness + p.weight * math.cos(a)
+    return taken, s.hand_stiffness
 
 
 @compiled
 def _environment(s: Any, p: Any, arrays: Arrays, time: float, q_j: float) -> tuple[float, float]:
     """Temperature, bending and pretension at `time` s since the start; the friction angles of tendons a and b."""
     s.temperature = table_value(arrays.temperature, time, 25.0)
-    s.theta = p.theta * table_value(arrays.bending, time, 1.0) + p.bending_per_angle * q_j
+    s.theta = p.theta * p.theta_factor * table_value(arrays.bending, time, 1.0) + p.bending_per_angle * q_j
     s.pretension = pretension(s, p, max(0.0, time))
     x = friction_coefficient(s, p) * max(0.0, s.theta)
     x_a, x_b = x * (1.0 + 0.5 * p.asymmetry), x * (1.0 - 0.5 * p.asymmetry)
@@ -130,11 +133,12 @@ def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any)
     omega = (q_j - s.q_j) / h
     tendon = p.r_j * (f[3] - f[1])
     share = _share(s, p, tendon)
-    taken, slope_j = _load_torque(p, q_j, omega)
+    taken, slope_j = _load_torque(s, p, q_j, omega)
     r[1] = inertia * (q_j - s.q_j - h * s.omega_j) + taken + joint_losses(p, q_j, omega, 0.0) - share * tendon
     r[3] = p.r_m * p.r_j * (f[9] - f[5])
     r[4] = -share * p.r_j * p.r_m * (f[10] - f[6])
-    r[5] = inertia + slope_j + (p.load_damping + p.viscous + math.copysign(p.viscous_difference, omega)) / h
+    damping = p.load_damping + s.hand_damping + p.viscous + math.copysign(p.viscous_difference, omega)
+    r[5] = inertia + slope_j + damping / h
     r[5] += p.gravity * math.cos(q_j + p.gravity_phase) + p.spring - share * p.r_j * p.r_j * (f[11] - f[7])
 
 
@@ -181,6 +185,8 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     q_j = s.q_j + h * s.omega_j
     if imposed:
         q_j, s.omega_j, s.acceleration_j = imposed_motion(p, arrays.motion, since_start)
+    else:
+        hand(s, p, arrays.hand, since_start)
     x_a, x_b = _environment(s, p, arrays, since_start, q_j)
     f = np.zeros(13)  # T1 T2 T3 T4, their derivatives by motor and joint displacement, z
     q_m, q_j = _solve(s, p, arrays, x_a, x_b, s.q_m + h * s.omega_m, q_j, h, f)
@@ -199,6 +205,7 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
         omega = (q_j - s.q_j) / h
         s.acceleration_j = (omega - s.omega_j) / h
         s.omega_j = omega
+        s.tau_outside = p.push - s.hand_stiffness * (q_j - s.hand_angle) - s.hand_damping * (omega - s.hand_speed)
     s.z_j = min(1.0, max(-1.0, s.z_j + (q_j - s.q_j) / MICRO))
     s.q_j = q_j
     s.tau_tendon = p.r_j * (s.t4 - s.t2)

@@ -84,7 +84,10 @@ class Node:
         self._guarding = Guarding(self.dictionary) if guarded else None
         self.dictionary.on_write[0x1017, 0] = self._write_heartbeat
         self.tpdos = [Tpdo(self.dictionary, number, default, self._changed) for number, default in tpdos]
-        self.rpdos = [Rpdo(self.dictionary, number, default, self._changed) for number, default in rpdos]
+        self.rpdos = [
+            Rpdo(self.dictionary, number, default, self._changed, self.quirks.delay_periods)
+            for number, default in rpdos
+        ]
         self._complete = True
         self._changed()
 
@@ -131,7 +134,7 @@ class Node:
             tpdo.syncs, tpdo.last = 0, b""
             tpdo.compile()
         for rpdo in self.rpdos:
-            rpdo.pending = rpdo.received_at = None
+            rpdo.forget()
             rpdo.compile()
         self._consumers.restore()
         if self._guarding is not None:
@@ -169,7 +172,7 @@ class Node:
         leaving = self.state is NmtState.OPERATIONAL and state is not NmtState.OPERATIONAL
         self.state = state
         for rpdo in self.rpdos:
-            rpdo.pending = rpdo.received_at = None
+            rpdo.forget()
         if leaving:
             self.connection_lost(overdue=False)
 
@@ -242,11 +245,9 @@ class Node:
                 self.communication_error(EmcyCode.PDO_TOO_LONG)
             if rpdo.synchronous and self._sync_port.closed(now):
                 return
-            rpdo.received_at = now
-            if rpdo.synchronous:
-                rpdo.pending = data
-            else:
-                self._apply(rpdo, data)
+            acting = rpdo.take(data, now)
+            if acting is not None:
+                self._apply(rpdo, acting)
 
         return handle
 
@@ -266,9 +267,9 @@ class Node:
     def _synchronise(self, now: float) -> None:
         """Take the commands that waited for it, sample, answer."""
         for rpdo in self.rpdos:
-            if rpdo.pending is not None:
-                pending, rpdo.pending = rpdo.pending, None
-                self._apply(rpdo, pending)
+            acting = rpdo.due()
+            if acting is not None:
+                self._apply(rpdo, acting)
         if self.quirks.rpdo_timer_on_sync:
             self._look_at_rpdos(now)
         self.sample()

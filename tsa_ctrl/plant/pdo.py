@@ -6,6 +6,7 @@ Mapping procedure: disable (bit 31 of the COB-ID), count 0, map, count, enable; 
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
@@ -185,14 +186,43 @@ class Tpdo(Pdo):
 
 
 class Rpdo(Pdo):
-    """A PDO that the node receives; synchronous ones wait for the next SYNC."""
+    """A PDO that the node receives; synchronous ones wait for the next SYNC, all for `delay` SYNCs more."""
 
     def __init__(
-        self, dictionary: ObjectDictionary, number: int, default: PdoDefault, changed: Callable[[], None]
+        self,
+        dictionary: ObjectDictionary,
+        number: int,
+        default: PdoDefault,
+        changed: Callable[[], None],
+        delay: int = 0,
     ) -> None:
-        self.pending: bytes | None = None
         self.received_at: float | None = None
+        self._delay = delay
+        self._pending: bytes | None = None  # the last that has come since the last SYNC
+        self._line: deque[bytes | None] = deque()  # those before it, the oldest first
         super().__init__(dictionary, number, Direction.RPDO, default, changed)
+
+    def forget(self) -> None:
+        """What has come acts no more."""
+        self._pending = self.received_at = None
+        self._line.clear()
+
+    def take(self, data: bytes, now: float) -> bytes | None:
+        """One frame; returned when it acts at once."""
+        self.received_at = now
+        if not self.synchronous and self._delay == 0:
+            return data
+        self._pending = data
+        return None
+
+    def due(self) -> bytes | None:
+        """What acts at the SYNC that has just come."""
+        pending, self._pending = self._pending, None
+        steps = self._delay if self.synchronous else self._delay - 1
+        if steps <= 0:
+            return pending
+        self._line.append(pending)
+        return self._line.popleft() if len(self._line) > steps else None
 
     def unpack(self, data: bytes) -> list[tuple[Key, int]]:
         """Values of a frame at least as long as the mapping; dummies are left out."""

@@ -41,6 +41,9 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     rpdo_timer_on_sync: bool = False  # the RPDO event timer is looked at only when a SYNC comes
     node_guarding: bool = False  # no heartbeat, made or heard: 0x100C, 0x100D and remote frames instead
 
+    # its commands
+    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs by which they act later than their RPDO's type says
+
     # its state machine
     mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 says what 0x6060 is; else 0
     step_time: NonNegative = 0.0  # s, of each step on the way to operation enabled

@@ -31,6 +31,7 @@ COLUMNS: tuple[tuple[str, str], ...] = (
     ("theta", "rad"),
     ("pretension", "N, T_p0"),
     ("temperature", "deg C"),
+    ("tau_outside", "N*m on the joint by a hand or a push"),
 )
 _FLUSH = 0.25  # s
 

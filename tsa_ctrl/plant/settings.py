@@ -21,6 +21,7 @@ Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 Counts = Annotated[int, Meta(ge=1, le=1 << 31)]
+HandRow = tuple[NonNegative, NonNegative, NonNegative, float]  # s, N*m/rad, N*m*s/rad, rad
 
 
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -82,16 +83,18 @@ class TendonSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 class JointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What the joint pulley drives. All loads but "imposed" move by the delivered torque."""
+    """What the joint pulley drives. All loads but "imposed" and "held" move by the delivered torque; see `load`."""
 
-    load: Literal["imposed", "free", "spring", "weight"] = "imposed"
-    inertia: Positive = 0.02  # kg*m^2
-    damping: NonNegative = 0.05  # N*m*s/rad
+    load: Literal["imposed", "held", "free", "spring", "weight", "limb", "wearer"] = "imposed"
+    inertia: Positive | None = None  # kg*m^2; default 0.02, of limb and wearer 0.05
+    damping: NonNegative | None = None  # N*m*s/rad; default 0.05, of limb and wearer 0.1
     stiffness: NonNegative = 4.0  # N*m/rad, of the spring
     rest_angle: float = 0.0  # rad, of the spring
-    weight_torque: NonNegative = 1.0  # N*m, m g l of the weight
+    weight_torque: NonNegative | None = None  # N*m, m g l of weight, limb, wearer; default 1, of limb and wearer 4
     weight_phase: float = 0.0  # rad: torque m g l sin(q + phase)
-    initial_angle: float = 0.0  # rad
+    initial_angle: float = 0.0  # rad; where a held joint stays
+    hand: list[HandRow] = []  # [s, N*m/rad, N*m*s/rad, rad], of any load that moves; default none, of wearer a script
+    hand_repeat: bool = True  # the script begins again at its end; else it stays there
 
 
 class MotionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -227,6 +230,14 @@ def _check_tables(axis: AxisSettings, where: str) -> None:
         table = getattr(axis.environment, name)
         if any(a[0] >= b[0] for a, b in itertools.pairwise(table)):
             raise UsageError(f"{where}: [axis.environment] {name}: times must rise; sort the table")
+    joint = axis.joint
+    if any(a[0] >= b[0] for a, b in itertools.pairwise(joint.hand)):
+        raise UsageError(f"{where}: [axis.joint] hand: times must rise; sort the table")
+    if joint.hand and joint.load in ("imposed", "held"):
+        raise UsageError(
+            f'{where}: [axis.joint] hand with load "{joint.load}", whose joint no hand can move; take hand out, or '
+            "choose a load that moves: free, spring, weight, limb, wearer"
+        )
     if not isinstance(axis.tendon.curvature, str):
         check_curvature(axis.tendon.curvature, f"{where}: [axis.tendon] curvature")
 

@@ -44,6 +44,8 @@ PARAMETERS = np.dtype(
         ("bending_arm", _F),  # p + d/2, m (3.50)
         ("friction", _F),  # mu
         ("theta", _F),  # rad
+        ("theta_factor", _F),
+        ("centre", _F),  # of the bending: share of a tendon's compliance that lies between it and the motor
         ("presliding", _F),  # m of tendon
         ("distributed", _I),
         # motor
@@ -64,6 +66,9 @@ PARAMETERS = np.dtype(
         ("load_rest", _F),  # rad
         ("weight", _F),  # N*m
         ("weight_phase", _F),  # rad
+        ("hand_factor", _F),  # of the hand's stiffness and damping
+        ("hand_repeat", _I),
+        ("push", _F),  # N*m, on the joint from outside
         # effects between the joint pulley and the load
         ("viscous", _F),  # N*m*s/rad
         ("viscous_difference", _F),  # N*m*s/rad
@@ -125,6 +130,11 @@ STATE = np.dtype(
         ("t4", _F),
         ("tau_tendon", _F),  # N*m, r_J (T4 - T2)
         ("tau_j", _F),  # N*m, delivered to the load
+        ("hand_stiffness", _F),  # N*m/rad
+        ("hand_damping", _F),  # N*m*s/rad
+        ("hand_angle", _F),  # rad
+        ("hand_speed", _F),  # rad/s
+        ("tau_outside", _F),  # N*m, by hand and push on the joint
         ("tau_sensed", _F),  # N*m, the same through the sensor's delay
         ("z", _F),  # state of friction in the sheaths, -1 to 1
         ("z_m", _F),  # of the motor's friction

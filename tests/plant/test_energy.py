@@ -1,0 +1,102 @@
+"""Closed cycles of both ends create no energy, wherever the sheath bends, however the tendons are simulated."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.plant.bench import ACTUATOR, R_J, R_M, axis
+from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
+from tsa_ctrl.plant.full import commit_full, full_tensions
+from tsa_ctrl.plant.settings import PhysicsSettings
+
+S_BENT = [(0.0, 0.0), (0.15, 0.05), (0.35, 0.45), (0.65, 0.5), (0.85, 0.95), (1.0, 1.0)]
+PROFILES: dict[str, Any] = {
+    "uniform": "uniform",
+    "motor_end": "motor_end",
+    "joint_end": "joint_end",
+    "s_bent": S_BENT,
+    "one_bend": [(0.0, 0.0), (0.3, 0.0), (0.34, 1.0), (1.0, 1.0)],
+}
+POINTS = 800  # of one cycle
+LEAST = -1e-9  # J, rounding of a cycle's sum
+
+Path2 = NDArray[np.float64]
+
+
+def closed_path(seed: int, radius: float) -> Path2:
+    """Displacements of tendon at motor and joint, m, (POINTS, 2): three harmonics each, from 0 back to 0."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
+    ends = []
+    for _ in range(2):
+        phases, sizes = rng.uniform(0.0, 2.0 * math.pi, 3), rng.normal(size=3)
+        ends.append(
+            sum(a / n * (np.cos(n * t + p) - np.cos(p)) for n, a, p in zip((1, 2, 3), sizes, phases, strict=True))
+        )
+    return radius * np.column_stack(ends)
+
+
+def work_of_cycles(joint: Axis, path: Path2, cycles: int = 3) -> list[float]:
+    """Energy (J) that motor and joint put into the tendons in each cycle.
+
+    After the first cycle the state repeats, so that what is left is what the friction took.
+    """
+    s, p, arrays = joint.state[0], joint.parameters[0], joint._arrays
+    x = float(p["friction"] * p["theta"])
+    f = np.zeros(13)
+    before: NDArray[np.float64] | None = None
+    u = v = 0.0
+    works = []
+    for _ in range(cycles):
+        work = 0.0
+        for new_u, new_v in path.tolist():
+            if p["distributed"]:
+                total = prepare_chains(p, float(p["pretension"]), float(p["theta"]), x, x, arrays.chains)
+                assert chain_tensions(p, total, arrays.chains, new_u, new_v, f)
+                commit_chains(arrays.chains)
+            else:
+                full_tensions(s, p, arrays.slip, arrays.curve, x, x, new_u, new_v, f)
+                commit_full(s, p, arrays.slip, new_u / R_M, new_v / R_J, f[12])
+            joint.state["q_m"], joint.state["q_j"] = new_u / R_M, new_v / R_J
+            mean = f[:4] if before is None else 0.5 * (f[:4] + before)
+            work += (mean[2] - mean[0]) * (new_u - u) - (mean[3] - mean[1]) * (new_v - v)
+            before, u, v = f[:4].copy(), new_u, new_v
+        works.append(work)
+    return works
+
+
+@pytest.mark.parametrize("profile", list(PROFILES))
+@pytest.mark.parametrize("kind", ["full", "distributed"])
+def test_a_closed_cycle_creates_no_energy(tmp_path: Path, kind: str, profile: str) -> None:
+    for seed, radius in enumerate((1e-5, 1e-4, 1e-3)):
+        for friction in (0.1, 0.3):
+            joint = axis(tmp_path, tendon={"kind": kind, "curvature": PROFILES[profile]})
+            joint.parameters["friction"] = friction
+            works = work_of_cycles(joint, closed_path(seed, radius))
+            assert min(works[1:]) >= LEAST, (seed, friction, works)
+
+
+def test_a_series_element_at_the_motor_changes_nothing_of_that(tmp_path: Path) -> None:
+    for profile in PROFILES.values():
+        settings = axis(tmp_path, tendon={"curvature": profile}).settings
+        actuator = tmp_path / "actuator.toml"
+        actuator.write_text(ACTUATOR.replace("diameter =", "series_stiffness = 2.0e4\ndiameter ="), encoding="utf-8")
+        soft = Axis(settings, PhysicsSettings())
+        assert float(soft.parameters["series_length"][0]) > 1.0
+        assert min(work_of_cycles(soft, closed_path(7, 1e-4))[1:]) >= LEAST
+
+
+def test_a_friction_that_follows_another_place_would_create_some(tmp_path: Path) -> None:
+    """What the test above is for: the middle of the tendon, with all bending at one end."""
+    joint = axis(tmp_path, tendon={"curvature": "motor_end"})
+    joint.parameters["centre"] = 0.5
+    t = np.arange(1, POINTS + 1) / POINTS * 2.0 * math.pi
+    path = 1e-4 * np.column_stack((np.sin(t), np.sin(t - 2.4) - math.sin(-2.4)))
+    assert min(work_of_cycles(joint, path)[1:]) < -1e-6

@@ -1,0 +1,115 @@
+"""What the joint drives: held, moved by its torque, held by a hand that moves and lets go."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.plant.bench import axis, plant_file
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.settings import load_plant
+
+HOLD = [(0.0, 20.0, 1.0, 0.3), (1.0, 20.0, 1.0, 0.3)]
+
+
+def free_of_friction(folder: Path, **joint: Any) -> Axis:
+    """An axis whose tendons hold nothing and whose motor is off."""
+    made = axis(folder, joint=joint)
+    made.parameters["friction"] = 0.0
+    made.parameters["motor_damping"] = 1e-9
+    return made
+
+
+def course(joint: Axis, seconds: float, *names: str) -> np.ndarray:
+    """Values at each millisecond, (n, names)."""
+    start, rows = joint.time, []
+    for n in range(round(seconds * 1e3)):
+        joint.advance(start + (n + 1) * 1e-3)
+        values = joint.values()
+        rows.append([values[name] for name in names])
+    assert joint.values()["unsolved"] == 0
+    return np.array(rows)
+
+
+def test_a_held_joint_stays_where_it_is(tmp_path: Path) -> None:
+    held = axis(tmp_path, joint={"load": "held", "initial_angle": 0.4})
+    held.command.enabled, held.command.torque = True, 1.0
+    assert np.all(course(held, 0.2, "q_j", "omega_j") == [0.4, 0.0])
+
+
+@pytest.mark.parametrize("load", ["limb", "wearer"])
+def test_a_limb_is_a_weight_of_a_limbs_size(tmp_path: Path, load: str) -> None:
+    record = axis(tmp_path, joint={"load": load}).parameters[0]
+    assert [record[name] for name in ("load_inertia", "load_damping", "weight")] == [0.05, 0.1, 4.0]
+
+
+def test_a_limb_swings_at_its_own_frequency(tmp_path: Path) -> None:
+    limb = free_of_friction(tmp_path, load="limb", initial_angle=0.1)
+    angle = course(limb, 2.0, "q_j")[:, 0]
+    turns = np.flatnonzero((angle[:-1] > 0.0) & (angle[1:] <= 0.0))
+    assert 1e-3 * np.diff(turns).mean() == pytest.approx(2.0 * math.pi * math.sqrt(0.05 / 4.0), rel=0.02)
+
+
+def test_a_hand_pulls_the_joint_to_where_it_is(tmp_path: Path) -> None:
+    held = free_of_friction(tmp_path, load="free", hand=HOLD, damping=0.0)
+    angle, torque = course(held, 2.0, "q_j", "tau_outside")[-1]
+    assert angle == pytest.approx(0.3, abs=1e-3)
+    assert torque == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_hand_carries_the_weight_that_it_holds(tmp_path: Path) -> None:
+    held = free_of_friction(tmp_path, load="limb", hand=HOLD, initial_angle=0.3)
+    angle, torque = course(held, 3.0, "q_j", "tau_outside")[-1]
+    assert torque == pytest.approx(4.0 * math.sin(angle), abs=1e-3)
+    assert torque == pytest.approx(20.0 * (0.3 - angle), abs=1e-3)
+
+
+def test_a_hand_that_lets_go_takes_no_part_any_more(tmp_path: Path) -> None:
+    script = [(0.0, 20.0, 1.0, 0.5), (0.5, 20.0, 1.0, 0.5), (0.52, 0.0, 0.0, 0.5)]
+    limb = free_of_friction(tmp_path, load="limb", hand=script, hand_repeat=False, initial_angle=0.5)
+    values = course(limb, 2.0, "q_j", "tau_outside")
+    assert abs(values[400, 0] - 0.5) < 0.2
+    assert np.all(values[530:, 1] == 0.0)
+    assert values[530:, 0].min() < -0.1  # it swings
+
+
+def test_a_hand_moves_smoothly_from_row_to_row(tmp_path: Path) -> None:
+    script = [(0.0, 15.0, 1.0, 0.0), (1.0, 15.0, 1.0, 0.6), (2.0, 15.0, 1.0, 0.0)]
+    moved = free_of_friction(tmp_path, load="free", hand=script)
+    angle, speed = course(moved, 4.0, "hand_angle", "hand_speed").T
+    assert angle[999] == pytest.approx(0.6, abs=1e-5)
+    assert angle[1999] == pytest.approx(0.0, abs=1e-5)
+    assert angle[2999] == pytest.approx(0.6, abs=1e-5)  # the script again
+    assert np.abs(np.diff(angle) / 1e-3 - speed[1:]).max() < 0.01
+    assert np.abs(np.diff(speed)).max() < 0.01
+
+
+def test_a_wearer_moves_holds_and_lets_go(tmp_path: Path) -> None:
+    wearer = axis(tmp_path, joint={"load": "wearer"}, motor={"inertia": 1e-4, "damping": 1e-4})
+    stiffness, angle = course(wearer, 12.0, "hand_stiffness", "q_j").T
+    assert stiffness.min() == 0.0
+    assert stiffness.max() == pytest.approx(15.0)
+    assert angle.max() > 0.4
+    assert angle.min() < -0.2
+
+
+def test_times_of_a_hand_rise(tmp_path: Path) -> None:
+    text = "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'limb'\nhand = [[1.0, 1, 1, 0], [0.5, 1, 1, 0]]\n"
+    with pytest.raises(UsageError, match="hand: times must rise"):
+        load_plant(plant_file(tmp_path, text))
+
+
+def test_no_hand_moves_an_imposed_joint(tmp_path: Path) -> None:
+    text = "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'held'\nhand = [[0.0, 1, 1, 0]]\n"
+    with pytest.raises(UsageError, match=r'hand with load "held".*choose a load that moves'):
+        load_plant(plant_file(tmp_path, text))
+
+
+def test_an_unknown_load_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="load: invalid enum value 'limp'"):
+        load_plant(plant_file(tmp_path, "[[axis]]\nname = 'a'\n[axis.joint]\nload = 'limp'\n"))
