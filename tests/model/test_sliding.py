@@ -17,7 +17,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.model.sliding import bending_centre, motor_stiffness, shape_factor, sliding
+from tsa_ctrl.model.sliding import bending_centre, joint_side_compliance, motor_stiffness, shape_factor, sliding
 
 X, T_P, R_M, R_J = 0.26, 45.0, 0.020, 0.025
 PROFILES: tuple[str | Points, ...] = (*NAMED, S_BENT)
@@ -143,3 +143,18 @@ def test_stiffness_of_the_reference_actuator() -> None:
 def test_centre_of_the_bending(profile: str, centre: float) -> None:
     """s_c of the model's own profile."""
     assert bending_centre(model_of(profile)) == pytest.approx(centre)
+
+
+@pytest.mark.parametrize(
+    ("profile", "spring", "expected"),
+    [
+        ("uniform", "none", 1e-5),
+        ("uniform", "motor", 1e-5),
+        ("motor_end", "none", 2e-5),
+        ("motor_end", "joint", 7e-5),
+        ("joint_end", "joint", 5e-5),
+    ],
+)
+def test_compliance_between_bends_and_joint(profile: str, spring: str, expected: float) -> None:
+    """l/EA is 2e-5 m/N, the spring 5e-5 m/N."""
+    assert joint_side_compliance(model_of(profile, spring)) == pytest.approx(expected, abs=1e-18)

@@ -51,7 +51,7 @@ def axis(folder: Path, step: float = 1e-4, **settings: Any) -> Axis:
     """The mechanics alone; `settings` as the tables of an [[axis]], with no lag, no motor and no losses by default."""
     tables: dict[str, Any] = {
         "name": "joint",
-        "actuator": actuator_file(folder),
+        "actuator": settings.get("actuator") or actuator_file(folder),
         "motor": {"inertia": 0.0, "damping": 1e-12},
         "drive": {"torque_time_constant": 0.0},
     }

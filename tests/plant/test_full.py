@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.plant.bench import R_J, R_M, T_P0, X, axis
+from tests.model.capstan import Pair
+from tests.plant.bench import ACTUATOR, R_J, R_M, T_P0, X, actuator_file, axis
 from tsa_ctrl.plant.axis import Axis
 
 RAMP = {"kind": "sine", "amplitude": 1.0, "frequency": 0.2, "ramp": 0.0}  # 1.26 rad/s at the start
@@ -66,6 +67,24 @@ def test_a_series_element_takes_part_in_the_elongation(tmp_path: Path) -> None:
         R_J / (alpha + beta) * (0.7 / R_M * (alpha * math.exp(-X) + beta * math.exp(X)) - 4 * math.sinh(X) * T_P0 * 4.2)
     )
     assert delivered == pytest.approx(expected, abs=1e-8)
+
+
+@pytest.mark.parametrize("position", ["motor", "joint"])
+@pytest.mark.parametrize("kind", ["full", "distributed"])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_series_spring_stands_at_either_end(tmp_path: Path, kind: str, position: str, direction: int) -> None:
+    """Against the capstan equation integrated along the tendons; the chain has 40 contacts."""
+    curve = [(0.0, 0.0), (0.3, 0.4), (0.7, 0.4), (1.0, 1.0)]
+    spring = f"[tendon]\nseries_stiffness = 2e4\nseries_position = '{position}'"
+    joint = axis(
+        tmp_path,
+        actuator=actuator_file(tmp_path, ACTUATOR.replace("[tendon]", spring)),
+        tendon={"kind": kind, "curvature": curve},
+        motion={**RAMP, "amplitude": float(direction)},
+    )
+    springs = {f"{position}_spring": 1.0 / 2e4}
+    expected = Pair(tuple(curve), X, **springs).joint_torque(0.7, direction)
+    assert run(joint, 0.7, 0.1)["tau_j"] == pytest.approx(expected, abs=1e-8 if kind == "full" else 2e-4)
 
 
 def test_beyond_slack_one_tendon_carries_all(tmp_path: Path) -> None:

@@ -61,3 +61,12 @@ def bending_centre(model: TendonSheath) -> float:
     """s_c, 1: where the bending lies along the sheath, 0 at the motor and 1 at the joint, as (3.55) has it."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
     return transmission.profile.centre if isinstance(transmission, Elongating) else 1.0
+
+
+def joint_side_compliance(model: TendonSheath) -> float:
+    """m/N of one tendon between the centre of the bending and the joint: what stretches there when tau_J changes.
+
+    (1 - s_c) l_us/EA, and 1/k_s of a series spring at the joint.
+    """
+    spring = model.series_length if model.series_at_joint else 0.0
+    return ((1.0 - bending_centre(model)) * model.unstrained_length + spring) / model.axial_stiffness

@@ -97,6 +97,7 @@ class Axis:
             float(p["length"]),
             float(p["series_length"]),
             bristle,
+            bool(p["series_at_joint"]),
         )
         return np.ascontiguousarray(np.stack((chain, chain)))
 
@@ -171,9 +172,10 @@ def _profile(settings: AxisSettings) -> tuple[tuple[float, float], ...]:
 
 
 def _centre(curve: NDArray[np.float64], p: Any) -> float:
-    """Share of a tendon's compliance between the motor, where the series element is, and the centre of the bending."""
+    """Share of a tendon's compliance, series springs included, between the motor and the centre of the bending."""
     place = 1.0 - float(np.trapezoid(curve[1], curve[0]))  # mean of the fraction of length over the bending
-    return float((p["series_length"] + place * p["length"]) / (p["series_length"] + p["length"]))
+    before = 0.0 if p["series_at_joint"] else p["series_length"]
+    return float((before + place * p["length"]) / (p["series_length"] + p["length"]))
 
 
 def _transmission(model: TendonSheath, settings: AxisSettings) -> dict[str, float]:
@@ -190,6 +192,7 @@ def _transmission(model: TendonSheath, settings: AxisSettings) -> dict[str, floa
         "stiffness": stiffness,
         "length": model.unstrained_length,
         "series_length": series,
+        "series_at_joint": int(model.series_at_joint),
         "pretension": pretension,
         "pretension_factor": 1.0,
         "theta_factor": 1.0,

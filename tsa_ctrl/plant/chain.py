@@ -69,12 +69,18 @@ _UPPER, _RIGHT, _BY_MOTOR = int(Row.UPPER), int(Row.RIGHT), int(Row.BY_MOTOR)
 
 
 def build_chain(
-    curve: NDArray[np.float64], elements: int, stiffness: float, length: float, series_length: float, bristle: float
+    curve: NDArray[np.float64],
+    elements: int,
+    stiffness: float,
+    length: float,
+    series_length: float,
+    bristle: float,
+    series_at_joint: bool = False,
 ) -> NDArray[np.float64]:
     """Chain of one tendon at rest, shape (rows, elements + 1).
 
-    curve (2, n): fraction of length, fraction of bending; stiffness E A in N; length, series_length (E A / k_s) in m;
-    bristle: N/m of the whole tendon on its liner, 0 for rigid.
+    curve (2, n): fraction of length, fraction of bending; stiffness E A in N; length, series_length (E A / k_s) in m,
+    before the first or behind the last contact; bristle: N/m of the whole tendon on its liner, 0 for rigid.
     """
     chain = np.zeros((len(Row), elements + 1))
     edges = np.linspace(0.0, 1.0, elements + 1)
@@ -82,7 +88,7 @@ def build_chain(
     chain[Row.BEND, :elements] = [upper - lower for lower, upper in bends]
     places = np.array([_place(curve, 0.5 * (a + b), e) for (a, b), e in zip(bends, edges[:-1], strict=True)])
     lengths = np.diff(np.concatenate(([0.0], places, [1.0]))) * length
-    lengths[0] += series_length
+    lengths[-1 if series_at_joint else 0] += series_length
     lengths = np.maximum(lengths, _MIN_LENGTH * length)
     lengths *= (length + series_length) / lengths.sum()
     chain[Row.STIFFNESS] = stiffness / lengths

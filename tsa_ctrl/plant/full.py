@@ -3,7 +3,8 @@
     EA (T_p0 (l + lambda) / EA -+ e) = T (l A(+-z x) + lambda),     e = r_M q_M - r_J q_J,     lambda = EA / k_s
     T2 = T1 exp(+z x_a),     T4 = T3 exp(-z x_b),     A(rho) = mean over the length of exp(rho Theta(s) / Theta)
 
-z is the sign of motion while sliding. At standstill it lies between. It follows the displacement of the tendon where
+A series spring at the joint stretches by T2, T4: lambda exp(+-z x) there. z is the sign of motion while sliding. At
+standstill it lies between. It follows the displacement of the tendon where
 the bending has its centre (with any other place a closed small cycle could create energy), like the slip front that
 runs into an evenly bent sheath: mean of elements that slip at D (i/N)^2, where D is how far the friction stretches half
 a tendon; or effect `presliding_hysteresis` says how.
@@ -98,11 +99,15 @@ def full_tensions(s: Any, p: Any, slip: Any, curve: Any, x_a: float, x_b: float,
                 f[place + i] = f[4 + 2 * (place + i)] = f[5 + 2 * (place + i)] = 0.0
             continue
         mean, slope = mean_exponential(rho * z, curve)
-        length = p.length * mean + p.series_length
+        ratio = math.exp(rho * z)
+        if p.series_at_joint:
+            mean, slope = mean + p.series_length / p.length * ratio, slope + p.series_length / p.length * ratio
+            length = p.length * mean
+        else:
+            length = p.length * mean + p.series_length
         tension = force / length
         by_z = -tension * p.length * slope * rho / length
         by_e = side * p.stiffness / length
-        ratio = math.exp(rho * z)
         f[place] = tension
         f[place + 1] = tension * ratio
         f[4 + 2 * place] = by_e + by_z * z_u

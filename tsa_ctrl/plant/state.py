@@ -39,6 +39,7 @@ PARAMETERS = np.dtype(
         ("stiffness", _F),  # E A, N
         ("length", _F),  # l_us, m
         ("series_length", _F),  # E A / k_s, m
+        ("series_at_joint", _I),  # the end at which the series spring stands
         ("pretension", _F),  # T_p0, N at the nominal bending angle
         ("tendon_stiffness", _F),  # k_t, N/m
         ("bending_arm", _F),  # p + d/2, m (3.50)
