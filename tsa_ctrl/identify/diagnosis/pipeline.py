@@ -15,7 +15,7 @@ from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates
 from tsa_ctrl.identify.diagnosis.hypotheses.scales import scales_of
 from tsa_ctrl.identify.diagnosis.parameters.held_out import held_out
-from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import sharpened
+from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
 from tsa_ctrl.identify.diagnosis.parameters.refit import refit
 from tsa_ctrl.identify.diagnosis.refusals import (
     UNSUITED,
@@ -28,7 +28,7 @@ from tsa_ctrl.identify.diagnosis.refusals import (
 from tsa_ctrl.identify.diagnosis.report.conclude import conclude, insufficient
 from tsa_ctrl.identify.diagnosis.report.outcome import Outcome
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
-from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, share_of
+from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
 from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select
@@ -73,14 +73,14 @@ def diagnose(
         chosen, groups = alternatives(chosen, testable.catalogue, findings)
         say("parameters and gain")
         base = fit(chosen.problem, base.hypothesis, base.point)
-        shipped = sharpened(chosen.problem, refit(chosen.problem, chosen.fitted))
-        errors = held_out(chosen.problem, base, chosen.fitted, parts, min(share_of(findings), 0.95))
-        refuse_unrelated(problem, parts.held, errors, share_of(findings))
+        reported = profile_refined(chosen.problem, refit(chosen.problem, chosen.fitted))
+        errors = held_out(chosen.problem, base, chosen.fitted, parts, min(structure_share(findings), 0.95))
+        refuse_unrelated(problem, parts.held, errors, structure_share(findings))
     except InsufficientError as refusal:
         return insufficient(model, found, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything
         return insufficient(model, found, UNSUITED, testable.not_testable)
     limits = detection_limits(chosen)
     return conclude(
-        model, Outcome(parts, found, scales, testable, base, chosen, findings, groups, shipped, errors, limits)
+        model, Outcome(parts, found, scales, testable, base, chosen, findings, groups, reported, errors, limits)
     )

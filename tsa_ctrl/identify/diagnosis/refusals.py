@@ -11,14 +11,16 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
 
-BLIND = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
-ABSURD = 5.0  # times the torque's own variation: a simulation so far off is of another log; (3.55) may miss by twice
+WIDEST_FRICTION = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
+MOST_ERROR = (
+    5.0  # times the torque's own variation: a simulation so far off is of another log; (3.55) may miss by twice
+)
 UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
     "or is the model another drive's?"
 )
 UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
-HELPED = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
+LEAST_IMPROVEMENT = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
 STRANGE = (
     "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, a unit wrong, "
     "or is one column of another log?"
@@ -39,7 +41,7 @@ def refuse_unsuited(problem: Problem, base: Fit) -> None:
     """A simulation that has nothing of the measured torque; and tendons whose friction does not show."""
     mask = problem.mask
     error = (problem.frame.target - problem.predicted(base.hypothesis.model(base.point)))[mask]
-    if not float(np.std(error)) <= ABSURD * float(np.std(problem.frame.target[mask])):
+    if not float(np.std(error)) <= MOST_ERROR * float(np.std(problem.frame.target[mask])):
         raise InsufficientError(UNSUITED)
     if problem.base.target != "tau_m":
         _refuse_unseen_friction(problem, base)
@@ -59,7 +61,7 @@ def refuse_unrelated(problem: Problem, held: NDArray[np.bool_], errors: HeldOut,
     if problem.base.target == "tau_m" or structure <= 0.0:
         return
     torque = float(np.sqrt(np.mean(np.square(problem.frame.target[held]))))
-    if errors.extended > UNRELATED * torque and errors.extended > HELPED * errors.recalibrated:
+    if errors.extended > UNRELATED * torque and errors.extended > LEAST_IMPROVEMENT * errors.recalibrated:
         raise InsufficientError(STRANGE)
 
 
@@ -70,7 +72,7 @@ def _refuse_unseen_friction(problem: Problem, base: Fit) -> None:
     if not base.free.any() or quantity.value <= 0.0:
         return
     width = 0.5 * (quantity.high - quantity.low) / quantity.value
-    if width > BLIND and np.all(base.free):
+    if width > WIDEST_FRICTION and np.all(base.free):
         raise InsufficientError(
             "friction does not show: the motion or the load is too small beside the noise, or goes one way only"
         )

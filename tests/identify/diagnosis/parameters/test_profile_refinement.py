@@ -1,4 +1,4 @@
-"""Widths and moments are made sharper without spoiling what is shipped beside them."""
+"""Widths and moments are made sharper without spoiling what is reported beside them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from tests.identify.diagnosis.test_pipeline import diagnosed
 from tsa_ctrl.identify.diagnosis import pipeline
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_simulation_error
 from tsa_ctrl.identify.diagnosis.parameters import profile_refinement
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 
@@ -16,17 +16,17 @@ from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 def test_a_step_that_the_rest_of_the_model_cannot_follow_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[Problem, Refit]] = []
 
-    def keep(problem: Problem, shipped: Refit) -> Refit:
-        seen.append((problem, shipped))
-        return shipped
+    def keep(problem: Problem, reported: Refit) -> Refit:
+        seen.append((problem, reported))
+        return reported
 
     monkeypatch.setattr(pipeline, "sharpened", keep)
     diagnosed("single", "presliding_hysteresis", 9005)
-    problem, shipped = seen[0]
+    problem, reported = seen[0]
     monkeypatch.setattr(
         profile_refinement.np.linalg, "lstsq", lambda columns, *_, **__: (np.full(columns.shape[1], 0.2),)
     )
-    found = profile_refinement.sharpened(problem, shipped).fitted
-    plain = on_plain_error(problem, reversals=True)
+    found = profile_refinement.profile_refined(problem, reported).fitted
+    plain = on_simulation_error(problem, reversals=True)
     rest = plain.measured - plain.whiten(plain.predicted(found.hypothesis.model(found.point)))
-    assert float(rest @ rest) < 1.11 * shipped.fitted.rss
+    assert float(rest @ rest) < 1.11 * reported.fitted.rss

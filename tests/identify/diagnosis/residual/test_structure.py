@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tsa_ctrl.identify.diagnosis.residual.structure import Misfit
+from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 
 
 @pytest.mark.parametrize(
@@ -22,4 +22,4 @@ from tsa_ctrl.identify.diagnosis.residual.structure import Misfit
 def test_a_rival_covers_when_it_explains_most_and_lacks_less_than_what_is_left(
     share: float, rival: float, without: float, covers: bool
 ) -> None:
-    assert Misfit(share, 1.0).covers(rival, without) is covers
+    assert ErrorCriterion(share, 1.0).covers(rival, without) is covers

@@ -46,8 +46,8 @@ class Run:
 
     def average(self, y: Array) -> Array:
         """Means over bins: shape (count,) from (n,), or (count, k) from (n, k)."""
-        kept = self.count * self.bin
-        return np.asarray(y[:kept].reshape(self.count, self.bin, *y.shape[1:]).mean(axis=1))
+        whole = self.count * self.bin
+        return np.asarray(y[:whole].reshape(self.count, self.bin, *y.shape[1:]).mean(axis=1))
 
 
 @dataclass(frozen=True)

@@ -57,8 +57,8 @@ def prepare(logs: Sequence[Dataset], target: str) -> list[Run]:
 
 
 def _means(y: Array, factor: int) -> Array:
-    kept = len(y) // factor * factor
-    return np.asarray(y[:kept].reshape(-1, factor).mean(axis=1))
+    whole = len(y) // factor * factor
+    return np.asarray(y[:whole].reshape(-1, factor).mean(axis=1))
 
 
 def _clean(log: Dataset) -> tuple[Signals, float, Array]:

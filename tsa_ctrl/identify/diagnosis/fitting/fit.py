@@ -42,13 +42,13 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
     for _ in range(iterations):
         if len(point) == 0:
             break
-        moved = False
+        improved = False
         small = False  # whether the last step was not worth another
-        rough = hypothesis.rough
-        for attempt in range(2 * TRIES if rough.any() else TRIES):
+        nonsmooth = hypothesis.nonsmooth
+        for attempt in range(2 * TRIES if nonsmooth.any() else TRIES):
             if attempt == TRIES:  # along some coordinates a gradient means little: try without them
                 damping = 1e-4
-            used = jacobian if attempt < TRIES else np.where(rough, 0.0, jacobian)
+            used = jacobian if attempt < TRIES else np.where(nonsmooth, 0.0, jacobian)
             step = _step(used, residual, point, hypothesis, damping)
             trial = np.clip(point + step, hypothesis.low, hypothesis.high)
             change = trial - point
@@ -65,12 +65,12 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
                 reached = float(found @ found)
             if reached < rss:
                 small = rss - reached < ENOUGH
-                moved = True
+                improved = True
                 damping = max(damping * 0.2, 1e-7)
                 point, residual, rss = trial, found, reached
                 break
             damping = max(damping * 10.0, 1e-4)
-        if not moved:
+        if not improved:
             break
         jacobian = _jacobian(problem, hypothesis, point, residual)
         if small:
@@ -84,13 +84,13 @@ def _jacobian(problem: Problem, hypothesis: Hypothesis, point: Array, residual: 
     """d prediction / d coordinates, white, by one-sided differences away from the nearer bound."""
     if len(point) == 0:
         return np.zeros((problem.count, 0))
-    steps, moved = [], []
+    steps, improved = [], []
     for i, step in enumerate(hypothesis.steps):
         there = point.copy()
         there[i] += step if point[i] + step <= hypothesis.high[i] else -step
         steps.append(there[i] - point[i])
-        moved.append(problem.predicted(hypothesis.model(there)))
-    columns = problem.whiten(np.column_stack(moved)) - (problem.measured - residual)[:, None]
+        improved.append(problem.predicted(hypothesis.model(there)))
+    columns = problem.whiten(np.column_stack(improved)) - (problem.measured - residual)[:, None]
     return np.asarray(columns / np.array(steps))
 
 
@@ -125,7 +125,7 @@ def _step(jacobian: Array, residual: Array, point: Array, hypothesis: Hypothesis
     return step
 
 
-def safely(problem: Problem, hypothesis: Hypothesis, start: Array) -> Fit | None:
+def fit_or_none(problem: Problem, hypothesis: Hypothesis, start: Array) -> Fit | None:
     """`fit`, or None where the effects exclude each other or the model cannot be computed there."""
     try:
         return fit(problem, hypothesis, start)

@@ -24,7 +24,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
 PILOT_NOISE = 0.02  # of the torque, before anything is known of the noise
-WORTH = 12.0  # decrease of the sum of squares for which a column is taken into the pilot model
+LEAST_DECREASE = 12.0  # decrease of the sum of squares for which a column is taken into the pilot model
 MOST_COLUMNS = 16
 MOST_SHARE = 0.1  # of the samples, that saturation may span
 
@@ -86,9 +86,9 @@ def _pursuit(problem: Problem, fitted: Fit, found: Sequence[Response]) -> Array:
     chosen: list[int] = []
     for _ in range(MOST_COLUMNS):
         sizes = np.diag(gram)
-        worth = np.where(sizes > 1e-4, slope**2 / np.maximum(sizes, 1e-4), 0.0)
-        best = int(np.argmax(worth))
-        if worth[best] < WORTH:
+        decrease = np.where(sizes > 1e-4, slope**2 / np.maximum(sizes, 1e-4), 0.0)
+        best = int(np.argmax(decrease))
+        if decrease[best] < LEAST_DECREASE:
             break
         chosen.append(best)
         ratio = gram[best] / gram[best, best]

@@ -22,16 +22,16 @@ from tsa_ctrl.model.predict import predict_each
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """The base model with these effects; `wide` frees recalibration from [uncertainty]."""
+    """The base model with these effects; `wide_prior` frees recalibration from [uncertainty]."""
 
     base: Base
     variants: tuple[Variant, ...] = ()
-    wide: bool = False
+    wide_prior: bool = False
 
     @cached_property
     def coordinates(self) -> tuple[Coordinate, ...]:
         own = [c for variant in self.variants for c in variant.coordinates]
-        return (*self.base.coordinates(self.wide), *own)
+        return (*self.base.coordinates(self.wide_prior), *own)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,10 +50,10 @@ class Hypothesis:
         return np.array([c.step for c in self.coordinates])
 
     @cached_property
-    def rough(self) -> NDArray[np.bool_]:
+    def nonsmooth(self) -> NDArray[np.bool_]:
         """Coordinates along which the prediction jumps: those of effects without an amplitude."""
         own = [not variant.amplitude for variant in self.variants for _ in variant.coordinates]
-        return np.array([False] * len(self.base.coordinates(self.wide)) + own, dtype=np.bool_)
+        return np.array([False] * len(self.base.coordinates(self.wide_prior)) + own, dtype=np.bool_)
 
     def own(self, point: Array) -> list[Array]:
         """The coordinates of each variant."""

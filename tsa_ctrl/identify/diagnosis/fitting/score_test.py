@@ -52,8 +52,8 @@ def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> lis
             begin = np.array(start)
             try:
                 raw = [
-                    (problem.predicted(hypothesis.model(np.concatenate([fitted.point, moved]))) - present) / unit
-                    for moved, unit in _moves(variant, begin)
+                    (problem.predicted(hypothesis.model(np.concatenate([fitted.point, point]))) - present) / unit
+                    for point, unit in _trial_points(variant, begin)
                 ]
             except UsageError:
                 break
@@ -63,16 +63,16 @@ def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> lis
     return out
 
 
-def _moves(variant: Variant, start: Array) -> list[tuple[Array, float]]:
+def _trial_points(variant: Variant, start: Array) -> list[tuple[Array, float]]:
     if not variant.amplitude:
         return [(start, 1.0)]
-    moves = []
+    points = []
     for index in variant.amplitude:
         unit = min(TRIAL, 0.5 * (variant.coordinates[index].high - start[index]))
-        moved = start.copy()
-        moved[index] += unit
-        moves.append((moved, unit))
-    return moves
+        point = start.copy()
+        point[index] += unit
+        points.append((point, unit))
+    return points
 
 
 def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Score]:

@@ -20,12 +20,12 @@ from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict
 
 
-def through_reversals(found: Fit) -> bool:
+def models_reversals(found: Fit) -> bool:
     """Whether the hypothesis says what friction does in a reversal, so that none of its moments is unknown."""
     return "presliding_hysteresis" in found.names
 
 
-def on_plain_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
+def on_simulation_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | None = None) -> Problem:
     """The problem whose residual is the simulation error over `mask` (default: its own samples), in units of the noise.
 
     `reversals`: whether the moments of reversals count. Errors of two hypotheses compare only where it is the same for
@@ -36,20 +36,20 @@ def on_plain_error(problem: Problem, reversals: bool, mask: NDArray[np.bool_] | 
     return dataclasses.replace(plain, nuisance=Nuisance(np.zeros((len(problem.frame), 0)))) if reversals else plain
 
 
-def fitted_on_plain_error(
+def fit_on_simulation_error(
     problem: Problem, found: Fit, reversals: bool | None = None, mask: NDArray[np.bool_] | None = None
 ) -> Fit:
     """The same hypothesis fitted `on_plain_error`, started at `found`. `reversals`: default `through_reversals`."""
-    plain = on_plain_error(problem, through_reversals(found) if reversals is None else reversals, mask)
+    plain = on_simulation_error(problem, models_reversals(found) if reversals is None else reversals, mask)
     return fit(plain, found.hypothesis, found.point)
 
 
-def plain_error(problem: Problem, fitted: Fit, reversals: bool | None = None) -> float:
+def simulation_error(problem: Problem, fitted: Fit, reversals: bool | None = None) -> float:
     """Sum of squares of the simulation error of a hypothesis fitted on it, (N*m)^2 at the score rate.
 
     `reversals` as of `fitted_on_plain_error`.
     """
-    return fitted_on_plain_error(problem, fitted, reversals).rss * problem.noise.rms**2
+    return fit_on_simulation_error(problem, fitted, reversals).rss * problem.noise.rms**2
 
 
 def full_residuals(frame: Frame, model: Model) -> list[Array]:

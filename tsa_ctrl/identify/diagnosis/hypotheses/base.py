@@ -20,7 +20,7 @@ from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
-WIDE = 20.0  # factor: recalibration without regard to [uncertainty], to see what an error of parameters could explain
+WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to see what wrong parameters could explain
 STEP = 1e-4  # of a coordinate, for derivatives
 
 
@@ -45,7 +45,7 @@ class Base(Protocol):
         """Column that is predicted."""
         ...
 
-    def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]: ...
+    def coordinates(self, wide_prior: bool = False) -> tuple[Coordinate, ...]: ...
 
     def start(self) -> Array:
         """The file's own values."""
@@ -71,14 +71,14 @@ class TendonBase:
     given: TendonSheath
     target: str = "tau_j"
 
-    def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]:
+    def coordinates(self, wide_prior: bool = False) -> tuple[Coordinate, ...]:
         free = []
         for name, value, uncertainty in (
             ("friction_angle", self.given.friction_angle, self.given.friction_angle_uncertainty),
             ("pretension", self.given.pretension, self.given.pretension_uncertainty),
         ):
             if value > 0.0:
-                span = math.log(WIDE if wide else 1.0 + uncertainty)
+                span = math.log(WIDE_PRIOR if wide_prior else 1.0 + uncertainty)
                 free.append(Coordinate(name, -span, span))
         return tuple(free)
 
@@ -131,7 +131,7 @@ class RigidBase:
     def free(self) -> tuple[str, ...]:
         return tuple(n for n in _RIGID if n == "coulomb_friction" or getattr(self.given, n) is not None)
 
-    def coordinates(self, wide: bool = False) -> tuple[Coordinate, ...]:
+    def coordinates(self, wide_prior: bool = False) -> tuple[Coordinate, ...]:
         return tuple(
             Coordinate(name, -math.inf if name == "torque_offset" else 0.0, math.inf, 1e-3) for name in self.free
         )

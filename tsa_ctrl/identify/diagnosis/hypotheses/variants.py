@@ -42,8 +42,8 @@ class Variant:
     amplitude: tuple[int, ...]
     parameters: Parameters
     label: str = ""
-    untold: tuple[str, ...] = ()  # parameters that no log of this base model tells
-    bold: tuple[tuple[float, ...], ...] = ()  # starts at full strength, of effects that are far from linear in it
+    unidentifiable: tuple[str, ...] = ()  # parameters that no log of this base model tells
+    full_strength: tuple[tuple[float, ...], ...] = ()  # further starts, of effects far from linear in their strength
 
 
 Catalogue = Mapping[str, tuple[Variant, ...]]  # of each effect that these logs can test
@@ -106,7 +106,7 @@ def _thermal(s: Scales, _: Frame) -> list[Variant]:
 
 def _tension(s: Scales, _: Frame) -> list[Variant]:
     linear = _linear("tension_dependent_friction", "exponent", 1.0, 0.0, 1.0)
-    return [dataclasses.replace(linear, bold=((0.4,), (0.8,)))]
+    return [dataclasses.replace(linear, full_strength=((0.4,), (0.8,)))]
 
 
 def _asymmetry(s: Scales, _: Frame) -> list[Variant]:
@@ -194,17 +194,33 @@ def _delay(s: Scales, _: Frame) -> list[Variant]:
     unit = 0.01  # s
     coordinate = Coordinate("delay", 0.0, 0.2 / unit, 0.02)
     starts = tuple((v / unit,) for v in _geometric(0.003, 0.1, 8))
-    bold = ((FEW_SAMPLES * s.period / unit,),)
-    return [Variant("transport_delay", (coordinate,), starts, (), lambda u: {"delay": float(u[0]) * unit}, bold=bold)]
+    full_strength = ((FEW_SAMPLES * s.period / unit,),)
+    return [
+        Variant(
+            "transport_delay",
+            (coordinate,),
+            starts,
+            (),
+            lambda u: {"delay": float(u[0]) * unit},
+            full_strength=full_strength,
+        )
+    ]
 
 
 def _lag(s: Scales, _: Frame) -> list[Variant]:
     unit = 0.01  # s
     coordinate = Coordinate("time_constant", 0.0, 0.3 / unit, max(0.3, 1.5 * s.period / unit))
     starts = tuple((v / unit,) for v in _geometric(0.004, 0.15, 9))
-    bold = ((FEW_SAMPLES * s.period / unit,),)
+    full_strength = ((FEW_SAMPLES * s.period / unit,),)
     return [
-        Variant("velocity_lag", (coordinate,), starts, (), lambda u: {"time_constant": float(u[0]) * unit}, bold=bold)
+        Variant(
+            "velocity_lag",
+            (coordinate,),
+            starts,
+            (),
+            lambda u: {"time_constant": float(u[0]) * unit},
+            full_strength=full_strength,
+        )
     ]
 
 
@@ -232,7 +248,7 @@ def _spring(s: Scales, frame: Frame) -> list[Variant]:
         def centred(u: Array) -> dict[str, Value]:
             return {"stiffness": float(u[0]) * unit, "rest_angle": middle}
 
-        return [Variant("joint_stiffness", (only,), ((0.0,),), (0,), centred, untold=("rest_angle",))]
+        return [Variant("joint_stiffness", (only,), ((0.0,),), (0,), centred, unidentifiable=("rest_angle",))]
     coordinates = (Coordinate("stiffness", 1e-6, INF, 1e-3), Coordinate("torque_at_middle", -INF, INF, 1e-3))
     return [Variant("joint_stiffness", coordinates, ((1e-6, 0.0),), (0, 1), parameters)]
 

@@ -138,10 +138,10 @@ def _banded(frequency: Array, power: Array, room: Array, waves: Array) -> Array:
     start = 0
     while start < len(frequency):
         stop = start + 1
-        kept = float(waves[start])
+        pairs = float(waves[start])
         edge = max(frequency[start], frequency[1]) * BAND
-        while stop < len(frequency) and (frequency[stop] < edge or kept < FEWEST_WAVES):
-            kept += float(waves[stop])
+        while stop < len(frequency) and (frequency[stop] < edge or pairs < FEWEST_WAVES):
+            pairs += float(waves[stop])
             stop += 1
         if len(frequency) - stop < 0.1 * (stop - start):
             stop = len(frequency)

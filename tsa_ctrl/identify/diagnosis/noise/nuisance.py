@@ -62,7 +62,7 @@ class Nuisance:
     def projection(self, noise: Noise, mask: NDArray[np.bool_], slices: Sequence[slice]) -> Projection:
         """What takes all columns out of vectors that are whitened and masked."""
         where = np.cumsum(mask) - 1
-        rows, columns, data = [], [], []
+        rows, places, data = [], [], []
         used = 0
         for moment in self.moments:
             part = next(part for part in slices if part.start <= moment.start < part.stop)
@@ -73,12 +73,12 @@ class Nuisance:
                 continue
             rows.append(where[start : start + len(white)][inside])
             data.append(white[inside] / size)
-            columns.append(np.full(int(inside.sum()), used))
+            places.append(np.full(int(inside.sum()), used))
             used += 1
         count = int(mask.sum())
         if used:
             short = csc_matrix(
-                (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns))), shape=(count, used)
+                (np.concatenate(data), (np.concatenate(rows), np.concatenate(places))), shape=(count, used)
             )
             gram = (short.T @ short).toarray() + RIDGE * np.eye(used)
             bare = Projection(short, cho_factor(gram), np.zeros((count, 0)))
@@ -86,8 +86,8 @@ class Nuisance:
             bare = Projection(None, None, np.zeros((count, 0)))
         dense = bare.apply(noise.whiten(self.smooth, slices)[mask])
         norms = np.linalg.norm(dense, axis=0)
-        kept = dense[:, norms > 1e-6 * max(float(norms.max(initial=0.0)), 1e-12)]
-        return Projection(bare.short, bare.factor, np.linalg.qr(kept)[0] if kept.shape[1] else kept)
+        columns = dense[:, norms > 1e-6 * max(float(norms.max(initial=0.0)), 1e-12)]
+        return Projection(bare.short, bare.factor, np.linalg.qr(columns)[0] if columns.shape[1] else columns)
 
 
 @dataclass(frozen=True)

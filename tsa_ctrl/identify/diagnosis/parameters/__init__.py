@@ -1,1 +1,1 @@
-"""The numbers that are shipped, with their intervals, and what they gain on data that no fit has seen."""
+"""The numbers that are reported, with their intervals, and what they gain on data that no fit has seen."""

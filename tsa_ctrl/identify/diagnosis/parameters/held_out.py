@@ -11,8 +11,8 @@ from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fitted_on_plain_error, full_residuals
-from tsa_ctrl.identify.diagnosis.selection.extension import without
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, full_residuals
+from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
 
@@ -34,12 +34,12 @@ class HeldOut:
         return float(won / possible) if possible > 0.0 else 0.0
 
 
-def held_out(problem: Problem, base: Fit, found: Fit, split: Split, leftover_share: float) -> HeldOut:
+def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_share: float) -> HeldOut:
     """Fit on the fit samples, measure on the held ones. `leftover_share`: of the mean square that is no noise."""
     frame = split.frame
-    recalibrated = fitted_on_plain_error(problem, base, mask=split.fit)
-    extended = fitted_on_plain_error(problem, found, mask=split.fit) if found.names else recalibrated
-    own = fitted_on_plain_error(problem, extended, mask=split.held)
+    recalibrated = fit_on_simulation_error(problem, base, mask=split.fit)
+    extended = fit_on_simulation_error(problem, found, mask=split.fit) if found.names else recalibrated
+    own = fit_on_simulation_error(problem, extended, mask=split.held)
     samples = float(split.held.sum())
     rms = {
         "as_given": _rms(frame, base.hypothesis.base.given, split.held),
@@ -47,14 +47,14 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, leftover_sha
         "extended": _rms(frame, extended.hypothesis.model(extended.point), split.held),
     }
     floor = _rms(frame, own.hypothesis.model(own.point), split.held) * np.sqrt(samples / (samples - len(own.point)))
-    floor *= np.sqrt(max(0.0, 1.0 - leftover_share))
+    floor *= np.sqrt(max(0.0, 1.0 - structure_share))
     won = max(rms["recalibrated"] ** 2 - rms["extended"] ** 2, 1e-300)
     lost = []
     for index in range(len(found.names)):
         if len(found.names) == 1:
             lost.append(1.0)
             continue
-        smaller = fitted_on_plain_error(problem, without(problem, extended, index), mask=split.fit)
+        smaller = fit_on_simulation_error(problem, backward_step(problem, extended, index), mask=split.fit)
         error = _rms(frame, smaller.hypothesis.model(smaller.point), split.held)
         lost.append(float(np.clip((error**2 - rms["extended"] ** 2) / won, 0.0, 1.0)))
     return HeldOut(**rms, noise_floor=float(min(floor, rms["extended"])), lost=tuple(lost))

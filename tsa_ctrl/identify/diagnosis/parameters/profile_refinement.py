@@ -15,7 +15,7 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.model.functions import Array
@@ -25,27 +25,27 @@ FIRST_SPAN = 2.0  # steps of the coordinate, to either side
 DOUBLINGS = 6  # of the span
 HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end
 DRAWS = 400
-MOST_LOST = 1.1  # of the sum of squares that the model shipped may lose to a sharper value
+MOST_RSS = 1.1  # of the sum of squares of the fit, that the refined one may have
 UNEVEN = 0.5  # of a grid step: jumps of single samples make a profile no smoother
 
 
-def sharpened(problem: Problem, shipped: Refit) -> Refit:
-    """`shipped` with those coordinates at the best of their profiles, their variances from resampled blocks."""
-    found = shipped.fitted
-    rough = np.flatnonzero(found.hypothesis.rough & found.free)
-    if not rough.size:
-        return shipped
-    plain = on_plain_error(problem, through_reversals(found))
+def profile_refined(problem: Problem, reported: Refit) -> Refit:
+    """`reported` with those coordinates at the best of their profiles, their variances from resampled blocks."""
+    found = reported.fitted
+    nonsmooth = np.flatnonzero(found.hypothesis.nonsmooth & found.free)
+    if not nonsmooth.size:
+        return reported
+    plain = on_simulation_error(problem, models_reversals(found))
     bare = dataclasses.replace(plain, nuisance=Nuisance(plain.nuisance.smooth))
-    covariance = shipped.covariance.copy()
-    for i in rough:
+    covariance = reported.covariance.copy()
+    for i in nonsmooth:
         best, deviation = _resampled(bare, found, int(i))
         before = float(np.sqrt(max(covariance[i, i], 0.0)))
         covariance[i, :] *= deviation / before if before > 0.0 else 0.0
         covariance[:, i] = covariance[i, :]
         covariance[i, i] = deviation**2
-        found = _moved(plain, found, int(i), best)
-    return Refit(found, covariance, shipped.factor)
+        found = _with_coordinate(plain, found, int(i), best)
+    return Refit(found, covariance, reported.factor)
 
 
 def _resampled(problem: Problem, found: Fit, index: int) -> tuple[float, float]:
@@ -97,7 +97,7 @@ def _lowest(grid: Array, profiles: Array) -> Array:
     return np.asarray(grid[at] + np.clip(shift, -1.0, 1.0) * (grid[1] - grid[0]))
 
 
-def _moved(problem: Problem, found: Fit, index: int, value: float) -> Fit:
+def _with_coordinate(problem: Problem, found: Fit, index: int, value: float) -> Fit:
     """The fit with one coordinate put at `value`, the others following by one step; as it was if that is no fit."""
     point = found.point.copy()
     point[index] = value
@@ -108,7 +108,7 @@ def _moved(problem: Problem, found: Fit, index: int, value: float) -> Fit:
     point[others] += np.linalg.lstsq(columns, alone.residual, rcond=1e-8)[0]
     followed = _at(problem, found, np.clip(point, found.hypothesis.low, found.hypothesis.high))
     best = min(alone, followed, key=lambda each: each.rss)
-    return best if best.rss < MOST_LOST * found.rss else found
+    return best if best.rss < MOST_RSS * found.rss else found
 
 
 def _at(problem: Problem, found: Fit, point: Array) -> Fit:

@@ -1,7 +1,7 @@
-"""The parameters that are shipped: least squares on the simulation error, with intervals.
+"""The parameters that are reported: least squares on the simulation error, with intervals.
 
 Whitened fits are the sharper test, but they weight the frequencies of the noise, not those of the error that a user
-sees: shipped as they are, they cost up to the whole gain. So the causes found are fitted anew on the plain error.
+sees: reported as they are, they cost up to the whole gain. So the causes found are fitted anew on the simulation error.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.stats import t as student
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import on_plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import CATALOGUE, Value
 from tsa_ctrl.model.functions import Array
@@ -47,7 +47,7 @@ class Refit:
 
 def refit(problem: Problem, found: Fit) -> Refit:
     """Fit of the same hypothesis on the simulation error, started at `found`."""
-    plain = on_plain_error(problem, through_reversals(found))
+    plain = on_simulation_error(problem, models_reversals(found))
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
     covariance = np.zeros((count, count))
@@ -95,7 +95,7 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
             if isinstance(value, str):
                 entry[parameter.name] = value
                 continue
-            if parameter.name in variant.untold:
+            if parameter.name in variant.unidentifiable:
                 entry[parameter.name] = Quantity(float(value), -math.inf, math.inf, parameter.unit)
                 continue
             gradient = slopes.get(parameter.name, np.zeros(len(index)))

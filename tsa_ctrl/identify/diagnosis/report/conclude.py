@@ -23,10 +23,10 @@ PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals
 
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     """The result on logs that show something. `model`: as given."""
-    shipped, errors = outcome.shipped, outcome.errors
+    reported, errors = outcome.reported, outcome.errors
     order = [int(i) for i in np.argsort([-proof.gain for proof in outcome.chosen.evidence], kind="stable")]
     grouped = [outcome.groups[i] for i in order]
-    parameters = effect_quantities(shipped)
+    parameters = effect_quantities(reported)
     causes = tuple(
         Cause(
             effect=group.name,
@@ -45,14 +45,14 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         verdict=verdict,
         sentence="",
         causes=causes,
-        parameter_errors=_parameter_errors(shipped, outcome.parts.frame, model),
+        parameter_errors=_parameter_errors(reported, outcome.parts.frame, model),
         unexplained=what_is_left(left, () if causes else outcome.audit.suspicions),
         not_testable=dict(sorted(not_testable.items())),
         detection_limit=dict(sorted(outcome.limits.sizes.items())),
         experiment=advice(model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque),
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor),
         gain=min(errors.gain, 1.0) if causes else 0.0,
-        model=shipped.fitted.hypothesis.model(shipped.fitted.point),
+        model=reported.fitted.hypothesis.model(reported.fitted.point),
         details=details(outcome, grouped),
     )
     return dataclasses.replace(result, sentence=sentence(result))
@@ -81,9 +81,9 @@ def _verdict(named: bool, left: bool) -> Verdict:
     return Verdict.UNEXPLAINED if left else Verdict.CONSISTENT
 
 
-def _parameter_errors(shipped: Refit, frame: Frame, model: Model) -> dict[str, ParameterError]:
+def _parameter_errors(reported: Refit, frame: Frame, model: Model) -> dict[str, ParameterError]:
     """The base model's numbers; x and T_p only where a varied bending angle parts them."""
-    quantities = base_quantities(shipped)
+    quantities = base_quantities(reported)
     out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}
     if isinstance(model, RigidDrive):
         return out

@@ -70,12 +70,12 @@ class Details:
 
 def details(outcome: Outcome, grouped: Sequence[Group]) -> Details:
     """The curves and tables behind an outcome; `grouped`: its groups in the order of the report."""
-    parts, found, shipped = outcome.parts, outcome.audit, outcome.shipped
+    parts, found, reported = outcome.parts, outcome.audit, outcome.reported
     base, chosen, findings = outcome.base, outcome.chosen, outcome.findings
     models = (
         base.hypothesis.base.given,
         base.hypothesis.model(base.point),
-        shipped.fitted.hypothesis.model(shipped.fitted.point),
+        reported.fitted.hypothesis.model(reported.fitted.point),
     )
     residual = chosen.fitted.residual
     variance = float(residual @ residual)
@@ -141,14 +141,14 @@ def _since_reversal(omega: Array, angle: Array, period: float) -> tuple[Array, A
 
 def _ranking(chosen: Selection, grouped: Sequence[Group]) -> tuple[Ranked, ...]:
     """Candidates beside the recalibrated base, best first, with the group that each belongs to."""
-    stage = chosen.stages[0]
+    first = chosen.rounds[0]
     member = {
         name: number
         for number, group in enumerate(grouped)
         for name in (group.name, *(r.name for r in group.alternatives))
     }
     count = chosen.problem.count
-    best: dict[str, float] = {score.variant.effect: score.gain for score in stage.screened}
-    best |= {found.names[-1]: stage.fitted.rss - found.rss for found in stage.ranked}
+    best: dict[str, float] = {score.variant.effect: score.gain for score in first.scores}
+    best |= {found.names[-1]: first.fitted.rss - found.rss for found in first.steps}
     ordered = sorted(best.items(), key=lambda pair: -pair[1])
     return tuple(Ranked(name, max(gain, 0.0) / count, member.get(name, -1)) for name, gain in ordered)

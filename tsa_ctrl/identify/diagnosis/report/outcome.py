@@ -29,6 +29,6 @@ class Outcome:
     chosen: Selection
     findings: tuple[Finding, ...]  # what is left
     groups: tuple[Group, ...]  # one for each cause
-    shipped: Refit
+    reported: Refit
     errors: HeldOut
     limits: DetectionLimits

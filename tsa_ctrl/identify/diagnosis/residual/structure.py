@@ -14,21 +14,21 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import plain_error
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue
 from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast
 from tsa_ctrl.identify.diagnosis.residual import changes, features
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
-from tsa_ctrl.identify.diagnosis.selection.forward import Selection, one_more
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
 
-STRUCTURE = 0.5  # share of what is left that is structure, from which on it decides
+STRUCTURE = 0.5  # share of what is left that is structure, above which the simulation error decides
 PART = 0.5  # of what a cause explains, that a rival must explain
 
 
 @dataclass(frozen=True)
-class Misfit:
-    """`share` of what is left that is structure; `error`: (N*m)^2, sum of squares of the simulation error."""
+class ErrorCriterion:
+    """The simulation-error criterion: `share` of what is left that is structure; `error`: sum of squares, (N*m)^2."""
 
     share: float
     error: float
@@ -46,27 +46,27 @@ def residual_structure(
     chosen: Selection, catalogue: Catalogue, rng: np.random.Generator
 ) -> tuple[Selection, tuple[Finding, ...]]:
     """What the causes leave; where that is mostly structure, first with the further causes that the error demands."""
-    findings = _tested(chosen.problem, chosen.fitted, rng)
-    while misfit(chosen.problem, chosen.fitted, findings) is not None:
-        more = one_more(chosen, catalogue)
+    findings = _findings(chosen.problem, chosen.fitted, rng)
+    while error_criterion(chosen.problem, chosen.fitted, findings) is not None:
+        more = forward_on_simulation_error(chosen, catalogue)
         if more is None:
             break
-        chosen, findings = more, _tested(more.problem, more.fitted, rng)
+        chosen, findings = more, _findings(more.problem, more.fitted, rng)
     return chosen, tuple(findings)
 
 
-def share_of(findings: Sequence[Finding]) -> float:
+def structure_share(findings: Sequence[Finding]) -> float:
     """Of the mean square of what is left, that is structure."""
     return max((finding.share for finding in findings if finding.found), default=0.0)
 
 
-def misfit(problem: Problem, fitted: Fit, findings: Sequence[Finding]) -> Misfit | None:
+def error_criterion(problem: Problem, fitted: Fit, findings: Sequence[Finding]) -> ErrorCriterion | None:
     """None where noise decides."""
-    share = min(share_of(findings), 1.0)
-    return Misfit(share, plain_error(problem, fitted)) if share > STRUCTURE and fitted.names else None
+    share = min(structure_share(findings), 1.0)
+    return ErrorCriterion(share, simulation_error(problem, fitted)) if share > STRUCTURE and fitted.names else None
 
 
-def _tested(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Finding]:
+def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Finding]:
     """All tests of what the causes found leave."""
     frame = problem.frame
     predicted = problem.predicted(fitted.hypothesis.model(fitted.point))
@@ -77,7 +77,7 @@ def _tested(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Fin
     white = problem.whiten(np.concatenate(list(families.values()), axis=1))
     pieces = np.split(white, np.cumsum(sizes)[:-1], axis=1)
     columns = dict(zip(families, pieces, strict=True))
-    known = _accounted(problem, fitted)
+    known = _explained(problem, fitted)
     findings = dependence(fitted.residual, known, columns, problem.blocks, rng)
     mask = problem.mask
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
@@ -86,11 +86,11 @@ def _tested(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[Fin
     findings.append(changes.lines(fitted.residual, masked, frame.period))
     findings.append(changes.bursts(fitted.residual, frame.period))
     rest = frame.target - predicted
-    findings.append(changes.drift(_known(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
+    findings.append(changes.drift(_interpolated(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
     return findings
 
 
-def _accounted(problem: Problem, fitted: Fit) -> Array:
+def _explained(problem: Problem, fitted: Fit) -> Array:
     """What is no structure, (m, k) white: every coordinate, also where a bound holds it, and noise of tau_m."""
     columns = [gradients(problem, fitted)]
     if problem.base.target != "tau_m":
@@ -99,7 +99,7 @@ def _accounted(problem: Problem, fitted: Fit) -> Array:
     return np.concatenate(columns, axis=1)
 
 
-def _known(problem: Problem, residual: Array) -> Array:
+def _interpolated(problem: Problem, residual: Array) -> Array:
     """A residual (n,) in N*m with the moments of unknown direction filled by straight lines."""
     inside = np.ones(len(residual), dtype=np.bool_)
     for moment in problem.nuisance.moments:

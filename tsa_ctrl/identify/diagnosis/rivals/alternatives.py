@@ -9,16 +9,16 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue
 from tsa_ctrl.identify.diagnosis.residual.changes import DRIFT
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
-from tsa_ctrl.identify.diagnosis.residual.structure import misfit
-from tsa_ctrl.identify.diagnosis.rivals.groups import UNSEEN, Group, compared, groups
-from tsa_ctrl.identify.diagnosis.selection.extension import without
-from tsa_ctrl.identify.diagnosis.selection.forward import Selection, dropped, replaced
+from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion
+from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, compared, groups
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection, with_fit, without_causes
+from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 
-CLEARLY = 0.9  # of the mean square, below which another name simulates clearly better
+CLEARLY_BETTER = 0.9  # of the mean square, below which another name simulates clearly better
 
 
 def alternatives(
@@ -26,25 +26,25 @@ def alternatives(
 ) -> tuple[Selection, tuple[Group, ...]]:
     """The causes, those that are no more than a guess left out, and the group of each. `findings`: what they leave."""
     problem = chosen.problem
-    structure = misfit(problem, chosen.fitted, findings)
+    structure = error_criterion(problem, chosen.fitted, findings)
     if structure is not None:
         chosen = dataclasses.replace(chosen, fitted=_by_simulation_error(problem, chosen.fitted, catalogue))
-        structure = misfit(problem, chosen.fitted, findings)
+        structure = error_criterion(problem, chosen.fitted, findings)
     grouped = groups(problem, chosen.fitted, catalogue, structure)
     while structure is not None and (found := _better(problem, chosen.fitted, grouped)) is not None:
-        chosen = replaced(chosen, found)
-        structure = misfit(problem, chosen.fitted, findings)
+        chosen = with_fit(chosen, found)
+        structure = error_criterion(problem, chosen.fitted, findings)
         grouped = groups(problem, chosen.fitted, catalogue, structure)
-    unsure = _unsure(problem, chosen.fitted, grouped, findings)
-    if unsure:
-        chosen = dropped(chosen, unsure)
+    guesses = _less_than_structure(problem, chosen.fitted, grouped, findings)
+    if guesses:
+        chosen = without_causes(chosen, guesses)
         grouped = groups(problem, chosen.fitted, catalogue, structure)
     return chosen, tuple(grouped)
 
 
 def _by_simulation_error(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit:
     """The same effects, in those of their variants (elements, profiles, laws) that simulate best."""
-    best, least = fitted, plain_error(problem, fitted)
+    best, least = fitted, simulation_error(problem, fitted)
     base = len(fitted.hypothesis.base.coordinates())
     for index, variant in enumerate(fitted.hypothesis.variants):
         for other in catalogue[variant.effect]:
@@ -57,7 +57,7 @@ def _by_simulation_error(problem: Problem, fitted: Fit, catalogue: Catalogue) ->
                 continue
             hypothesis = dataclasses.replace(best.hypothesis, variants=tuple(variants))
             found = fit(problem, hypothesis, np.concatenate([best.point[:base], *own]))
-            error = plain_error(problem, found)
+            error = simulation_error(problem, found)
             if error < least:
                 best, least = found, error
     return best
@@ -68,32 +68,34 @@ def _better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | No
 
     For what is mostly structure: there the noise that whitens is no judge between alternatives.
     """
-    reversals = through_reversals(fitted)
-    best, least = None, CLEARLY * plain_error(problem, fitted, reversals)
+    reversals = models_reversals(fitted)
+    best, least = None, CLEARLY_BETTER * simulation_error(problem, fitted, reversals)
     for group in grouped:
         for rival in group.alternatives:
-            if rival.fitted.hypothesis.wide or rival.fitted.names[-1] != rival.name or rival.name == UNSEEN:
+            if rival.fitted.hypothesis.wide_prior or rival.fitted.names[-1] != rival.name or rival.name == UNRECORDED:
                 continue
-            error = plain_error(problem, rival.fitted, reversals)
+            error = simulation_error(problem, rival.fitted, reversals)
             if error < least:
                 best, least = rival.fitted, error
     return best
 
 
-def _unsure(problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]) -> list[int]:
+def _less_than_structure(
+    problem: Problem, fitted: Fit, grouped: Sequence[Group], findings: Sequence[Finding]
+) -> list[int]:
     """Causes that stand alone, but explain less than what is left and no cause explains: a name would be a guess.
 
     Less of the white residual and of the simulation error, for what is left colours the noise that whitens.
     """
     shares = [finding.share for finding in findings if finding.found and finding.what != DRIFT]
     left = min(max(shares, default=0.0), 1.0)
-    error = plain_error(problem, fitted) if left > 0.0 else 0.0
+    error = simulation_error(problem, fitted) if left > 0.0 else 0.0
     out = []
     for i, group in enumerate(grouped):
         if left <= 0.0 or group.alternatives:
             continue
-        smaller = without(problem, fitted, i)
-        explained = plain_error(problem, smaller, through_reversals(fitted)) - error
+        smaller = backward_step(problem, fitted, i)
+        explained = simulation_error(problem, smaller, models_reversals(fitted)) - error
         if compared(problem, fitted, smaller, "nothing").worse < left * fitted.rss and explained < left * error:
             out.append(i)
     return out

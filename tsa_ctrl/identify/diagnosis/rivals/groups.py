@@ -4,7 +4,7 @@ A rival takes the place of the cause and everything is fitted anew; it stays an 
 than noise explains, that of the blocks included. `parameter_error` is the rival that needs no effect: recalibration
 without regard to [uncertainty].
 
-Where most of what is left is structure, the simulation error decides (`misfit`).
+Where most of what is left is structure, the simulation error decides (`residual.structure`).
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, safely
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit_or_none
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import plain_error, through_reversals
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Coordinate
 from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, Variant, all_but
 from tsa_ctrl.identify.diagnosis.residual.features import angle
-from tsa_ctrl.identify.diagnosis.residual.structure import Misfit
-from tsa_ctrl.identify.diagnosis.selection.extension import from_the_file, rivals, without
+from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
+from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
 from tsa_ctrl.model.catalogue import Value
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
 PARAMETER_ERROR = "parameter_error"
-SURELY_WORSE = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
+EXCLUSION_THRESHOLD = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
 MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
-INEXACT = 0.02  # of what the cause explains: inputs and filters are no better known than that
-MOST_INEXACT = 60.0  # white units, of that tolerance
+INPUT_TOLERANCE = 0.02  # of what the cause explains: inputs and filters are no better known than that
+MOST_INPUT_TOLERANCE = 60.0  # white units, of that tolerance
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
-UNSEEN = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
+UNRECORDED = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
 RISE = 10.0  # K, of the temperature that is made up
 REFERENCE = 25.0  # deg C
 FITTED = 6  # rivals that are fitted in full
@@ -45,7 +45,7 @@ class Rival:
     """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
 
     `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
-    vanished. `within_misfit`: the simulation error does not tell them apart, where most of what is left is structure.
+    vanished. `within_structure`: most of what is left is structure, and the simulation error does not tell them apart.
     """
 
     name: str
@@ -53,11 +53,11 @@ class Rival:
     worse: float
     tolerance: float  # of `worse`, that errors of the inputs explain
     limit: bool = False
-    within_misfit: bool = False
+    within_structure: bool = False
 
     @property
     def excluded(self) -> bool:
-        return self.limit or (self.worse > SURELY_WORSE + self.tolerance and not self.within_misfit)
+        return self.limit or (self.worse > EXCLUSION_THRESHOLD + self.tolerance and not self.within_structure)
 
 
 @dataclass(frozen=True)
@@ -77,24 +77,24 @@ class Group:
         return float(1.0 / (1.0 + sum(weights)))
 
 
-def groups(problem: Problem, fitted: Fit, catalogue: Catalogue, structure: Misfit | None = None) -> list[Group]:
+def groups(problem: Problem, fitted: Fit, catalogue: Catalogue, structure: ErrorCriterion | None = None) -> list[Group]:
     """One group for each cause of `fitted`. `structure`: what is left of it, where that is more than noise."""
     return [_group(problem, fitted, index, catalogue, structure) for index in range(len(fitted.names))]
 
 
-def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, structure: Misfit | None) -> Group:
-    smaller = without(problem, fitted, index)
+def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, structure: ErrorCriterion | None) -> Group:
+    smaller = backward_step(problem, fitted, index)
     name = fitted.names[index]
     fits: list[tuple[str, Fit | None]]
-    fits = [(rival.names[-1], rival) for rival in rivals(problem, smaller, catalogue, fitted.names, FITTED)]
-    wide = dataclasses.replace(smaller.hypothesis, wide=True)
+    fits = [(rival.names[-1], rival) for rival in best_steps(problem, smaller, catalogue, fitted.names, FITTED)]
+    wide = dataclasses.replace(smaller.hypothesis, wide_prior=True)
     if not np.all(smaller.free[: len(wide.base.coordinates())]):
-        fits.append((PARAMETER_ERROR, safely(problem, wide, smaller.point)))
-    if name == "pretension_relaxation" and UNSEEN not in catalogue:
-        fits.append((UNSEEN, _warmth(problem, fitted, smaller, index)))
+        fits.append((PARAMETER_ERROR, fit_or_none(problem, wide, smaller.point)))
+    if name == "pretension_relaxation" and UNRECORDED not in catalogue:
+        fits.append((UNRECORDED, _temperature_confound(problem, fitted, smaller, index)))
     others = all_but(fitted.names, catalogue)
-    fits += [(v.effect, from_the_file(problem, smaller, v)) for v in others if not v.coordinates]
-    tolerance = min(INEXACT * (smaller.rss - fitted.rss), MOST_INEXACT)
+    fits += [(v.effect, step_from_nominal(problem, smaller, v)) for v in others if not v.coordinates]
+    tolerance = min(INPUT_TOLERANCE * (smaller.rss - fitted.rss), MOST_INPUT_TOLERANCE)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)
     found = [
@@ -104,32 +104,32 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
         for rival in found
     ]
     if structure is not None:
-        found = _by_misfit(problem, found, structure, smaller, through_reversals(fitted))
+        found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
     best: dict[str, Rival] = {}  # of each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
     return Group(name, tuple(sorted(best.values(), key=lambda rival: rival.worse)))
 
 
-def _by_misfit(
-    problem: Problem, found: Sequence[Rival], structure: Misfit, smaller: Fit, reversals: bool
+def _by_simulation_error(
+    problem: Problem, found: Sequence[Rival], structure: ErrorCriterion, smaller: Fit, reversals: bool
 ) -> list[Rival]:
     """The same, with what the simulation error says of those that noise would exclude."""
     judged = []
-    without_any = plain_error(problem, smaller, reversals)
+    without_any = simulation_error(problem, smaller, reversals)
     for rival in found:
-        # A warm-up that was not recorded is made up by `warmth`: no simulation of this log has it.
-        made_up = rival.name == UNSEEN and not problem.frame.has("temperature")
+        # A warm-up that was not recorded is made up by `_temperature_confound`: no simulation of this log has it.
+        made_up = rival.name == UNRECORDED and not problem.frame.has("temperature")
         covers = rival.excluded and not made_up
-        covers = covers and structure.covers(plain_error(problem, rival.fitted, reversals), without_any)
-        judged.append(dataclasses.replace(rival, within_misfit=covers))
+        covers = covers and structure.covers(simulation_error(problem, rival.fitted, reversals), without_any)
+        judged.append(dataclasses.replace(rival, within_structure=covers))
     return judged
 
 
 def _vanished(rival: Fit) -> bool:
     """Whether a rival does without what its name says: presliding over no distance is the angle's direction alone."""
     hypothesis = rival.hypothesis
-    if not hypothesis.rough.any() or not hypothesis.rough[-1]:
+    if not hypothesis.nonsmooth.any() or not hypothesis.nonsmooth[-1]:
         return False
     return bool(rival.point[-1] - hypothesis.low[-1] < hypothesis.steps[-1])
 
@@ -138,8 +138,8 @@ def _limits(problem: Problem, name: str) -> set[str]:
     """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
     if name != "torque_offset":
         return set()
-    moved = max(float(np.ptp(angle(run))) for run in problem.frame.runs) > STILL
-    return {"joint_stiffness", "gravity_load"} if moved else {"joint_stiffness"}
+    turned = max(float(np.ptp(angle(run))) for run in problem.frame.runs) > STILL
+    return {"joint_stiffness", "gravity_load"} if turned else {"joint_stiffness"}
 
 
 def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: float = 0.0) -> Rival:
@@ -157,7 +157,7 @@ def compared(problem: Problem, fitted: Fit, rival: Fit, name: str, tolerance: fl
     return Rival(name, rival, (total + min(extra, 0.0)) / spread**2, tolerance)
 
 
-def _warmth(problem: Problem, fitted: Fit, smaller: Fit, index: int) -> Fit | None:
+def _temperature_confound(problem: Problem, fitted: Fit, smaller: Fit, index: int) -> Fit | None:
     """The fit of `smaller` with a hidden warm-up in place of the relaxation, which is number `index` of `fitted`.
 
     Any course of a temperature that nobody recorded is possible, so the rival gets the one that imitates the relaxation
@@ -168,12 +168,12 @@ def _warmth(problem: Problem, fitted: Fit, smaller: Fit, index: int) -> Fit | No
     if frame.has("temperature"):
         return None
     parameters = fitted.hypothesis.variants[index].parameters(fitted.hypothesis.own(fitted.point)[index])
-    runs = tuple(dataclasses.replace(run, signals=_warmed(run.signals, parameters)) for run in frame.runs)
+    runs = tuple(dataclasses.replace(run, signals=_with_temperature(run.signals, parameters)) for run in frame.runs)
     warmed = dataclasses.replace(problem, frame=dataclasses.replace(frame, runs=runs))
-    return safely(warmed, smaller.hypothesis.plus(_drift()), np.append(smaller.point, 0.0))
+    return fit_or_none(warmed, smaller.hypothesis.plus(_drift()), np.append(smaller.point, 0.0))
 
 
-def _warmed(signals: Signals, relaxation: dict[str, Value]) -> Signals:
+def _with_temperature(signals: Signals, relaxation: dict[str, Value]) -> Signals:
     elapsed = (signals.t - signals.t[0]) / float(relaxation["time_constant"])
     course = np.log10(1.0 + elapsed) if relaxation.get("law") == "logarithmic" else -np.expm1(-elapsed)
     return dataclasses.replace(signals, temperature=REFERENCE + RISE * course)

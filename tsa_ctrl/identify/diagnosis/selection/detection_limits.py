@@ -30,23 +30,23 @@ class DetectionLimits:
 
 
 def detection_limits(chosen: Selection) -> DetectionLimits:
-    """What the first stage of a selection, beside the base alone, would have seen."""
-    problem, stage = chosen.problem, chosen.stages[0]
-    screened = scores(problem, stage.fitted, stage.found)
-    recalibration = orthonormal(_tangents(problem, stage.fitted))
+    """What the first round of a selection, beside the base alone, would have seen."""
+    problem, first = chosen.problem, chosen.rounds[0]
+    scored = scores(problem, first.fitted, first.responses)
+    recalibration = orthonormal(_tangents(problem, first.fitted))
     noise = noise_rms(problem, chosen.fitted)
-    needed = max(stage.threshold, SMALLEST_GAIN * problem.count)
+    needed = max(first.threshold, SMALLEST_GAIN * problem.count)
     white_size = max(np.sqrt(needed), SPREAD * BLOCK_T) + POWER
     found: dict[str, list[float]] = defaultdict(list)
-    sizes = [float(np.linalg.norm(score.columns)) for score in screened]
-    for response, score, size in zip(stage.found, screened, sizes, strict=True):
+    sizes = [float(np.linalg.norm(score.columns)) for score in scored]
+    for response, score, size in zip(first.responses, scored, sizes, strict=True):
         if size < INVISIBLE * max(sizes):
             continue
         raw = response.columns[problem.mask]
         raw = raw - recalibration @ (recalibration.T @ raw)
         per_white = float(np.sqrt(np.mean(raw**2))) / size
         found[score.variant.effect].append(max(per_white * white_size, SMALLEST * noise))
-    names = {score.variant.effect for score in screened}
+    names = {score.variant.effect for score in scored}
     limits = {name: float(np.median(values)) for name, values in found.items()}
     return DetectionLimits(limits, tuple(sorted(names - set(found))))
 
@@ -57,7 +57,7 @@ def _tangents(problem: Problem, fitted: Fit) -> Array:
     columns = []
     for i, free in enumerate(fitted.free[: len(fitted.hypothesis.base.coordinates())]):
         if free:
-            moved = fitted.point.copy()
-            moved[i] += 1e-3
-            columns.append((problem.predicted(fitted.hypothesis.model(moved)) - present)[problem.mask])
+            stepped = fitted.point.copy()
+            stepped[i] += 1e-3
+            columns.append((problem.predicted(fitted.hypothesis.model(stepped)) - present)[problem.mask])
     return np.column_stack(columns) if columns else np.zeros((problem.count, 0))

@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Score
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fitted_on_plain_error, noise_rms, through_reversals
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, models_reversals, noise_rms
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
-from tsa_ctrl.identify.diagnosis.selection.extension import MOVING
+from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 
 DRAWS = 300
 FAMILY_LEVEL = 0.002  # chance that the best of all candidates passes the threshold on noise alone
 FOLDS = 6
 BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
-KEPT = 0.4  # share of the gain that must hold on blocks not fitted on
-SPREAD = 0.12  # share of the gain that must be left without the best block
-ELSEWHERE = 2.0  # times the threshold, that the gain outside the best block must pass
+LEAST_CROSS_VALIDATED = 0.4  # share of the gain that must hold on blocks not fitted on
+LEAST_OUTSIDE = 0.12  # share of the gain that must be left without the best block
+TIMES_OUTSIDE = 2.0  # times the threshold, that the gain outside the best block must pass
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
-LEAST_WORTH = 0.4  # of the noise RMS at the score rate, that the plain error must lose
+LEAST_ERROR_REDUCTION = 0.4  # of the noise RMS at the score rate, that the simulation error must lose
 SMALLEST_GAIN = 0.008  # of the number of samples
 
 
@@ -39,16 +39,21 @@ class Evidence:
     gain: float  # decrease of the sum of squares, white units
     block_t: float  # block-robust t of its strength
     cross_validated: float  # decrease on blocks not fitted on, white units
-    spread: float  # share of the gain that is left without the block that gains most
+    outside_best_block: float  # share of the gain that is left without the block that gains most
     size: float  # RMS of what it adds, N*m at the score rate
 
     @property
-    def kept(self) -> float:
+    def cross_validated_share(self) -> float:
         """Share of the gain that holds on blocks not fitted on."""
         return self.cross_validated / self.gain if self.gain > 0.0 else 0.0
 
+    @property
+    def holds(self) -> bool:
+        """Whether it holds between blocks, and on blocks not fitted on."""
+        return self.block_t > BLOCK_T and self.cross_validated_share > LEAST_CROSS_VALIDATED
 
-def family_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
+
+def entry_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
     """Decrease of the sum of squares that the best candidate exceeds on noise with probability FAMILY_LEVEL.
 
     Parametric bootstrap: white noise projected on every candidate's response; the maximum's tail by a Gumbel law.
@@ -71,7 +76,7 @@ def family_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
 
 
 def evidence(problem: Problem, smaller: Fit, larger: Fit) -> Evidence:
-    """What `larger` has over `smaller`, of which it is an extension."""
+    """What `larger` has over `smaller`, to which it adds one effect."""
     difference = smaller.residual - larger.residual
     basis = orthonormal(smaller.jacobian)
     difference = difference - basis @ (basis.T @ difference)
@@ -89,7 +94,7 @@ def evidence(problem: Problem, smaller: Fit, larger: Fit) -> Evidence:
         gain=gain,
         block_t=strength / max(spread, 1e-12),
         cross_validated=cross_validated(smaller, blocks) - cross_validated(larger, blocks),
-        spread=1.0 - float(gains.max()) / gain if gain > 0.0 else 0.0,
+        outside_best_block=1.0 - float(gains.max()) / gain if gain > 0.0 else 0.0,
         size=float(np.sqrt(np.mean(change**2))),
     )
 
@@ -120,38 +125,34 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
     """
     needed = max(threshold, SMALLEST_GAIN * problem.count)
     proof = evidence(problem, before, found)
-    if not _is_sure(proof, needed):
+    if not (proof.holds and proof.gain > needed):
         return False
-    if _is_broad(problem, before, found, proof, needed):
+    if _is_broad_and_large(problem, before, found, proof, needed):
         return True
-    if before.names or found.names[-1] not in MOVING:
+    if before.names or found.names[-1] not in LATE_REVERSALS:
         return False
     # Few reversals show a lateness of a sample or two beside moments that are free; all do when they are not.
     bare = dataclasses.replace(problem, nuisance=Nuisance(problem.nuisance.smooth))
     smaller, larger = (fit(bare, each.hypothesis, each.point) for each in (before, found))
     proof = evidence(bare, smaller, larger)
-    return _is_sure(proof, needed) and _is_broad(bare, smaller, larger, proof, needed)
+    return proof.holds and proof.gain > needed and _is_broad_and_large(bare, smaller, larger, proof, needed)
 
 
-def _is_sure(proof: Evidence, needed: float) -> bool:
-    return proof.gain > needed and proof.block_t > BLOCK_T and proof.kept > KEPT
-
-
-def _is_broad(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:
+def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:
     """More than a burst in one block (without a parameter there is nothing to fit one with), and large enough."""
     return (
-        (proof.spread > SPREAD or not found.hypothesis.variants[-1].coordinates)
-        and proof.spread * proof.gain > ELSEWHERE * needed
+        (proof.outside_best_block > LEAST_OUTSIDE or not found.hypothesis.variants[-1].coordinates)
+        and proof.outside_best_block * proof.gain > TIMES_OUTSIDE * needed
         and proof.size > SMALLEST * noise_rms(problem, found)
-        and _is_worth(problem, before, found)
+        and _reduces_simulation_error(problem, before, found)
     )
 
 
-def _is_worth(problem: Problem, smaller: Fit, larger: Fit) -> bool:
-    """Whether the plain error loses enough: what noise of an input feigns gains next to nothing.
+def _reduces_simulation_error(problem: Problem, smaller: Fit, larger: Fit) -> bool:
+    """Whether the simulation error loses enough: what noise of an input feigns gains next to nothing.
 
     Measured by the noise, or by all that is left where a noise model that holds structure exceeds it.
     """
-    reversals = through_reversals(larger) or not problem.nuisance.moments
-    before, after = (fitted_on_plain_error(problem, fitted, reversals).rss for fitted in (smaller, larger))
-    return before - after > LEAST_WORTH**2 * min(problem.count, after)
+    reversals = models_reversals(larger) or not problem.nuisance.moments
+    before, after = (fit_on_simulation_error(problem, fitted, reversals).rss for fitted in (smaller, larger))
+    return before - after > LEAST_ERROR_REDUCTION**2 * min(problem.count, after)

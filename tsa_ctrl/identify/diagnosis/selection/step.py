@@ -1,4 +1,4 @@
-"""A fit with one effect more or one less: where such a fit may start, so that the effect is not missed."""
+"""One step of the selection, an effect more or one less: where its fit may start, so that the effect is not missed."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, safely
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, fit_or_none
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, Score, best_by_effect, responses, scores
 from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, Variant, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
 from tsa_ctrl.model.functions import Array
 
-MOVING = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
+LATE_REVERSALS = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
 FITTED = 5  # best candidates that are refined, and fitted in full
-WITHIN = 0.25  # of the best gain: candidates below are not fitted
+NEAR_BEST = 0.25  # of the best gain: candidates below are not fitted
 SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)  # golden section
 STEPS = 9
 
 
-def from_the_file(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float] = ()) -> Fit | None:
+def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float] = ()) -> Fit | None:
     """`fitted` with an effect more, from full strength `start` and from the base model's numbers in the file.
 
     Where recalibration has made up for such an effect, it changes nothing any more: a high pretension hides slack.
     """
     base = fitted.hypothesis.base.start()
     begin = np.concatenate([base, fitted.point[len(base) :], np.array(start)])
-    return safely(problem, fitted.hypothesis.plus(variant), begin)
+    return fit_or_none(problem, fitted.hypothesis.plus(variant), begin)
 
 
-def moved(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float]) -> Fit | None:
+def step_with_late_reversals(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float]) -> Fit | None:
     """`fitted` with a lag or a delay more, under moments of unknown direction that move with the reversals.
 
     As many as before, so that the sums of squares compare; where they stay they hide a lateness of a sample or two.
@@ -40,61 +40,61 @@ def moved(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float
     found = None
     for _ in range(2):
         columns = nuisance(problem.frame, problem.base, hypothesis.model(point))
-        found = safely(dataclasses.replace(problem, nuisance=columns), hypothesis, point)
+        found = fit_or_none(dataclasses.replace(problem, nuisance=columns), hypothesis, point)
         if found is None:
             return None
         point = found.point
     return found
 
 
-def extended(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
+def forward_step(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     """The fit with one effect more, from where the score begins; if that goes astray, from no effect at all."""
     hypothesis = fitted.hypothesis.plus(score.variant)
-    found = safely(problem, hypothesis, np.concatenate([fitted.point, score.start]))
+    found = fit_or_none(problem, hypothesis, np.concatenate([fitted.point, score.start]))
     if score.variant.amplitude and (found is None or found.rss > fitted.rss - 0.5 * score.gain):
         start = score.start.copy()
         start[list(score.variant.amplitude)] = np.array(score.variant.starts[0])[list(score.variant.amplitude)]
-        again = safely(problem, hypothesis, np.concatenate([fitted.point, start]))
+        again = fit_or_none(problem, hypothesis, np.concatenate([fitted.point, start]))
         if again is not None and (found is None or again.rss < found.rss):
             return again
     return found
 
 
-def rivals(problem: Problem, smaller: Fit, catalogue: Catalogue, barred: Sequence[str], most: int) -> list[Fit]:
-    """The best fits of `smaller` with one more effect that is not barred, best first."""
-    variants = all_but(barred, catalogue)
+def best_steps(problem: Problem, smaller: Fit, catalogue: Catalogue, names: Sequence[str], most: int) -> list[Fit]:
+    """The best forward steps from `smaller` by effects but those of these names, best first, at most so many."""
+    variants = all_but(names, catalogue)
     found = responses(problem, smaller, variants)
     best = best_scores(problem, smaller, scores(problem, smaller, found), found)
     fits = []
     for score in best[:most]:
-        rival = extended(problem, smaller, score)
-        if rival is not None:
-            fits.append(rival)
+        step = forward_step(problem, smaller, score)
+        if step is not None:
+            fits.append(step)
     return sorted(fits, key=lambda f: f.rss)
 
 
 def best_scores(
-    problem: Problem, fitted: Fit, screened: list[Score], found: list[Response], each: bool = False
+    problem: Problem, fitted: Fit, scored: list[Score], found: list[Response], each: bool = False
 ) -> list[Score]:
     """The best score of each effect, best first, each variant of the leading ones refined on its own.
 
     `each`: of each variant.
     """
-    if not screened:
+    if not scored:
         return []
-    leading = best_by_effect(screened)[:FITTED]
-    names = {score.variant.effect for score in leading if score.gain > WITHIN * leading[0].gain}
+    leading = best_by_effect(scored)[:FITTED]
+    names = {score.variant.effect for score in leading if score.gain > NEAR_BEST * leading[0].gain}
     by_variant: dict[int, Score] = {}
-    for score in screened:
+    for score in scored:
         number = id(score.variant)
         if score.variant.effect in names and (number not in by_variant or score.whole > by_variant[number].whole):
             by_variant[number] = score
     finer = [_refined(problem, fitted, score, found) for score in by_variant.values()]
-    others = [score for score in best_by_effect(screened) if score.variant.effect not in names]
+    others = [score for score in best_by_effect(scored) if score.variant.effect not in names]
     return finer if each else best_by_effect([*finer, *others])
 
 
-def without(problem: Problem, fitted: Fit, index: int) -> Fit:
+def backward_step(problem: Problem, fitted: Fit, index: int) -> Fit:
     """The fit with one effect taken out."""
     hypothesis = fitted.hypothesis.without(index)
     base = len(hypothesis.base.coordinates())
