@@ -15,6 +15,7 @@ Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 Seconds = Annotated[float, Meta(ge=0.001, le=10.0)]
 Counts = Annotated[int, Meta(ge=1, le=1 << 32)]
+Patience = Annotated[float, Meta(ge=0.05, le=60.0)]
 Cycles = Annotated[int, Meta(ge=0, le=100)]
 
 
@@ -57,13 +58,18 @@ class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     node_id: NodeId
     vendor_id: Word | None = None  # 0x1018:1; checked when given
     product_code: Word | None = None  # 0x1018:2; checked when given
+    serial_number: Word | None = None  # 0x1018:4; checked when given
     heartbeat_period: Seconds = 0.05  # s, 0x1017
     heartbeat_timeout: Seconds = 0.2  # s without one is a fault
+    boot_timeout: Patience | None = None  # s, from a reset to the boot-up; default: 3, or what the drive's profile says
+    answer_timeout: Patience | None = None  # s, of one SDO answer; default: 0.5, or what the drive's profile says
 
 
 class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     """A CiA 402 drive in cyclic synchronous torque mode. Torque, speed and angle are those of the motor pulley."""
 
+    slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device with several axes: objects 0x800 apart
+    pdo_node_id: NodeId | None = None  # whose PDO identifiers it takes; default: its own, for slots 1 and 2
     profile: str = "generic"  # name of a file in drives/ beside the configuration, or a path
     rated_torque: Positive = 1.0  # N*m of the motor, what 0x6076 must say
     counts_per_revolution: Counts = 65536  # of the motor, 0x6064

@@ -50,7 +50,8 @@ class Target:
 
         bus = open_bus(self.bus)
         try:
-            with Session(bus, self.bus, heartbeat=False) as session:
+            with Session(bus, self.bus) as session:
+                session.alone()
                 yield session
         finally:
             bus.close()

@@ -13,6 +13,7 @@ SDO_ANSWER = 0x580  # + node, server to client
 SDO_REQUEST = 0x600  # + node, client to server
 HEARTBEAT = 0x700  # + node
 COB_ID_INVALID = 0x80000000  # bit 31 of a PDO's COB-ID: this PDO does not exist
+PRODUCES_SYNC = 0x40000000  # bit 30 of 0x1005: this node makes SYNC
 ALL_NODES = 0
 
 

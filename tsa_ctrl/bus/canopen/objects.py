@@ -6,10 +6,13 @@ Works without an EDS. Types and numbers are those of CiA 301, 402, 404 and 406.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 from tsa_ctrl.errors import UsageError
+
+AXIS_OFFSET = 0x800  # between the objects of two axes of one device
+_PROFILE = range(0x6000, 0xA000)  # objects of the device profile
 
 
 class Type(Enum):
@@ -51,6 +54,12 @@ class Object:
     def key(self) -> tuple[int, int]:
         return self.index, self.subindex
 
+    def of(self, slot: int) -> Object:
+        """The same object of another axis of the device: those of the device profile lie 0x800 apart (CiA 301)."""
+        if slot == 1 or self.index not in _PROFILE:
+            return self
+        return replace(self, index=self.index + AXIS_OFFSET * (slot - 1))
+
     @property
     def mapping(self) -> int:
         """The entry of a PDO mapping (0x1600.., 0x1A00..): index, subindex and length in bits."""
@@ -81,6 +90,7 @@ class Write:
     kept: int = 0
     rated: Object | None = None  # then `value` is per mille of what this object holds
     watchdog: bool = False  # makes the drive stop by itself when this computer does
+    fine: frozenset[int] = frozenset()  # values that do as well, where the node does not take this one
 
 
 # CiA 301
@@ -89,12 +99,19 @@ ERROR_REGISTER = Object(0x1001, 0, Type.U8, "error register")
 ERROR_HISTORY_COUNT = Object(0x1003, 0, Type.U8, "error history count")
 ERROR_HISTORY = Object(0x1003, 1, Type.U32, "newest entry of the error history")
 SYNC_COB_ID = Object(0x1005, 0, Type.U32, "SYNC COB-ID")
+SYNC_PERIOD = Object(0x1006, 0, Type.U32, "SYNC period")  # us
+SYNC_WINDOW = Object(0x1007, 0, Type.U32, "SYNC window")  # us
+GUARD_TIME = Object(0x100C, 0, Type.U16, "guard time")  # ms
+LIFE_TIME_FACTOR = Object(0x100D, 0, Type.U8, "life time factor")
+EMCY_COB_ID = Object(0x1014, 0, Type.U32, "EMCY COB-ID")
+HEARTBEAT_CONSUMERS = Object(0x1016, 0, Type.U8, "number of heartbeat consumers")
 HEARTBEAT_CONSUMER = Object(0x1016, 1, Type.U32, "heartbeat consumer")  # node << 16 | ms
 HEARTBEAT_PRODUCER = Object(0x1017, 0, Type.U16, "heartbeat producer")  # ms
 VENDOR_ID = Object(0x1018, 1, Type.U32, "vendor")
 PRODUCT_CODE = Object(0x1018, 2, Type.U32, "product code")
 REVISION = Object(0x1018, 3, Type.U32, "revision")
 SERIAL_NUMBER = Object(0x1018, 4, Type.U32, "serial number")
+SYNC_COUNTER = Object(0x1019, 0, Type.U8, "SYNC counter")  # where it wraps; 0: SYNC carries none
 ERROR_BEHAVIOUR = Object(0x1029, 1, Type.U8, "reaction to communication errors")  # 0 pre-operational, 1 none, 2 stopped
 RPDO_EVENT_TIMER = Object(0x1400, 5, Type.U16, "RPDO event timer")  # ms
 
@@ -120,6 +137,7 @@ MAX_MOTOR_SPEED = Object(0x6080, 0, Type.U32, "max motor speed")
 VELOCITY_UNIT = Object(0x60A9, 0, Type.U32, "SI unit velocity")
 INTERPOLATION_PERIOD = Object(0x60C2, 1, Type.U8, "interpolation period")
 INTERPOLATION_EXPONENT = Object(0x60C2, 2, Type.I8, "interpolation period exponent")
+AXIS_DEVICE_TYPE = Object(0x67FF, 0, Type.U32, "device type of the axis")
 SUPPORTED_MODES = Object(0x6502, 0, Type.U32, "supported modes")
 
 # CiA 404 and 406

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.objects import Object, Type
+
+PDO_OFFSET = 64  # between the PDOs of two axes of one device
 
 
 class Transmission(IntEnum):
@@ -19,11 +21,15 @@ class Transmission(IntEnum):
 
 @dataclass(frozen=True)
 class Pdo:
-    """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and what it carries in order."""
+    """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and what it carries in order.
+
+    `place` of its identifier in the predefined connection set, 1 to 4; 0: that of its number.
+    """
 
     number: int
     received: bool
     objects: tuple[Object, ...]
+    place: int = 0
 
     @property
     def name(self) -> str:
@@ -41,7 +47,12 @@ class Pdo:
     def cob_id(self, node_id: int) -> int:
         """COB-ID of the predefined connection set."""
         bases = cia301.RPDO if self.received else cia301.TPDO
-        return bases[self.number - 1] + node_id
+        return bases[(self.place or self.number) - 1] + node_id
+
+    def of(self, slot: int, place: int = 0) -> Pdo:
+        """The same PDO of another axis of the device: 64 further (CiA 402-3), with the identifier of `place`."""
+        entries = tuple(entry.of(slot) for entry in self.objects)
+        return replace(self, number=self.number + PDO_OFFSET * (slot - 1), objects=entries, place=place or self.place)
 
     def communication(self, subindex: int, type_: Type, name: str) -> Object:
         """An entry of the communication parameters 0x1400.. or 0x1800.."""
@@ -64,3 +75,35 @@ TORQUE_SENSOR = Pdo(1, False, (objects.PROCESS_VALUE,))
 DRIVE_PLAN = (COMMAND, MOTION, POSITION)
 ENCODER_PLAN = (ENCODER,)
 TORQUE_SENSOR_PLAN = (TORQUE_SENSOR,)
+
+
+@dataclass(frozen=True)
+class DriveLayout:
+    """The three PDOs of one drive, and the node id that their identifiers are made of."""
+
+    command: Pdo
+    motion: Pdo
+    position: Pdo
+    node_id: int
+
+    @property
+    def rpdo_id(self) -> int:
+        return self.command.cob_id(self.node_id)
+
+    @property
+    def tpdo_ids(self) -> tuple[int, int]:
+        return self.motion.cob_id(self.node_id), self.position.cob_id(self.node_id)
+
+
+def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None) -> DriveLayout:
+    """PDOs of the axis in this slot of a device.
+
+    A node has identifiers for two axes: the second takes its second RPDO and its third and fourth TPDO. Any axis may
+    take those of a node id that nobody has, `identifiers_of`.
+    """
+    if slot == 2 and identifiers_of is None:
+        return DriveLayout(COMMAND.of(2, 2), MOTION.of(2, 3), POSITION.of(2, 4), node_id)
+    first = DriveLayout(COMMAND, MOTION, POSITION, node_id if identifiers_of is None else identifiers_of)
+    if slot == 1:
+        return first
+    return replace(first, command=COMMAND.of(slot, 1), motion=MOTION.of(slot, 1), position=POSITION.of(slot, 2))

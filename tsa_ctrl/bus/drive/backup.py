@@ -172,7 +172,11 @@ def restore(session: Session, node_id: int, backup: Backup) -> list[Row]:
     if state in (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE):
         raise BusError(f"{name}: the drive is enabled ({state.value}); stop what drives it, then restore")
     session.nmt(NmtCommand.PRE_OPERATIONAL, node_id)
-    return write_all(session, node_id, name, restore_plan(backup.object))
+    return write_all(session, node_id, name, restore_plan(backup.object), _cure)
+
+
+def _cure(entry: Object, code: int | None) -> str:
+    return "the drive does not take back what it held: it may be locked, or of another firmware; correct the backup"
 
 
 def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:

@@ -1,13 +1,17 @@
 """The master's duties at start: boot, identity, errors, configuration with read-back, rated torque, start.
 
 Everything written is read back, and what the node had before is kept, so that the report shows what was changed.
-Nothing here applies torque or enables a drive.
+Nothing here applies torque or enables a drive. What is refused before anything was written has sent nothing but
+questions by SDO; what fails later is answered by NMT to the nodes that were addressed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Callable, Iterable, Sequence
 
+from tsa_ctrl.bus.canopen import cia301, objects
+from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.eds import check_plan, load_eds
 from tsa_ctrl.bus.canopen.objects import Write
 from tsa_ctrl.bus.drive import budget
@@ -18,22 +22,26 @@ from tsa_ctrl.bus.drive.checks import (
     check_identity,
     check_watchdog,
     confirm_mode,
+    is_on,
     read_errors,
     reset_fault,
     switch_off,
 )
-from tsa_ctrl.bus.drive.plan import check_node_ids, drive_plan, encoder_plan, torque_sensor_plan
+from tsa_ctrl.bus.drive.disarm import disarm
+from tsa_ctrl.bus.drive.layout import check_node_ids, layout_of
+from tsa_ctrl.bus.drive.plan import drive_plan, encoder_plan, torque_sensor_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import NodeReport, Report
 from tsa_ctrl.bus.drive.scale import drive_scale
-from tsa_ctrl.bus.drive.session import Session
-from tsa_ctrl.bus.drive.writing import write_all
+from tsa_ctrl.bus.drive.session import Session, another_master
+from tsa_ctrl.bus.drive.writing import with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, TsaError
 
-BOOT_TIMEOUT = 3.0  # s, from reset communication to the boot-up message
 START_TIMEOUT = 2.0  # s, until a heartbeat says "operational"
+
+Tell = Callable[[str], None]
 
 
 def bring_up(
@@ -43,28 +51,47 @@ def bring_up(
     profiles: Sequence[DriveProfile],
     period: float,
     reset_faults: bool = False,
+    resets_later: bool = False,
+    tell: Tell = lambda stage: None,
 ) -> Report:
     """Configure and start all nodes of `axes` for a SYNC period in s; on return they are operational, drives disabled.
 
-    `reset_faults`: somebody asked for drives found in fault to be reset; without it they stay as they are.
+    `reset_faults`: somebody asked for drives found in fault to be reset; without it they stay as they are, unless the
+    loop `resets_later`. `tell` gets what is being waited for, in words.
 
     Raises UsageError when the configuration is wrong (load, contradictions, rated torque) and BusError when the bus or
-    a node is.
+    a node is; the message ends with what the nodes themselves had to say.
     """
     budget.check(settings, axes, 1.0 / period)
     check_node_ids(settings, axes)
     nodes = list(_nodes(axes, profiles))
     plans = [_plan(node, settings, period) for node in nodes]
+    notes = [_notes_of_eds(node, plan) for node, plan in zip(nodes, plans, strict=True)]
     with Session(bus, settings) as session:
-        _boot(bus, session, nodes)
-        reports = [_configure(session, node, plan, reset_faults) for node, plan in zip(nodes, plans, strict=True)]
-        missing = session.start((node.settings.node_id for node in nodes), START_TIMEOUT)
-        if missing:
-            names = ", ".join(node.name for node in nodes if node.settings.node_id in missing)
-            raise BusError(
-                f"{bus.name}: {names} did not become operational within {START_TIMEOUT:g} s; "
-                "read its error history, power it off and on, and start again"
-            )
+        for node in nodes:
+            session.be_patient(node.node_id, node.answer_timeout)
+        session.guard([node.node_id for node in nodes if node.is_guarded])
+        try:
+            tell("another master on the bus is listened for")
+            _be_alone(bus, session, nodes)
+            there = _look_at(session, nodes, tell)
+            session.begin_heartbeat()
+            _boot(bus, session, nodes, there, tell)
+            reports = []
+            for node, plan, noted in zip(nodes, plans, notes, strict=True):
+                tell(f"{node.name} is configured")
+                report = NodeReport(node.name, notes=noted)
+                reports.append(report)
+                _configure(session, node, plan, settings, report, reset_faults, resets_later)
+            _start(bus, session, nodes, tell)
+            for node, report in zip(nodes, reports, strict=True):
+                report.notes += [f"said during the bring-up: {found}" for found in session.emcys(node.node_id)]
+        except BaseException as error:
+            if isinstance(error, TsaError):
+                error.args = (f"{error}{_what_they_said(session, nodes)}",)
+            with contextlib.suppress(TsaError):  # the first cause is the one to tell
+                _leave(session, nodes, settings)
+            raise
     return Report(tuple(reports))
 
 
@@ -82,37 +109,148 @@ def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:
         scale = drive_scale(node.axis.drive, node.profile, f"axis '{node.axis.name}'")
         return drive_plan(node.axis, node.profile, scale, settings, period)
     if isinstance(node.settings, EncoderSettings):
-        return encoder_plan(node.settings)
-    return torque_sensor_plan(node.settings)
+        return encoder_plan(node.settings, period)
+    return torque_sensor_plan(node.settings, period)
 
 
-def _boot(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
-    missing = session.boot((node.settings.node_id for node in nodes), BOOT_TIMEOUT)
-    if not missing:
+def _notes_of_eds(node: Node, plan: Sequence[Write]) -> list[str]:
+    if node.role is not Role.DRIVE or node.profile.eds is None:
+        return []
+    return check_plan(load_eds(node.profile.eds), node.profile.eds, plan)
+
+
+def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
+    """Nobody else leads this bus; a drive that makes SYNC is told to stop, where its profile says that it may."""
+    rpdos = [layout_of(node.axis.drive).rpdo_id for node in nodes if node.role is Role.DRIVE]
+    heard = session.listen(rpdos)
+    if heard != {cia301.SYNC}:
+        if heard:
+            raise BusError(another_master(bus.name, heard))
         return
-    names = ", ".join(node.name for node in nodes if node.settings.node_id in missing)
-    heard = ", ".join(str(node_id) for node_id in sorted(session.heard)) or "nobody"
-    raise BusError(
-        f"{bus.name}: no answer from {names} within {BOOT_TIMEOUT:g} s (heard: {heard}); "
-        "check power, wiring, node id and bit rate"
-    )
+    for node in nodes:
+        if node.role is Role.DRIVE and node.profile.produces_sync:
+            found = session.ask(node.node_id, objects.SYNC_COB_ID)
+            if found is not None and found & cia301.PRODUCES_SYNC:
+                session.write(node.node_id, objects.SYNC_COB_ID, found & ~cia301.PRODUCES_SYNC)
+    session.alone(rpdos)
 
 
-def _configure(session: Session, node: Node, plan: Sequence[Write], reset_faults: bool) -> NodeReport:
-    report = NodeReport(node.name)
-    if node.role is Role.DRIVE and node.profile.eds is not None:
-        report.notes += check_plan(load_eds(node.profile.eds), node.profile.eds, plan)
+def _look_at(session: Session, nodes: Sequence[Node], tell: Tell) -> set[int]:
+    """Ask who is there already, and refuse a wrong device while nothing but questions was sent; returns their ids.
+
+    A drive that is found enabled is switched off: a reset would take its watchdogs and leave it so.
+    """
+    there = set()
+    silent = set()
+    for node in nodes:
+        if node.node_id in silent:
+            continue
+        tell(f"{node.name} is asked who it is")
+        if session.ask(node.node_id, objects.DEVICE_TYPE) is None:
+            silent.add(node.node_id)  # off, booting, or stopped: it is looked at after its reset
+            continue
+        there.add(node.node_id)
+        check_identity(session, node, NodeReport(node.name))
+    for node in nodes:
+        if node.node_id in there and node.role is Role.DRIVE:
+            switch_off(session, node)
+    return there
+
+
+def _boot(bus: Bus, session: Session, nodes: Sequence[Node], there: set[int], tell: Tell) -> None:
+    ids = {node.node_id for node in nodes}
+    longest = {node_id: max(node.boot_timeout for node in nodes if node.node_id == node_id) for node_id in ids}
+    waited = 0.0
+    missing = session.boot(ids, 0.0)
+    for timeout in sorted(set(longest.values())):
+        names = ", ".join(node.name for node in nodes if node.node_id in missing)
+        tell(f"boot-up of {names} ({timeout:g} s at most)")
+        missing = session.booted(missing, timeout - waited)
+        waited = timeout
+        late = {node_id for node_id in missing if longest[node_id] <= timeout}
+        if late:
+            raise BusError(_not_booted(bus, session, [node for node in nodes if node.node_id in late], there))
+
+
+def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int]) -> str:
+    """Told apart: nodes that are slow, nodes that are not there, and a bus on which nobody is."""
+    node = late[0]
+    names = ", ".join(node.name for node in late)
+    if any(node.node_id in there for node in late):
+        where = "its profile or [axis.drive]" if node.role is Role.DRIVE else "its table of the configuration"
+        return (
+            f"{bus.name}: {names} answered before it was reset, and did not boot up within {node.boot_timeout:g} s; "
+            f"it is slow: give it more boot_timeout in {where}"
+        )
+    heard = ", ".join(str(node_id) for node_id in sorted(session.heard))
+    if heard:
+        advice = "check its power, its wiring and node_id, or, if it is only slow, give it more boot_timeout"
+    else:
+        advice = "check power, wiring, bit rate and node_id, or, if it is only slow, give it more boot_timeout"
+    return f"{bus.name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'nobody'}); {advice}"
+
+
+def _configure(
+    session: Session,
+    node: Node,
+    plan: Sequence[Write],
+    settings: BusSettings,
+    report: NodeReport,
+    reset_faults: bool,
+    resets_later: bool,
+) -> None:
     check_identity(session, node, report)
     read_errors(session, node, report)
     if node.role is Role.DRIVE:
         switch_off(session, node)
         if reset_faults:
             reset_fault(session, node, report)
-        check_drive(session, node, report)
+        check_drive(session, node, report, resets_later)
+        plan = with_consumer(session, node.node_id, plan, settings.host_node_id)
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)
-    report.rows = write_all(session, node.settings.node_id, node.name, plan)
+    report.rows = write_all(session, node.node_id, node.name, plan, node.cure, report.notes)
     if node.role is Role.DRIVE:
-        confirm_mode(session, node)
+        confirm_mode(session, node, "written")
         check_watchdog(node, plan, report)
-    return report
+
+
+def _start(bus: Bus, session: Session, nodes: Sequence[Node], tell: Tell) -> None:
+    names = ", ".join(node.name for node in nodes)
+    tell(f"{names} to become operational")
+    missing = session.start({node.node_id for node in nodes}, START_TIMEOUT)
+    if missing:
+        late = [node for node in nodes if node.node_id in missing]
+        guarded = any(node.role is Role.DRIVE and not node.is_guarded for node in late)
+        hint = f', or supervision = "guarding" in {late[0].profile_file} if it has no heartbeat' if guarded else ""
+        raise BusError(
+            f"{bus.name}: {', '.join(node.name for node in late)} did not become operational within "
+            f"{START_TIMEOUT:g} s; power it off and on, and start again{hint}"
+        )
+    for node in nodes:
+        if node.role is Role.DRIVE and node.profile.mode_shows == "operational":
+            confirm_mode(session, node, "operational")
+
+
+def _what_they_said(session: Session, nodes: Sequence[Node]) -> str:
+    """Emergencies since the session began, the last of each node, as the end of a message."""
+    names = {node.node_id: node.name for node in nodes}
+    last = [f"{name} sent {session.emcys(node_id)[-1]}" for node_id, name in names.items() if session.emcys(node_id)]
+    return f"; meanwhile {', and '.join(last)}" if last else ""
+
+
+def _leave(session: Session, nodes: Sequence[Node], settings: BusSettings) -> None:
+    """Nodes that were addressed: nobody is guarded any longer, all pre-operational; a drive that is on is stopped."""
+    for node in nodes:
+        if node.node_id not in session.touched:
+            continue
+        command = NmtCommand.PRE_OPERATIONAL
+        if node.role is Role.DRIVE:
+            try:
+                if is_on(session, node):
+                    command = NmtCommand.STOP  # which its reaction to a lost connection (0x6007) answers to
+                else:
+                    disarm(session, node.node_id, settings.host_node_id)
+            except TsaError:
+                command = NmtCommand.STOP
+        session.nmt(command, node.node_id)

@@ -10,17 +10,22 @@ from tsa_ctrl.bus.canopen import cia402, emcy, objects
 from tsa_ctrl.bus.canopen.cia301 import Profile
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.canopen.objects import Object, Write
+from tsa_ctrl.bus.drive.cures import cure, profile_of
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import NodeReport
-from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, Session
 from tsa_ctrl.bus.settings import AxisNodes, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
+BOOT_TIMEOUT = 3.0  # s, from reset communication to the boot-up message of a sensor
+_SEVERAL = 0xFFFF  # in either word of the device type: a device of several axes
 _MODE_TIMEOUT = 1.0  # s, until 0x6061 shows the mode written to 0x6060
 _OFF_TIMEOUT = 1.0  # s, until a drive found enabled is off
 _POLL = 0.01  # s, between two looks at an object that will change
 _RATED_TOLERANCE = 0.005  # relative, of 0x6076 against the configuration
 
+_ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
+_FAULTY = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
 _IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER)
 _EXPECTED = {Role.DRIVE: Profile.DRIVE, Role.ENCODER: Profile.ENCODER, Role.TORQUE_SENSOR: Profile.TRANSDUCER}
 
@@ -35,36 +40,92 @@ class Node:
     settings: NodeSettings
 
     @property
+    def node_id(self) -> int:
+        return self.settings.node_id
+
+    @property
     def name(self) -> str:
-        return f"axis '{self.axis.name}' {self.role.value} node {self.settings.node_id}"
+        slot = self.axis.drive.slot
+        return f"axis '{self.axis.name}' {self.role.value} node {self.node_id}" + (
+            f" slot {slot}" if self.role is Role.DRIVE and slot > 1 else ""
+        )
+
+    @property
+    def boot_timeout(self) -> float:
+        """s"""
+        return self._patience(self.settings.boot_timeout, self.profile.boot_timeout, BOOT_TIMEOUT)
+
+    @property
+    def answer_timeout(self) -> float:
+        """s"""
+        return self._patience(self.settings.answer_timeout, self.profile.answer_timeout, ANSWER_TIMEOUT)
+
+    def _patience(self, given: float | None, of_profile: float, default: float) -> float:
+        if given is not None:
+            return given
+        return of_profile if self.role is Role.DRIVE else default
+
+    @property
+    def is_guarded(self) -> bool:
+        """Asked for its state by node guarding: it has no heartbeat."""
+        return self.role is Role.DRIVE and self.profile.supervision == "guarding"
+
+    @property
+    def profile_file(self) -> str:
+        return profile_of(self.axis.drive)
+
+    def cure(self, entry: Object, code: int | None) -> str:
+        """What to do about an object that it refuses."""
+        return cure(entry, self.settings, self.profile, code)
+
+    def read(self, session: Session, entry: Object) -> int:
+        """An object of this axis; raises BusError."""
+        return session.read(self.node_id, entry.of(self.axis.drive.slot))
+
+    def look(self, session: Session, entry: Object) -> int | None:
+        """An object of this axis, None where the node does not have it."""
+        return session.read_if_there(self.node_id, entry.of(self.axis.drive.slot))
+
+    def write(self, session: Session, entry: Object, value: int) -> None:
+        """Write an object of this axis; raises BusError."""
+        session.write(self.node_id, entry.of(self.axis.drive.slot), value)
+
+    def state(self, session: Session) -> PowerState:
+        """Of the drive."""
+        return cia402.decode(self.read(session, objects.STATUSWORD))
 
 
 def check_identity(session: Session, node: Node, report: NodeReport) -> None:
     """Device type (0x1000) and identity (0x1018) are those of the configuration; raises BusError."""
-    node_id = node.settings.node_id
-    device_type = session.read(node_id, objects.DEVICE_TYPE)
+    device_type = session.read(node.node_id, objects.DEVICE_TYPE)
     report.identity[objects.DEVICE_TYPE.name] = device_type
-    expected = _EXPECTED[node.role]
-    if device_type & 0xFFFF != expected.value:
-        raise BusError(
-            f"{node.name}: device type is 0x{device_type:08X}, wanted is CiA {expected.value} "
-            f"(low word 0x{expected.value:04X}); another device has this node id: correct node_id"
-        )
+    _check_device_type(session, node, device_type)
     for entry in _IDENTITY:
-        value = session.read_if_there(node_id, entry)
+        value = session.read_if_there(node.node_id, entry)
         if value is not None:
             report.identity[entry.name] = value
-    vendors = [node.settings.vendor_id]
-    products = [node.settings.product_code]
-    if node.role is Role.DRIVE:
-        vendors.append(node.profile.identity.vendor_id)
-    _compare(node, report, objects.VENDOR_ID, [value for value in vendors if value is not None][:1])
-    given = [value for value in products if value is not None]
-    _compare(node, report, objects.PRODUCT_CODE, given or _profile_products(node))
+    settings, identity = node.settings, node.profile.identity
+    is_drive = node.role is Role.DRIVE
+    vendor = settings.vendor_id if settings.vendor_id is not None or not is_drive else identity.vendor_id
+    products = [settings.product_code] if settings.product_code is not None else identity.product_codes
+    _compare(node, report, objects.VENDOR_ID, [] if vendor is None else [vendor])
+    _compare(node, report, objects.PRODUCT_CODE, products if is_drive or settings.product_code is not None else [])
+    _compare(node, report, objects.SERIAL_NUMBER, [] if settings.serial_number is None else [settings.serial_number])
 
 
-def _profile_products(node: Node) -> list[int]:
-    return node.profile.identity.product_codes if node.role is Role.DRIVE else []
+def _check_device_type(session: Session, node: Node, found: int) -> None:
+    expected = _EXPECTED[node.role]
+    if found & 0xFFFF == expected.value and found >> 16 != _SEVERAL:
+        return
+    if node.role is Role.DRIVE and _SEVERAL in (found & 0xFFFF, found >> 16):
+        ours = node.look(session, objects.AXIS_DEVICE_TYPE)
+        if ours is None or ours & 0xFFFF == expected.value:
+            return
+        found = ours
+    raise BusError(
+        f"{node.name}: device type is 0x{found:08X}, wanted is CiA {expected.value} "
+        f"(low word 0x{expected.value:04X}); another device has this node id: correct node_id"
+    )
 
 
 def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[int]) -> None:
@@ -72,9 +133,12 @@ def _compare(node: Node, report: NodeReport, entry: Object, allowed: Sequence[in
     if allowed and found not in allowed:
         wanted = " or ".join(f"0x{value:08X}" for value in allowed)
         shown = "not there" if found is None else f"0x{found:08X}"
+        key = {objects.VENDOR_ID.name: "vendor_id", objects.PRODUCT_CODE.name: "product_code"}.get(
+            entry.name, "serial_number"
+        )
         raise BusError(
             f"{node.name}: {entry.name} is {shown}, wanted is {wanted}; "
-            "this is another device than the configuration says: correct node_id or profile"
+            f"this is another device than the configuration says: correct node_id, {key} or profile"
         )
 
 
@@ -90,51 +154,64 @@ def read_errors(session: Session, node: Node, report: NodeReport) -> None:
         report.notes.append(f"newest remembered error 0x{newest & 0xFFFF:04X} ({emcy.text(newest & 0xFFFF)})")
 
 
+def is_on(session: Session, node: Node) -> bool:
+    """Whether a drive has power on its motor."""
+    return node.state(session) in _ON
+
+
 def switch_off(session: Session, node: Node) -> None:
     """A drive must not be enabled while its PDOs are remapped."""
-    node_id = node.settings.node_id
-    on = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
-    if cia402.decode(session.read(node_id, objects.STATUSWORD)) not in on:
+    if not is_on(session, node):
         return
-    session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
-    if not _poll(session, lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in on, _OFF_TIMEOUT):
+    node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
+    if not _poll(session, lambda: not is_on(session, node), _OFF_TIMEOUT):
         raise BusError(f"{node.name}: is enabled and does not switch off; cut its power")
 
 
 def reset_fault(session: Session, node: Node, report: NodeReport) -> None:
     """On request: lead a drive found in fault out of it; the rising edge of bit 7, by SDO. Raises BusError."""
-    node_id = node.settings.node_id
-    faulty = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
-    if cia402.decode(session.read(node_id, objects.STATUSWORD)) not in faulty:
+    if node.state(session) not in _FAULTY:
         return
-    code = session.read_if_there(node_id, objects.ERROR_CODE) or 0
-    found = f"error 0x{code:04X} ({emcy.text(code)})"
-    session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
-    session.write(node_id, objects.CONTROLWORD, Controlword.FAULT_RESET)
-    if not _poll(session, lambda: cia402.decode(session.read(node_id, objects.STATUSWORD)) not in faulty, _OFF_TIMEOUT):
+    found = _error(session, node)
+    node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
+    node.write(session, objects.CONTROLWORD, Controlword.FAULT_RESET)
+    if not _poll(session, lambda: node.state(session) not in _FAULTY, _OFF_TIMEOUT):
         raise BusError(f"{node.name}: {found} is still there and cannot be reset; remove its cause, and start again")
-    session.write(node_id, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
+    node.write(session, objects.CONTROLWORD, Controlword.DISABLE_VOLTAGE)
     report.notes.append(f"was in fault: {found}; reset as asked")
 
 
-def check_drive(session: Session, node: Node, report: NodeReport) -> None:
-    """State, supported modes (0x6502), rated torque (0x6076) and reactions of a drive; raises BusError."""
-    node_id = node.settings.node_id
-    state = cia402.decode(session.read(node_id, objects.STATUSWORD))
-    if state in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE):
-        code = session.read_if_there(node_id, objects.ERROR_CODE) or 0
-        report.notes.append(
-            f"in fault: error 0x{code:04X} ({emcy.text(code)}); it must be reset before it can enable: --reset-faults"
-        )
+def _error(session: Session, node: Node) -> str:
+    code = node.look(session, objects.ERROR_CODE) or 0
+    return f"error 0x{code:04X} ({emcy.text(code)})"
+
+
+def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) -> None:
+    """State, supported modes (0x6502), rated torque (0x6076) and reactions of a drive; raises BusError.
+
+    `resets`: the loop that follows resets a drive in fault, as in a recovery.
+    """
+    if node.state(session) in _FAULTY:
+        what = "it is reset now" if resets else "it must be reset before it can enable: --reset-faults"
+        report.notes.append(f"in fault: {_error(session, node)}; {what}")
     if node.profile.has(objects.SUPPORTED_MODES):
-        modes = session.read_if_there(node_id, objects.SUPPORTED_MODES)
+        modes = node.look(session, objects.SUPPORTED_MODES)
         if modes is None:
             report.notes.append("does not say which modes it supports (0x6502)")
         elif not modes & cia402.CST_SUPPORTED:
-            raise BusError(
-                f"{node.name}: supported modes 0x{modes:08X} lack cyclic synchronous torque (bit 9); use another drive"
-            )
+            raise BusError(f"{node.name}: supported modes 0x{modes:08X}{_instead(modes)}")
     _check_rated_torque(session, node, report)
+
+
+def _instead(modes: int) -> str:
+    """Why a drive without cyclic synchronous torque is refused."""
+    others = [name for bit, name in ((7, "cyclic position"), (8, "cyclic velocity")) if modes >> bit & 1]
+    has = f"; it has {' and '.join(others)}, but this controller commands torque" if others else ""
+    return (
+        f" lack cyclic synchronous torque (bit 9){has}: through a stiff transmission a position error is a torque that "
+        f"nobody has limited; use another drive or firmware, or, if the drive has the mode and does not say so, "
+        f'absent = ["{objects.SUPPORTED_MODES.name}"] in its profile'
+    )
 
 
 def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> None:
@@ -143,13 +220,14 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
         report.notes.append("has no rated torque (0x6076) to compare with the configuration")
         return
     drive, unit = node.axis.drive, node.profile.units.rated_torque
-    digits = session.read(node.settings.node_id, objects.RATED_TORQUE)
+    digits = node.read(session, objects.RATED_TORQUE)
     found, wanted = digits * unit, drive.rated_torque
     if abs(found - wanted) <= max(_RATED_TOLERANCE * wanted, 0.5 * unit):
         return
     raise UsageError(
         f"{node.name}: rated torque is {digits} digits of {unit:g} N*m = {found:g} N*m, the configuration says "
-        f"{wanted:g} N*m{rated_torque_hint(found, wanted)}; correct rated_torque, or the unit in the drive's profile"
+        f"{wanted:g} N*m{rated_torque_hint(found, wanted)}; correct rated_torque in [axis.drive], or "
+        f"[units] rated_torque in {node.profile_file}"
     )
 
 
@@ -182,15 +260,19 @@ def check_encoder(session: Session, encoder: EncoderSettings, name: str) -> None
             raise UsageError(f"{name}: {entry} is {found}, the configuration says {wanted}; correct {key}")
 
 
-def confirm_mode(session: Session, node: Node) -> None:
-    """0x6061 displays cyclic synchronous torque; raises BusError."""
-    node_id = node.settings.node_id
+def confirm_mode(session: Session, node: Node, now: str) -> None:
+    """0x6061 displays cyclic synchronous torque, where the drive shows it by `now`; raises BusError."""
+    when = node.profile.mode_shows
+    if when == "enabled" or (when == "operational" and now == "written"):
+        return  # the supervisor holds the torque at 0 until it does
     wanted = Mode.CYCLIC_SYNC_TORQUE
-    if not _poll(session, lambda: session.read(node_id, objects.MODE_DISPLAY) == wanted, _MODE_TIMEOUT):
-        found = session.read(node_id, objects.MODE_DISPLAY)
+    if not _poll(session, lambda: node.read(session, objects.MODE_DISPLAY) == wanted, _MODE_TIMEOUT):
+        found = node.read(session, objects.MODE_DISPLAY)
+        later = '"enabled"' if when == "operational" else '"operational" or "enabled"'
         raise BusError(
-            f"{node.name}: mode of operation display is {found}, wanted is 10 (cyclic synchronous torque); "
-            "check that the drive's motor and sensors are configured for it"
+            f"{node.name}: mode of operation display (0x6061) is {found}, wanted is 10 (cyclic synchronous torque) "
+            f"within {_MODE_TIMEOUT:g} s of being {now}; if this drive shows its mode later, mode_shows = {later} in "
+            f"{node.profile_file}; else set its motor and sensors up for torque with the maker's tool"
         )
 
 
@@ -198,7 +280,7 @@ def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> Non
     """The drive stops by itself when this computer is gone; raises BusError unless that is waived."""
     there = {row.entry.key for row in report.rows if row.after is not None}
     watched = any(write.watchdog and write.entry.key in there for write in plan)
-    reacts = objects.CONNECTION_LOSS.key in there
+    reacts = objects.CONNECTION_LOSS.of(node.axis.drive.slot).key in there
     if watched and reacts:
         return
     if watched and node.axis.drive.require_watchdog:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 
 from tsa_ctrl.bus.canopen import objects, pdo
-from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, SYNC
+from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, EMCY, SYNC
 from tsa_ctrl.bus.canopen.cia402 import Mode
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
+from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.scale import DriveScale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
@@ -17,7 +18,13 @@ from tsa_ctrl.errors import UsageError
 _NO_REMOTE = 0x40000000  # bit 30 of a TPDO's COB-ID: no remote frames; drives insist on their own choice
 _COB_ID_BITS = 0x7FFFFFFF  # all but "invalid"
 _CONNECTION_LOSS = {"fault": 1, "disable_voltage": 2, "quick_stop": 3}  # values of 0x6007
+_MILLISECONDS = -3  # the exponent of 0x60C2 that every drive takes, some of them no other
 _MAX_EXPONENT, _MIN_EXPONENT = 0, -9
+# What else does as well where a drive does not take our value: each of these ends without torque.
+_ENDS_WITHOUT_TORQUE = frozenset(range(5))  # 0x605A to 0x605E
+_REACTS = frozenset({1, 2, 3})  # 0x6007: fault, disable voltage, quick stop
+_LEAVES_OPERATIONAL = frozenset({0, 2})  # 0x1029: pre-operational, stopped
+_ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO: it means nothing
 
 
 def drive_plan(
@@ -29,33 +36,35 @@ def drive_plan(
     _check_timeouts(drive, settings, period, where)
     mantissa, exponent = interpolation_period(period)
     transmission = Transmission.EVERY_SYNC if settings.rpdo == "sync" else Transmission.ON_ARRIVAL
-    consumer = settings.host_node_id << 16 | milliseconds(drive.host_timeout)
+    layout = layout_of(drive)
     reactions = profile.reactions
     options = (
-        (objects.ERROR_BEHAVIOUR, reactions.communication_error),
-        (objects.QUICK_STOP_OPTION, reactions.quick_stop),
-        (objects.SHUTDOWN_OPTION, reactions.shutdown),
-        (objects.DISABLE_OPTION, reactions.disable_operation),
-        (objects.HALT_OPTION, reactions.halt),
-        (objects.FAULT_REACTION_OPTION, reactions.fault),
+        (objects.ERROR_BEHAVIOUR, reactions.communication_error, _LEAVES_OPERATIONAL),
+        (objects.QUICK_STOP_OPTION, reactions.quick_stop, _ENDS_WITHOUT_TORQUE),
+        (objects.SHUTDOWN_OPTION, reactions.shutdown, _ENDS_WITHOUT_TORQUE),
+        (objects.DISABLE_OPTION, reactions.disable_operation, _ENDS_WITHOUT_TORQUE),
+        (objects.HALT_OPTION, reactions.halt, _ENDS_WITHOUT_TORQUE),
+        (objects.FAULT_REACTION_OPTION, reactions.fault, _ENDS_WITHOUT_TORQUE),
     )
     si_code = profile.units.velocity.si_code
+    connection_loss = _CONNECTION_LOSS[drive.connection_loss]
+    timer = replace(objects.RPDO_EVENT_TIMER, index=layout.command.communication(5, Type.U16, "").index)
     plan = [
-        Write(objects.HEARTBEAT_PRODUCER, milliseconds(drive.heartbeat_period)),
-        Write(objects.SYNC_COB_ID, SYNC, optional=True, kept=COB_ID_INVALID),
-        Write(objects.HEARTBEAT_CONSUMER, consumer, optional=True, watchdog=True),
-        Write(objects.CONNECTION_LOSS, _CONNECTION_LOSS[drive.connection_loss], optional=True),
-        *(Write(entry, value, optional=True) for entry, value in options if value != "keep"),
+        *_watching(drive, profile, settings),
+        *sync_writes(period, profile.needs_sync_period),
+        *emcy_writes(drive.node_id),
+        Write(objects.CONNECTION_LOSS, connection_loss, optional=True, fine=_REACTS),
+        *(Write(entry, value, optional=True, fine=fine) for entry, value, fine in options if value != "keep"),
         *pdo_writes(
-            pdo.COMMAND,
-            drive.node_id,
+            layout.command,
+            layout.node_id,
             transmission,
-            Write(objects.RPDO_EVENT_TIMER, milliseconds(drive.rpdo_timeout), optional=True, watchdog=True),
+            Write(timer, milliseconds(drive.rpdo_timeout), optional=True, watchdog=True),
         ),
-        *pdo_writes(pdo.MOTION, drive.node_id, Transmission.EVERY_SYNC),
-        *pdo_writes(pdo.POSITION, drive.node_id, Transmission.EVERY_SYNC),
-        *spare_pdos(received=True, first=2, last=profile.rpdo_count),
-        *spare_pdos(received=False, first=3, last=profile.tpdo_count),
+        *pdo_writes(layout.motion, layout.node_id, Transmission.EVERY_SYNC),
+        *pdo_writes(layout.position, layout.node_id, Transmission.EVERY_SYNC),
+        *spare_pdos(received=True, first=2, last=profile.rpdo_count, slot=drive.slot),
+        *spare_pdos(received=False, first=3, last=profile.tpdo_count, slot=drive.slot),
         # Without it the unit of 0x606C would only be believed: then the profile must say that the drive lacks it.
         *(
             []
@@ -73,7 +82,47 @@ def drive_plan(
         Write(objects.TARGET_TORQUE, 0),
         Write(objects.MODE, Mode.CYCLIC_SYNC_TORQUE),
     ]
-    return [write for write in plan if profile.has(write.entry)]
+    return [replace(write, entry=write.entry.of(drive.slot)) for write in plan if profile.has(write.entry)]
+
+
+def _watching(drive: DriveSettings, profile: DriveProfile, settings: BusSettings) -> list[Write]:
+    """How the drive and this computer know of each other that they are there."""
+    if profile.supervision == "guarding":
+        guard_time = milliseconds(settings.host_heartbeat_period)
+        factor = max(1, round(milliseconds(drive.host_timeout) / guard_time))
+        return [
+            Write(objects.GUARD_TIME, guard_time, optional=True),
+            Write(objects.LIFE_TIME_FACTOR, factor, optional=True, watchdog=True),
+        ]
+    consumer = settings.host_node_id << 16 | milliseconds(drive.host_timeout)
+    return [
+        Write(objects.HEARTBEAT_PRODUCER, milliseconds(drive.heartbeat_period)),
+        Write(objects.HEARTBEAT_CONSUMER, consumer, optional=True, watchdog=True),
+    ]
+
+
+def sync_writes(period: float, needs_period: bool = False) -> list[Write]:
+    """SYNC as we send it, whatever another tool has left: no counter, no window, watched by nobody.
+
+    `needs_period`: the node must be told the period. The counter can be written only while it is not (CiA 301).
+    """
+    writes = [
+        Write(objects.SYNC_COB_ID, SYNC, optional=True, kept=COB_ID_INVALID),
+        Write(objects.SYNC_PERIOD, 0, optional=True),
+        Write(objects.SYNC_COUNTER, 0, optional=True),
+        Write(objects.SYNC_WINDOW, 0, optional=True),
+    ]
+    if needs_period:
+        writes.append(Write(objects.SYNC_PERIOD, round(1e6 * period)))
+    return writes
+
+
+def emcy_writes(node_id: int) -> list[Write]:
+    """Emergencies come where they are looked for; an identifier changes only while it is not valid (CiA 301)."""
+    return [
+        Write(objects.EMCY_COB_ID, COB_ID_INVALID | EMCY + node_id, optional=True),
+        Write(objects.EMCY_COB_ID, EMCY + node_id, optional=True),
+    ]
 
 
 def _torque_clamp(profile: DriveProfile, scale: DriveScale) -> Write:
@@ -85,19 +134,21 @@ def _torque_clamp(profile: DriveProfile, scale: DriveScale) -> Write:
     return Write(Object(clamp.index, clamp.subindex, type_, clamp.name), scale.max_torque_digits, rated=rated)
 
 
-def encoder_plan(encoder: EncoderSettings) -> list[Write]:
-    """Writes of a joint encoder."""
-    return _sensor_plan(encoder, pdo.ENCODER)
+def encoder_plan(encoder: EncoderSettings, period: float) -> list[Write]:
+    """Writes of a joint encoder at a SYNC period in s."""
+    return _sensor_plan(encoder, pdo.ENCODER, period)
 
 
-def torque_sensor_plan(sensor: NodeSettings) -> list[Write]:
-    """Writes of a torque sensor."""
-    return _sensor_plan(sensor, pdo.TORQUE_SENSOR)
+def torque_sensor_plan(sensor: NodeSettings, period: float) -> list[Write]:
+    """Writes of a torque sensor at a SYNC period in s."""
+    return _sensor_plan(sensor, pdo.TORQUE_SENSOR, period)
 
 
-def _sensor_plan(node: NodeSettings, layout: Pdo) -> list[Write]:
+def _sensor_plan(node: NodeSettings, layout: Pdo, period: float) -> list[Write]:
     return [
         Write(objects.HEARTBEAT_PRODUCER, milliseconds(node.heartbeat_period)),
+        *sync_writes(period),
+        *emcy_writes(node.node_id),
         *pdo_writes(layout, node.node_id, Transmission.EVERY_SYNC),
         *spare_pdos(received=False, first=2, last=4),
     ]
@@ -117,16 +168,16 @@ def pdo_writes(layout: Pdo, node_id: int, transmission: Transmission, *timers: W
     ]
     if not layout.received:
         writes.append(Write(layout.communication(3, Type.U16, "inhibit time"), 0, optional=True))
-        writes.append(Write(layout.communication(5, Type.U16, "event timer"), 0, optional=True))
+        writes.append(Write(layout.communication(5, Type.U16, "event timer"), 0, optional=True, fine=_ANY))
     writes.append(Write(cob_id, layout.cob_id(node_id), kept=kept))
     return writes
 
 
-def spare_pdos(received: bool, first: int, last: int) -> list[Write]:
+def spare_pdos(received: bool, first: int, last: int, slot: int = 1) -> list[Write]:
     """Switch off the PDOs that nobody uses: they would only load the bus."""
     return [
         Write(
-            Pdo(number, received, ()).communication(1, Type.U32, "COB-ID"),
+            Pdo(number, received, ()).of(slot).communication(1, Type.U32, "COB-ID"),
             COB_ID_INVALID,
             optional=True,
             kept=_COB_ID_BITS,
@@ -136,12 +187,13 @@ def spare_pdos(received: bool, first: int, last: int) -> list[Write]:
 
 
 def interpolation_period(period: float) -> tuple[int, int]:
-    """`period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raises UsageError when it is not such a number."""
-    for exponent in range(_MAX_EXPONENT, _MIN_EXPONENT - 1, -1):
+    """`period` (s) as mantissa (u8) and exponent (i8) of 0x60C2; raises UsageError when it is not such a number.
+
+    In milliseconds wherever they are whole: some drives take no other exponent.
+    """
+    for exponent in (_MILLISECONDS, *range(_MAX_EXPONENT, _MIN_EXPONENT - 1, -1)):
         mantissa = round(period / 10.0**exponent)
-        if mantissa > 255:
-            break
-        if mantissa and abs(mantissa * 10.0**exponent - period) < 1e-6 * period:
+        if 1 <= mantissa <= 255 and abs(mantissa * 10.0**exponent - period) < 1e-6 * period:
             return mantissa, exponent
     raise UsageError(
         f"rate {1.0 / period:g} Hz: a period of {period:g} s cannot be written to the drive (0x60C2 is 1 to 255 times "
@@ -165,18 +217,3 @@ def _check_timeouts(drive: DriveSettings, settings: BusSettings, period: float, 
             f"{where}: drive host_timeout {drive.host_timeout:g} s is less than two of our heartbeats "
             f"({settings.host_heartbeat_period:g} s); give at least {2.0 * settings.host_heartbeat_period:g} s"
         )
-
-
-def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
-    """Raises UsageError when two nodes of one bus have one id, or a node has the host's."""
-    seen: dict[int, str] = {settings.host_node_id: "[bus] host_node_id"}
-    for axis in axes:
-        for role, node in (("drive", axis.drive), ("encoder", axis.encoder), ("torque_sensor", axis.torque_sensor)):
-            if node is None:
-                continue
-            name = f"axis '{axis.name}' {role}"
-            if node.node_id in seen:
-                raise UsageError(
-                    f"{name}: node_id {node.node_id} is also that of {seen[node.node_id]}; every node needs its own"
-                )
-            seen[node.node_id] = name

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.settings import Positive, Word
+from tsa_ctrl.bus.settings import Patience, Positive, Word
 from tsa_ctrl.errors import UsageError
 
 
@@ -76,6 +76,7 @@ Keep = Literal["keep"]
 IntegerType = Literal["i8", "i16", "i32", "u8", "u16", "u32"]
 Index = Annotated[int, Meta(ge=0x1000, le=0xFFFF)]
 Subindex = Annotated[int, Meta(ge=0, le=0xFF)]
+EmcyCode = Annotated[int, Meta(ge=1, le=0xFFFF)]
 
 
 class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -122,6 +123,13 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     absent: list[str] = []  # names (of the object table) of what this drive does not have
     torque_clamp: TorqueClamp | None = None  # where there is no 0x6072
     reports_following: bool = True  # statusword bit 12 as in CiA 402
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # from when on 0x6061 is what 0x6060 is
+    warnings: list[EmcyCode] = []  # error codes of emergencies that are told and stop nothing
+    supervision: Literal["heartbeat", "guarding"] = "heartbeat"  # how the drive knows that we are there, and we of it
+    needs_sync_period: bool = False  # 0x1006 must be our period; else it is 0
+    produces_sync: bool = False  # it may make SYNC itself at power-on, and is told to stop (0x1005 bit 30)
+    boot_timeout: Patience = 3.0  # s, from a reset to the boot-up
+    answer_timeout: Patience = 0.5  # s, of one SDO answer
     rpdo_count: Annotated[int, Meta(ge=1, le=4)] = 4  # those that we do not use are switched off
     tpdo_count: Annotated[int, Meta(ge=2, le=4)] = 4
     extra: list[ExtraWrite] = []

@@ -1,4 +1,4 @@
-"""A configuration session: SDO, NMT and heartbeats through canopen, on the bus that the loop uses afterwards.
+"""A configuration session: SDO, NMT, EMCY and heartbeats through canopen, on the bus that the loop uses afterwards.
 
 Everything happens in the caller's thread and in the bus' own time: while an answer is waited for, frames are taken and
 our heartbeat is sent. canopen's thread of its own is never started.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from types import TracebackType
 
 import can
@@ -16,19 +16,21 @@ import canopen
 from canopen.sdo import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from tsa_ctrl.bus.canopen import cia301
+from tsa_ctrl.bus.canopen import cia301, emcy
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
+from tsa_ctrl.bus.canopen.emcy import Emcy
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.seam import Bus, Frame
+from tsa_ctrl.bus.wire.seam import REMOTE_FLAG, Bus, Frame
 from tsa_ctrl.errors import BusError
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no such subindex
 
-_ANSWER_TIMEOUT = 0.5  # s, for one SDO answer
+ANSWER_TIMEOUT = 0.5  # s, for one SDO answer, unless the configuration says otherwise
 _ATTEMPTS = 3  # SDO reads and writes are repeated, as the configuration of a drive is idempotent
 _ANSWER_LENGTH = 8  # bytes of every SDO frame
 _LISTENING = 0.1  # s, for another master before anything is sent
+_ASK_EVERY = 0.05  # s, between two questions by node guarding
 _PAUSE = 0.005  # s, after a frame that could not be sent
 _MOST_WAITING = 512  # frames taken before a request
 _HIGHEST = 0x7FF  # identifier of 11 bits; more has flags: error frames, remote requests
@@ -62,6 +64,7 @@ class _Client(SdoClient):  # type: ignore[misc]
     """canopen's SDO client, which waits by `wait(seconds, reached)` instead of for a thread."""
 
     RESPONSE_TIMEOUT = 0.0
+    patience = ANSWER_TIMEOUT  # s
 
     def __init__(self, node_id: int, network: _Network, wait: Callable[[float, Callable[[], bool]], bool]) -> None:
         super().__init__(cia301.SDO_REQUEST + node_id, cia301.SDO_ANSWER + node_id, canopen.ObjectDictionary())
@@ -75,18 +78,17 @@ class _Client(SdoClient):  # type: ignore[misc]
             self.on_response(can_id, data, timestamp)
 
     def read_response(self) -> bytes:
-        self._wait(_ANSWER_TIMEOUT, lambda: not self.responses.empty())
+        self._wait(self.patience, lambda: not self.responses.empty())
         return bytes(super().read_response())
 
 
 class Session:
-    """Use as a context manager. Raises BusError when another master is heard, or the bus fails.
+    """Use as a context manager: it only listens, until it is asked for something. Raises BusError when the bus fails.
 
-    `heartbeat`: send ours while the session lasts; not for a session after which no loop goes on with it, as a drive
-    that has heard it once would report its loss.
+    `touched`: nodes that were sent a command or a value. Reading leaves a node as it is.
     """
 
-    def __init__(self, bus: Bus, settings: BusSettings, heartbeat: bool = True) -> None:
+    def __init__(self, bus: Bus, settings: BusSettings) -> None:
         self._bus = bus
         self._settings = settings
         self._network = _Network(bus)
@@ -94,8 +96,11 @@ class Session:
         self._states: dict[int, list[int]] = {}  # NMT states heard of each node, in order
         self._heard: set[int] = set()
         self._masters: set[int] = set()
-        self._heartbeat = heartbeat
+        self._emcys: dict[int, list[Emcy]] = {}
+        self._guarded: frozenset[int] = frozenset()
+        self._heartbeat = False
         self._next_heartbeat = -math.inf
+        self.touched: set[int] = set()
 
     def __enter__(self) -> Session:
         self._bus.accept(None)
@@ -106,15 +111,8 @@ class Session:
         for node_id in range(1, 128):
             if node_id != self._settings.host_node_id:
                 self._network.subscribe(cia301.HEARTBEAT + node_id, self._on_heartbeat)
-        heartbeat, self._heartbeat = self._heartbeat, False
-        self.wait(_LISTENING)
-        if self._masters:
-            heard = ", ".join(f"0x{can_id:03X}" for can_id in sorted(self._masters))
-            raise BusError(
-                f"{self._bus.name}: another master is active (heard its frames {heard}); "
-                "stop the other program, or give this one another bus"
-            )
-        self._heartbeat = heartbeat
+            self._network.subscribe(cia301.SDO_REQUEST + node_id, self._on_master)
+            self._network.subscribe(cia301.EMCY + node_id, self._on_emergency)
         return self
 
     def __exit__(
@@ -122,6 +120,32 @@ class Session:
     ) -> None:
         if self._heartbeat:
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
+
+    def listen(self, rpdos: Iterable[int] = ()) -> frozenset[int]:
+        """Identifiers that only a master sends, `rpdos` among them, heard within a tenth of a second."""
+        for can_id in rpdos:
+            self._network.subscribe(can_id, self._on_master)
+        self._masters.clear()
+        self.wait(_LISTENING)
+        return frozenset(self._masters)
+
+    def alone(self, rpdos: Iterable[int] = ()) -> None:
+        """Raises BusError when another master is heard; nothing has been sent then."""
+        heard = self.listen(rpdos)
+        if heard:
+            raise BusError(another_master(self._bus.name, heard))
+
+    def begin_heartbeat(self) -> None:
+        """Send ours from now on; not in a session after which no loop goes on with it: its loss would be an error."""
+        self._heartbeat = True
+
+    def guard(self, node_ids: Collection[int]) -> None:
+        """Nodes that have no heartbeat and are asked for their state by remote frames."""
+        self._guarded = frozenset(node_ids)
+
+    def be_patient(self, node_id: int, seconds: float) -> None:
+        """Wait so long for an SDO answer of this node."""
+        self._client(node_id).patience = seconds
 
     def clock(self) -> float:
         """The bus' time, s, monotonic."""
@@ -161,6 +185,7 @@ class Session:
 
     def nmt(self, command: NmtCommand, node_id: int) -> None:
         """Send an NMT command."""
+        self.touched.add(node_id)
         if not self._bus.send(cia301.NMT, cia301.nmt(command, node_id)):
             raise self._failed()
 
@@ -170,7 +195,11 @@ class Session:
         for node_id in nodes:
             self._states[node_id] = []
             self.nmt(NmtCommand.RESET_COMMUNICATION, node_id)
-        return self._wait(nodes, lambda states: NmtState.BOOT_UP in states, timeout)
+        return self.booted(nodes, timeout)
+
+    def booted(self, node_ids: Iterable[int], timeout: float) -> set[int]:
+        """Wait for the boot-up of nodes that were reset; those whose did not come within `timeout` s."""
+        return self._wait(set(node_ids), lambda states: NmtState.BOOT_UP in states, timeout)
 
     def start(self, node_ids: Iterable[int], timeout: float) -> set[int]:
         """Start these nodes; those whose heartbeat did not say "operational" within `timeout` s."""
@@ -184,9 +213,19 @@ class Session:
         """Read an object by SDO; raises SdoRefusedError or BusError."""
         return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key)))
 
+    def ask(self, node_id: int, entry: Object) -> int | None:
+        """Read an object once; None when there is no answer, or the node refuses."""
+        try:
+            return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key), attempts=1))
+        except BusError:
+            if self._bus.fault is not None:
+                raise
+            return None
+
     def write(self, node_id: int, entry: Object, value: int) -> None:
         """Write an object by SDO; raises SdoRefusedError or BusError."""
         data = entry.encode(value)
+        self.touched.add(node_id)
         self._transfer(node_id, entry, lambda client: client.download(*entry.key, data) or b"")
 
     def read_if_there(self, node_id: int, entry: Object) -> int | None:
@@ -198,9 +237,15 @@ class Session:
                 return None
             raise
 
-    def _transfer(self, node_id: int, entry: Object, action: Callable[[_Client], bytes]) -> bytes:
+    def emcys(self, node_id: int) -> tuple[Emcy, ...]:
+        """Emergencies of a node since the session began, without those that say that an error is gone."""
+        return tuple(self._emcys.get(node_id, ()))
+
+    def _transfer(
+        self, node_id: int, entry: Object, action: Callable[[_Client], bytes], attempts: int = _ATTEMPTS
+    ) -> bytes:
         client = self._client(node_id)
-        for _ in range(_ATTEMPTS):
+        for _ in range(attempts):
             self._catch_up()
             try:
                 return action(client)
@@ -217,8 +262,8 @@ class Session:
             if self._bus.fault is not None:
                 raise self._failed()
         raise BusError(
-            f"{self._bus.name}: node {node_id} does not answer to SDO requests ({entry}); "
-            "check that it is powered, its node id and its bit rate"
+            f"{self._bus.name}: node {node_id} does not answer to SDO requests ({entry}) within {client.patience:g} s; "
+            "check that it is powered, its node id and its bit rate; answer_timeout gives a slow one more time"
         )
 
     def _failed(self) -> BusError:
@@ -234,8 +279,14 @@ class Session:
         def missing() -> set[int]:
             return {node_id for node_id in nodes if not reached(self._states[node_id])}
 
-        if not self.wait(timeout, lambda: not missing()) and self._bus.fault is not None:
-            raise self._failed()
+        end = self._bus.clock() + timeout
+        while missing() and (left := end - self._bus.clock()) > 0.0:
+            asked = missing() & self._guarded
+            for node_id in asked:
+                self._bus.send(REMOTE_FLAG | cia301.HEARTBEAT + node_id, b"")
+            self.wait(min(left, _ASK_EVERY) if asked else left, lambda: not missing())
+            if self._bus.fault is not None:
+                raise self._failed()
         return missing()
 
     def _on_heartbeat(self, can_id: int, data: bytearray, timestamp: float) -> None:
@@ -245,6 +296,11 @@ class Session:
             self._heard.add(node_id)
             self._states.setdefault(node_id, []).append(state)
 
+    def _on_emergency(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        found = emcy.decode(bytes(data))
+        if found is not None and not found.is_reset:
+            self._emcys.setdefault(can_id - cia301.EMCY, []).append(found)
+
     def _on_master(self, can_id: int, data: bytearray, timestamp: float) -> None:
         self._masters.add(can_id)
 
@@ -253,3 +309,17 @@ class Session:
         if self._heartbeat and now >= self._next_heartbeat:
             self._next_heartbeat = now + self._settings.host_heartbeat_period
             self._bus.send(cia301.HEARTBEAT + self._settings.host_node_id, cia301.heartbeat(NmtState.OPERATIONAL))
+
+
+def another_master(name: str, heard: Collection[int]) -> str:
+    """What to say of frames that only a master sends."""
+    frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
+    if set(heard) == {cia301.SYNC}:
+        return (
+            f"{name}: somebody sends SYNC (0x080), another master or a drive that makes it itself (0x1005 bit 30); "
+            "stop the other program, or write produces_sync = true into that drive's profile: then it is told to stop"
+        )
+    return (
+        f"{name}: another master is active (heard its frames {frames}); nothing was sent: "
+        "stop the other program, or give this one another bus"
+    )

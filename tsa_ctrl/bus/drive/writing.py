@@ -1,40 +1,109 @@
-"""Write a plan to a node, reading each object before and after."""
+"""Write a plan to a node: each object is read first, what differs is written, and everything is read back."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.canopen.objects import Write
+from tsa_ctrl.bus.canopen.objects import Object, Write
 from tsa_ctrl.bus.drive.report import Row
 from tsa_ctrl.bus.drive.scale import PER_MILLE
 from tsa_ctrl.bus.drive.session import ABSENT, SdoRefusedError, Session
 from tsa_ctrl.errors import BusError
 
+_READ_ONLY = frozenset({0x06010000, 0x06010002})  # abort codes
+_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_COMMUNICATIONS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
+_MAPPING_OFFSET = 0x200
 
-def write_all(session: Session, node_id: int, name: str, plan: Sequence[Write]) -> list[Row]:
-    """Write a plan in order, each object read before and after; one row per object. Raises BusError."""
+Cure = Callable[[Object, int | None], str]
+
+
+def write_all(
+    session: Session, node_id: int, name: str, plan: Sequence[Write], cure: Cure, notes: list[str] | None = None
+) -> list[Row]:
+    """Write a plan in order, each object read before and after; one row per object.
+
+    Objects that must be taken out of service to be changed (PDOs, the identifier of emergencies) are left alone when
+    all of them are as wanted: many nodes cannot write them. `cure` says what to do about an object that is refused with
+    a code, or (None) does not keep its value; `notes` gets what was forgiven. Raises BusError.
+    """
     rows: dict[tuple[int, int], Row] = {}
+    settled = _settled(session, node_id, plan, rows)
     for write in plan:
+        if write.entry.index in settled:
+            continue
         entry = write.entry
+        before: int | None = None
         try:
             before = session.read(node_id, entry)
             wanted = write.value | before & write.kept
             if write.rated is not None:
                 wanted = write.value * session.read(node_id, write.rated) // PER_MILLE
-            if before != wanted or write.entry is objects.MODE:
+            if before != wanted or write.entry.name == objects.MODE.name:
                 session.write(node_id, entry, wanted)
             after = session.read(node_id, entry)
         except SdoRefusedError as error:
             if error.code in ABSENT and write.optional:
                 rows[entry.key] = Row(entry, None, None)
                 continue
-            raise BusError(f"{name}: {error}; the drive's profile does not fit, or the drive is locked") from None
+            if error.code in _READ_ONLY and before is not None and before in write.fine:
+                rows[entry.key] = Row(entry, before, before)
+                if notes is not None:
+                    notes.append(f"{entry} cannot be written; its {before:#x} does as well")
+                continue
+            raise BusError(f"{name}: {error}; {cure(entry, error.code)}") from None
         if after != wanted:
-            raise BusError(
-                f"{name}: {entry}: wrote {wanted:#x}, read back {after:#x}; "
-                "the node does not take this value: check its limits and its profile"
-            )
+            raise BusError(f"{name}: {entry}: wrote {wanted:#x}, read back {after:#x}; {cure(entry, None)}")
         first = rows.get(entry.key)
         rows[entry.key] = Row(entry, before if first is None else first.before, after)
     return list(rows.values())
+
+
+def _settled(session: Session, node_id: int, plan: Sequence[Write], rows: dict[tuple[int, int], Row]) -> set[int]:
+    """Indices whose objects are all as the plan leaves them, with a row for each; PDOs by both of their records."""
+    last: dict[tuple[int, int], Write] = {write.entry.key: write for write in plan}
+    settled: set[int] = set()
+    for index in sorted({key[0] for key in last}):
+        if index == objects.EMCY_COB_ID.index or any(index in known for known in (*_MAPPINGS, *_COMMUNICATIONS)):
+            found = _as_wanted(session, node_id, [write for key, write in last.items() if key[0] == index])
+            if found is not None:
+                settled.add(index)
+                rows.update({row.entry.key: row for row in found})
+    for index in [index for index in settled if any(index in known for known in _COMMUNICATIONS)]:
+        mapping = index + _MAPPING_OFFSET
+        if mapping in {key[0] for key in last} and mapping not in settled:
+            settled.discard(index)  # it must be switched off for its mapping to be changed
+    return settled
+
+
+def _as_wanted(session: Session, node_id: int, writes: Sequence[Write]) -> list[Row] | None:
+    """Rows, when each object holds its value or one that does as well, or is one that the node may lack."""
+    rows = []
+    for write in writes:
+        try:
+            found = session.read_if_there(node_id, write.entry)
+        except SdoRefusedError:
+            return None
+        if found is None and not write.optional:
+            return None
+        if found is not None and found != write.value | found & write.kept and found not in write.fine:
+            return None
+        rows.append(Row(write.entry, found, found))
+    return rows
+
+
+def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: int) -> list[Write]:
+    """The plan with the entry of 0x1016 that suits: one that has our id already, else one that nobody has."""
+    if not any(write.entry.key == objects.HEARTBEAT_CONSUMER.key for write in plan):
+        return list(plan)
+    count = session.read_if_there(node_id, objects.HEARTBEAT_CONSUMERS) or 1
+    entries = [replace(objects.HEARTBEAT_CONSUMER, subindex=number) for number in range(1, count + 1)]
+    held = {entry: session.read_if_there(node_id, entry) for entry in entries}
+    ours = [entry for entry, value in held.items() if value is not None and value >> 16 & 0x7F == host]
+    free = [entry for entry, value in held.items() if not value or not value & 0xFFFF]
+    chosen = [*ours, *free, objects.HEARTBEAT_CONSUMER][0]
+    return [
+        replace(write, entry=chosen) if write.entry.key == objects.HEARTBEAT_CONSUMER.key else write for write in plan
+    ]
