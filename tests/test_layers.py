@@ -38,7 +38,7 @@ ROOMS: dict[str, str] = {
     "bus.drive": "errors settings bus.settings bus.wire bus.canopen",
     "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
     # live: torque from a set-point, and what keeps it safe, which knows no law and no model
-    "safety": "bus.settings bus.canopen bus.live",
+    "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
     "control": "errors log.waypoints model bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "ipc": "errors system",

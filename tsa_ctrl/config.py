@@ -13,6 +13,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.budget import Load
+from tsa_ctrl.bus.drive.layout import check_node_ids
 from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.scale import drive_scale
@@ -181,24 +182,15 @@ def _check_safety(path: Path, file: ControllerFile) -> None:
 
 
 def _check_unique(path: Path, file: ControllerFile) -> None:
-    """Axis names and node ids belong to one axis, one node each."""
+    """Axis names belong to one axis, and so do node ids, but for what one device may have for two."""
     names = Counter(axis.name for axis in file.axes)
     for name, number in names.items():
         if number > 1:
             raise UsageError(f"{path}: {number} axes are named '{name}'; give each its own name")
-    owners: dict[int, str] = {file.bus.host_node_id: "[bus] host_node_id"}
-    for axis in file.axes:
-        for role in ("drive", "encoder", "torque_sensor"):
-            node = getattr(axis, role)
-            if node is None:
-                continue
-            owner = f"axis '{axis.name}' {role}"
-            if node.node_id in owners:
-                raise UsageError(
-                    f"{path}: node_id {node.node_id} is given to {owners[node.node_id]} and to {owner}; "
-                    "give each node its own from 1 to 127"
-                )
-            owners[node.node_id] = owner
+    try:
+        check_node_ids(file.bus, file.axes)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
 
 
 def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> None:

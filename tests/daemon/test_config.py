@@ -78,8 +78,8 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         (r"^rate = 1000.0", 'rate = "1 kHz"', "controller.rate"),
         (r"^rate = 1000.0", "rate = 2000.0", r"bitrate 1000000: 2000 Hz.*needs .* %"),
         (r"^bitrate = 1_000_000", "bitrate = 250_000", r"250000.*needs"),
-        (r"^node_id = 32", "node_id = 1", r"node_id 1 is given to axis 'knee' drive and to axis 'knee' encoder"),
-        (r"^node_id = 64", "node_id = 127", r"node_id 127 is given to \[bus\] host_node_id"),
+        (r"^node_id = 32", "node_id = 1", r"axis 'knee' encoder: node_id 1 is also that of axis 'knee' drive"),
+        (r"^node_id = 64", "node_id = 127", r"node_id 127 is also that of \[bus\] host_node_id"),
         (r"^node_id = 1 ", "node_id = 128 ", "node_id"),
         (r"^torque = 2.0", "torque = 3.5", "limits.torque 3.5 N.m is above the drive's own clamp of 3"),
         (r"^torque = 2.0", "torque = -2.0", "limits.torque"),
@@ -139,8 +139,7 @@ def test_what_no_drive_can_be_told_is_found_before_there_is_a_drive(
     ("name", "drive", "encoder", "words"),
     [
         ("knee", 2, 33, "2 axes are named 'knee'"),
-        ("hip", 1, 33, "node_id 1 is given to axis 'knee' drive and to axis 'hip' drive"),
-        ("hip", 2, 32, "node_id 32 is given to axis 'knee' encoder and to axis 'hip' encoder"),
+        ("hip", 1, 33, "axis 'hip' drive: node_id 1 is also that of axis 'knee' drive"),
     ],
 )
 def test_axes_do_not_share(folder: Path, name: str, drive: int, encoder: int, words: str) -> None:

@@ -19,13 +19,16 @@ from tsa_ctrl.bus.wire.seam import Bus, BusFault, Counters, Frame
 from tsa_ctrl.errors import TsaError
 
 QUICK = (  # time-outs, s: nobody here is slow
-    (session, "_ANSWER_TIMEOUT", 0.05),
     (session, "_LISTENING", 0.01),
-    (module, "BOOT_TIMEOUT", 0.3),
     (module, "START_TIMEOUT", 0.3),
+    (checks, "BOOT_TIMEOUT", 0.3),
+    (checks, "ANSWER_TIMEOUT", 0.05),
     (checks, "_MODE_TIMEOUT", 0.1),
     (checks, "_OFF_TIMEOUT", 0.1),
 )
+
+
+PATIENCE = DriveProfile(boot_timeout=0.3, answer_timeout=0.05)
 
 
 class SpoiledBus:
@@ -140,7 +143,7 @@ def _attempt(draw: random.Random, part: Part, number: int) -> None:
         bus = SpoiledBus(nodes.bus, draw, draw.choice((0.0, 0.003, 0.02, 0.2)), part)
         with part.surviving(f"attempt {number}"):
             try:
-                module.bring_up(bus, BusSettings(interface="virtual"), [axis_nodes()], [DriveProfile()], 0.001)
+                module.bring_up(bus, BusSettings(interface="virtual"), [axis_nodes()], [PATIENCE], 0.001)
                 part.counts["succeeded"] += 1
             except TsaError as error:
                 part.counts["refused"] += 1

@@ -129,7 +129,9 @@ def test_drive_that_never_enables_is_a_fault_with_its_state() -> None:
     bench.obeys = False
     bench.step(Request.DISABLE, 3)
     bench.step(Request.ENABLE, 2100)
-    assert str(bench.supervisor.fault) == "drive does not enable: drive is in switch_on_disabled after 2 s"
+    said = str(bench.supervisor.fault)
+    assert said.startswith("drive does not enable: drive is in switch_on_disabled after 2 s; safe torque off, ")
+    assert said.endswith("more enable_timeout in [bus.supervision]")
 
 
 def test_bit_12_must_be_seen_before_torque() -> None:
@@ -829,7 +831,7 @@ def test_time_out_of_an_enabled_drive_says_what_is_missing() -> None:
     bench.step(Request.ENABLE, 5000)
     fault = bench.supervisor.faults[0]
     assert fault.cause is Cause.ENABLE_TIMEOUT
-    assert "operation_enabled, mode 10, statusword 0x1237" in fault.detail
+    assert fault.detail == "drive is in operation_enabled after 2 s, without fresh PDOs"
 
 
 def test_drive_that_comes_back_enabled_in_a_fault_has_its_time_to_obey() -> None:

@@ -45,7 +45,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
             ControlAxis(
                 io=io,
                 model=model,
-                supervisor=Supervisor(supervision, profile.reports_following),
+                supervisor=Supervisor(supervision, profile.reports_following, profile.mode_shows == "enabled"),
                 set_point=SetPoint(settings.setpoint, period, configuration.folder),
                 direction=Direction(settings.direction, period, lead_of(model, settings.law)),
                 bending=Bending(settings.bending, model.bending_angle),

@@ -69,15 +69,22 @@ class Operation:
                     descend(self._rig, self._axes, period, self._configuration.file.controller.stop_time)
                 raise
         finally:
-            self.unconfirmed = shut_down(self._rig, period)
+            self.unconfirmed = shut_down(self._rig, period, say=self._say)
             self._loop.last_words(self.unconfirmed)
 
-    def _bring_up(self, reset_faults: bool) -> None:
+    def _bring_up(self, reset_faults: bool, resets_later: bool = False) -> None:
         configuration = self._configuration
         file = configuration.file
+        self._rig.stand_off()
         if not self._configured:
             report = bring_up(
-                self._rig.bus, file.bus, file.axes, configuration.profiles, configuration.period, reset_faults
+                self._rig.bus,
+                file.bus,
+                file.axes,
+                configuration.profiles,
+                configuration.period,
+                reset_faults,
+                resets_later,
             )
             for line in report.lines():
                 self._say(line)
@@ -89,7 +96,7 @@ class Operation:
         self._rig.bus.clear_fault()
         try:
             with self._no_loop():
-                self._bring_up(reset_faults=False)  # the supervisors do it
+                self._bring_up(reset_faults=False, resets_later=True)  # the supervisors do it
         except TsaError as error:  # a drive that was exchanged may contradict the configuration, too
             loop.note(f"recovery failed: {error}")
             loop.run(seconds, LoopPhase.FAULTED)

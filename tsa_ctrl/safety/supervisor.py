@@ -19,6 +19,7 @@ _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
 _TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
 _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
+_LATE = 'if it shows its mode only when it is enabled, mode_shows = "enabled" in its profile'
 _OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
 
 
@@ -83,14 +84,16 @@ class Fault:
 
 
 class Supervisor:
-    """Supervises one axis. `reports_following`: the drive has statusword bit 12 (see the drive's profile).
+    """Supervises one axis. `reports_following`: the drive has statusword bit 12; `shows_late`: it shows its mode only
+    when it is enabled (see the drive's profile): it is then enabled without, and has no torque before it does.
 
     Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`),
     `cut_off` (in this cycle the drive is to be stopped by NMT: it did not say that it obeyed).
     """
 
-    def __init__(self, settings: SupervisionSettings, reports_following: bool = True) -> None:
+    def __init__(self, settings: SupervisionSettings, reports_following: bool = True, shows_late: bool = False) -> None:
         self._settings = settings
+        self._shows_late = shows_late
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
         self._running_mask = cia402.STATE_BITS | self._following_mask
         self._running_word = _ENABLED_BITS | self._following_mask
@@ -212,12 +215,28 @@ class Supervisor:
         if state is PowerState.OPERATION_ENABLED and in_mode and following and image.fresh:
             self._enter(Phase.ENABLED, now)
         elif now - self._since > self._settings.enable_timeout:
-            found = state.value
-            if state is PowerState.OPERATION_ENABLED:
-                found += f", mode {image.mode}, statusword 0x{image.statusword:04X}"
-            self._latch(Cause.ENABLE_TIMEOUT, f"drive is in {found} after {self._settings.enable_timeout:g} s", now)
-        target = PowerState.OPERATION_ENABLED if in_mode else PowerState.READY_TO_SWITCH_ON
+            self._latch(Cause.ENABLE_TIMEOUT, self._not_enabled(image, state, in_mode, following), now)
+        target = PowerState.OPERATION_ENABLED if in_mode or self._shows_late else PowerState.READY_TO_SWITCH_ON
         return cia402.next_controlword(state, target)
+
+    def _not_enabled(self, image: Image, state: PowerState, in_mode: bool, following: bool) -> str:
+        """Where the drive stands still, and what mends that."""
+        found = f"drive is in {state.value} after {self._settings.enable_timeout:g} s"
+        if not in_mode and (state is PowerState.OPERATION_ENABLED or not self._shows_late):
+            late = "" if self._shows_late else f"; {_LATE}"
+            return f"{found}, in mode {image.mode}, wanted is 10 (cyclic torque){late}"
+        if state is PowerState.OPERATION_ENABLED and not following:
+            return (
+                f"{found}, and bit 12 of statusword 0x{image.statusword:04X} is low: it says that it does not follow "
+                "the command; reports_following = false in its profile, if this drive has no such bit"
+            )
+        if state is PowerState.OPERATION_ENABLED:
+            return f"{found}, without fresh PDOs"
+        power = "" if image.statusword & cia402.VOLTAGE_ENABLED else ", without voltage (statusword bit 4 is low)"
+        return (
+            f"{found}{power}; safe torque off, a missing enable input or missing power of the motor keep it there; a "
+            "drive that is only slow needs more enable_timeout in [bus.supervision]"
+        )
 
     def _disable(self, state: PowerState, now: float) -> Controlword:
         if self.phase is not Phase.DISABLING:

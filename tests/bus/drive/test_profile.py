@@ -102,10 +102,11 @@ def test_torque_limit_beyond_the_object_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("period", "expected"), [(1e-3, (1, -3)), (2e-3, (2, -3)), (2.5e-3, (25, -4)), (1.25e-3, (125, -5)), (0.1, (1, -1))]
+    ("period", "mantissa", "exponent"),
+    [(1e-3, 1, -3), (2e-3, 2, -3), (2.5e-3, 25, -4), (1.25e-3, 125, -5), (0.01, 10, -3), (0.1, 100, -3), (0.5, 5, -1)],
 )
-def test_interpolation_period_as_the_drive_wants_it(period: float, expected: tuple[int, int]) -> None:
-    assert interpolation_period(period) == expected
+def test_interpolation_period_as_the_drive_wants_it(period: float, mantissa: int, exponent: int) -> None:
+    assert interpolation_period(period) == (mantissa, exponent)
 
 
 @pytest.mark.parametrize("rate", [333.0, 700.0, 3000.0])

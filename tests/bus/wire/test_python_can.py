@@ -127,6 +127,7 @@ def test_session_starts_no_thread(pair: tuple[PythonCan, PythonCan]) -> None:
 
 def test_session_sends_our_heartbeat_and_ends_with_one(pair: tuple[PythonCan, PythonCan]) -> None:
     with Session(pair[0], BusSettings(interface="virtual", host_heartbeat_period=0.005)) as session:
+        session.begin_heartbeat()
         session.wait(0.05)
     frames = []
     while (frame := pair[1].recv(0.0)) is not None:

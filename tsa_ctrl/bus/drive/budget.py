@@ -46,14 +46,16 @@ def load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
     """The load of these axes at `rate` (Hz): SYNC, all PDOs each cycle, all heartbeats."""
     lengths = [0]
     background = frame_bits(1)[1] / settings.host_heartbeat_period
+    counted: set[int] = set()  # nodes that two axes share talk once
     for axis in axes:
         lengths += [entry.length for entry in pdo.DRIVE_PLAN]
-        if axis.encoder is not None:
+        if axis.encoder is not None and axis.encoder.node_id not in counted:
             lengths += [entry.length for entry in pdo.ENCODER_PLAN]
         if axis.torque_sensor is not None:
             lengths += [entry.length for entry in pdo.TORQUE_SENSOR_PLAN]
         for node in (axis.drive, axis.encoder, axis.torque_sensor):
-            if node is not None:
+            if node is not None and node.node_id not in counted:
+                counted.add(node.node_id)
                 background += frame_bits(1)[1] / node.heartbeat_period
     bits = [frame_bits(length) for length in lengths]
     return Load(settings.bitrate, rate, (sum(b[0] for b in bits), sum(b[1] for b in bits)), background)

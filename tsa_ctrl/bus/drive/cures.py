@@ -32,19 +32,16 @@ _SETTINGS = {  # what an object's value comes from, in the controller's file
     objects.MAX_TORQUE.key: "max_torque in [axis.drive]",
     objects.MAX_MOTOR_SPEED.key: "max_speed in [axis.drive], or [units] max_speed in {profile}",
 }
-_CLAMP = (
-    "[torque_clamp] in {profile}, with the object that limits the torque instead, and the one that holds its value at "
-    "rated torque"
-)
 _SPECIAL = {  # objects for which `absent` alone is not enough
-    objects.HEARTBEAT_PRODUCER.key: 'supervision = "guarding" in {profile}, if it knows node guarding alone',
-    objects.VELOCITY_UNIT.key: 'absent = ["SI unit velocity"] and the unit of 0x606C as [units] velocity in {profile}, '
-    'or velocity_source = "position" in [axis.drive]',
-    objects.MAX_TORQUE.key: 'absent = ["max torque"] and ' + _CLAMP,
-    objects.MODE.key: "nothing: this drive has no cyclic synchronous torque mode in its present set-up; use another, "
-    "or set up its motor and sensors for torque with the maker's tool",
-    objects.INTERPOLATION_EXPONENT.key: "a rate in [controller] whose period is whole milliseconds (1000, 500, 250, "
-    '200, 125, 100 Hz), or absent = ["interpolation period", "interpolation period exponent"] in {profile}',
+    objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile}, if it knows node guarding alone',
+    objects.VELOCITY_UNIT.key: 'write absent = ["SI unit velocity"] and the unit of its 0x606C as [units] velocity in '
+    '{profile}, or velocity_source = "position" in [axis.drive]',
+    objects.MAX_TORQUE.key: 'write absent = ["max torque"] and [torque_clamp] in {profile}: the object that limits the '
+    "torque instead, and the one that holds its value at rated torque",
+    objects.MODE.key: "set up its motor and sensors for torque with the maker's tool, or use another drive: this one "
+    "takes no cyclic synchronous torque mode (10) as it is",
+    objects.INTERPOLATION_EXPONENT.key: "choose a rate in [controller] whose period is whole milliseconds (1000, 500, "
+    '250, 200, 125, 100 Hz), or write absent = ["interpolation period", "interpolation period exponent"] in {profile}',
 }
 
 
@@ -63,42 +60,38 @@ def cure(entry: Object, node: NodeSettings, profile: DriveProfile, code: int | N
     text = _advice(plain, node, profile, code).format(profile=profile_of(node))
     if code in _STATE:
         return (
-            "it does not take that in its present state: end the maker's tool, unlock it, power it off and on; if that "
-            f"does not help, {text}"
+            "end the maker's tool, unlock it, power it off and on (it does not take that in its present state); if "
+            f"that does not help, {text}"
         )
     return text
 
 
 def _advice(entry: Object, node: DriveSettings, profile: DriveProfile, code: int | None) -> str:
-    key, index = entry.key, entry.index
-    if index in range(0x1400, 0x1C00):
-        return _of_a_pdo(entry, profile, code)
+    key = entry.key
+    if entry.index in range(0x1400, 0x1C00):
+        return _of_a_pdo(entry, code)
     if key in _REACTIONS:
-        return f'{_REACTIONS[key]} = "keep", or a value that it takes, under [reactions] in {{profile}}'
+        return f'write {_REACTIONS[key]} = "keep", or a value that it takes, under [reactions] in {{profile}}'
     special, setting = _SPECIAL.get(key), _SETTINGS.get(key)
-    if code is None or (code not in _NO_OBJECT and code not in _READ_ONLY):
-        if setting is not None:
-            return f"it does not take this value: correct {setting}" + ("" if special is None else f"; or {special}")
-        return special or _absent(entry)
+    if setting is not None and code not in _NO_OBJECT and code not in _READ_ONLY:
+        return f"correct {setting}: it does not take this value" + ("" if special is None else f"; or {special}")
     return special or _absent(entry)
 
 
-def _of_a_pdo(entry: Object, profile: DriveProfile, code: int | None) -> str:
-    received = entry.index < 0x1800
+def _of_a_pdo(entry: Object, code: int | None) -> str:
+    received = entry.index in range(0x1400, 0x1800)
     number = entry.index % 0x40 + 1
-    name = "rpdo_count" if received else "tpdo_count"
     if number > (1 if received else 2):
-        return f"{name} = {number - 1} in {{profile}}: this PDO is not used, and was only to be switched off"
+        name = "rpdo_count" if received else "tpdo_count"
+        return f"write {name} = {number - 1} in {{profile}}: this PDO is not used, and was only to be switched off"
     if entry.subindex == 5 and received:
-        return f'absent = ["{objects.RPDO_EVENT_TIMER.name}"] in {{profile}}, or another rpdo_timeout in [axis.drive]'
+        name = objects.RPDO_EVENT_TIMER.name
+        return f'correct rpdo_timeout in [axis.drive], or write absent = ["{name}"] in {{profile}}'
     if code in _NOT_MAPPABLE:
-        return (
-            "it cannot map what this controller needs in one PDO; without that it cannot be used: look for another "
-            "firmware"
-        )
+        return "look for another firmware: it cannot map what this controller needs into one PDO"
     return (
-        "it does not let its PDOs be mapped: map them with the maker's tool as this message says (what is as wanted is "
-        "left alone), store them there, and start again"
+        "map this PDO so with the maker's tool, store it there, and start again: what is as wanted is left alone, and "
+        "this drive does not let it be changed"
     )
 
 
@@ -107,4 +100,4 @@ def _absent(entry: Object) -> str:
     name = known.get(entry.key)
     if name is None:
         return f"correct or remove the [[extra]] '{entry.name}' in {{profile}}"
-    return f'absent = ["{name}"] in {{profile}}'
+    return f'write absent = ["{name}"] in {{profile}}'

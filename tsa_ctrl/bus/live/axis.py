@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from tsa_ctrl.bus.canopen import cia301, emcy, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.pdo import Pdo
+from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.scale import DriveScale, drive_scale, encoder_scale
 from tsa_ctrl.bus.live.image import Image, NodeHealth
@@ -37,6 +38,16 @@ class Inbox:
         self.store = store
         self.armed = False
         self.awaited = 1
+
+    def share(self, store: Callable[[tuple[Any, ...]], None]) -> None:
+        """Give what comes to another axis, too: one encoder of two."""
+        first = self.store
+
+        def both(values: tuple[Any, ...]) -> None:
+            first(values)
+            store(values)
+
+        self.store = both
 
     def refuse(self, data: bytes) -> None:
         """Count a frame that cannot be this cycle's answer: of a wrong length, or after one that was taken."""
@@ -84,6 +95,9 @@ class Guard:
         found = emcy.decode(data)
         if found is None:
             health.malformed += 1
+        elif found.code in health.told:
+            health.warning = found
+            health.warnings += 1
         elif not found.is_reset:
             health.emcy = found
             health.emcys += 1
@@ -91,9 +105,20 @@ class Guard:
 
 
 class Axis:
-    """One axis: its process image and its command. SI at the motor pulley and the joint."""
+    """One axis: its process image and its command. SI at the motor pulley and the joint.
 
-    def __init__(self, nodes: AxisNodes, profile: DriveProfile, bus: Bus, clock: Callable[[], float]) -> None:
+    `shared`: inboxes of other axes by identifier; an encoder that one of them has already is taken from there.
+    `stands_off`: nothing is commanded, as it is not known that the drive is ours and mapped as we think.
+    """
+
+    def __init__(
+        self,
+        nodes: AxisNodes,
+        profile: DriveProfile,
+        bus: Bus,
+        clock: Callable[[], float],
+        shared: Mapping[int, Inbox] | None = None,
+    ) -> None:
         self.name = nodes.name
         self.nodes = nodes
         self.profile = profile
@@ -101,28 +126,40 @@ class Axis:
         self.scale: DriveScale = drive_scale(drive, profile, f"axis '{nodes.name}'")
         self.refused = 0  # commands that were not finite, and were sent as zero
         self.tau_m_sent = 0.0  # N*m, the last command as the drive was given it
+        self.stands_off = True
 
+        layout = layout_of(drive)
         health = _health(Role.DRIVE, drive)
+        health.told = frozenset(profile.warnings)
         guarded = [health]
         self.inboxes = [
-            Inbox(pdo.MOTION, health, self._store_motion),
-            Inbox(pdo.POSITION, health, self._store_position),
+            Inbox(layout.motion, health, self._store_motion),
+            Inbox(layout.position, health, self._store_position),
         ]
         self._control_inboxes = list(self.inboxes)  # without whose answers the axis is not fresh
-        self.tpdo_ids = [pdo.MOTION.cob_id(drive.node_id), pdo.POSITION.cob_id(drive.node_id)]
+        self._watched = [(health, tuple(self.inboxes))]  # the answers of each node
+        self.tpdo_ids = list(layout.tpdo_ids)
         self._joint: PositionTracker | None = None
         if encoder is not None:
             health = _health(Role.ENCODER, encoder)
             guarded.append(health)
-            self.inboxes.append(Inbox(pdo.ENCODER, health, self._store_encoder))
-            self._control_inboxes.append(self.inboxes[-1])
-            self.tpdo_ids.append(pdo.ENCODER.cob_id(encoder.node_id))
+            can_id = pdo.ENCODER.cob_id(encoder.node_id)
+            inbox = (shared or {}).get(can_id)
+            if inbox is None:
+                inbox = Inbox(pdo.ENCODER, health, self._store_encoder)
+            else:
+                inbox.share(self._store_encoder)
+            self.inboxes.append(inbox)
+            self._control_inboxes.append(inbox)
+            self._watched.append((health, (inbox,)))
+            self.tpdo_ids.append(can_id)
             scale = encoder_scale(encoder)
             self._joint = PositionTracker(scale, encoder.counts_range, encoder.zero, encoder.velocity_cutoff)
         if sensor is not None:
             health = _health(Role.TORQUE_SENSOR, sensor)
             guarded.append(health)
             self.inboxes.append(Inbox(pdo.TORQUE_SENSOR, health, self._store_torque))
+            self._watched.append((health, (self.inboxes[-1],)))
             self.tpdo_ids.append(pdo.TORQUE_SENSOR.cob_id(sensor.node_id))
             self._sensor_scale = sensor.sign * sensor.resolution
             self._sensor_offset = sensor.offset
@@ -141,7 +178,7 @@ class Axis:
         self._per_newton_metre = 1.0 / self.scale.torque
         self._limit = float(self.scale.max_torque_digits)
         self._send = bus.send
-        self.rpdo_id = pdo.COMMAND.cob_id(drive.node_id)
+        self.rpdo_id = layout.rpdo_id
         self._pack = pdo.COMMAND.struct.pack
 
     def command(self, controlword: int, tau_m: float) -> bool:
@@ -149,6 +186,9 @@ class Axis:
 
         What is not finite is sent as zero and counted in `refused`. False when the frame was dropped.
         """
+        if self.stands_off:
+            self.tau_m_sent = 0.0
+            return True
         digits = tau_m * self._per_newton_metre
         if -self._limit <= digits <= self._limit:
             raw = round(digits)
@@ -170,8 +210,8 @@ class Axis:
         for health in image.nodes:
             health.heard = now
             health.nmt_state = NmtState.OPERATIONAL
-            health.boot_ups = health.emcys = health.misses = 0
-            health.emcy = None
+            health.boot_ups = health.emcys = health.misses = health.warnings = 0
+            health.emcy = health.warning = None
         image.silent = image.intruder = image.bus_fault = None
         image.fresh = image.joint_fresh = False
         image.misses = image.drops = image.events = 0
@@ -245,8 +285,8 @@ class Axis:
     def _count_misses(self) -> tuple[bool, bool]:
         """Charge each node with the answers that did not come; returns fresh, joint_fresh."""
         joint_fresh = self._gaps = True
-        for health in self.image.nodes:
-            if any(inbox.armed for inbox in self.inboxes if inbox.health is health):
+        for health, inboxes in self._watched:
+            if any(inbox.armed for inbox in inboxes):
                 health.misses += 1
                 health.missed += 1
                 joint_fresh = joint_fresh and health.role is not Role.ENCODER

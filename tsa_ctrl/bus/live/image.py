@@ -27,6 +27,9 @@ class NodeHealth:
         "repeated",
         "role",
         "timeout",
+        "told",
+        "warning",
+        "warnings",
     )
 
     def __init__(self, role: Role, node_id: int, timeout: float) -> None:
@@ -38,6 +41,9 @@ class NodeHealth:
         self.boot_ups = 0
         self.emcys = 0  # emergencies other than "error reset"
         self.emcy: Emcy | None = None  # the last of them
+        self.told: frozenset[int] = frozenset()  # codes of emergencies that are told and stop nothing
+        self.warnings = 0  # emergencies with such a code
+        self.warning: Emcy | None = None  # the last of them
         self.misses = 0  # cycles in a row without all its PDOs
         self.missed = 0  # cycles without all its PDOs
         self.late = 0  # PDOs that came after their cycle's deadline

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tsa_ctrl.bus.live.image import NodeHealth
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.errors import BusError
 
@@ -28,10 +29,15 @@ def prove(rig: Rig, period: float, cycles: int = 50) -> None:
         if answered < _LEAST_ANSWERED * cycles or health.misses >= _GONE:
             raise BusError(
                 f"axis '{name}' {health}: answered {answered} of {cycles} SYNCs in time "
-                f"(late {health.late}, wrong length {health.malformed}); check the bus load and the node's mapping"
+                f"(late {health.late}, wrong length {health.malformed}){_said(health)}"
             )
         if health.repeated - repeated > (1.0 - _LEAST_ANSWERED) * cycles:
             raise BusError(
                 f"axis '{name}' {health}: sent {health.repeated - repeated} more PDOs than {cycles} SYNCs asked for; "
-                "another node may have the same id"
+                f"another node may have the same id{_said(health, '')}"
             )
+
+
+def _said(health: NodeHealth, otherwise: str = "; check the bus load, collect in [controller], and the cable") -> str:
+    """What the node itself sent meanwhile, which is more than anybody here can guess."""
+    return f"; it sent {health.emcy}" if health.emcy is not None else otherwise

@@ -17,7 +17,7 @@ from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.error_frames import ErrorClass, describe
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault, Frame
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.system.sleep import Lead
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones
@@ -26,6 +26,7 @@ _MISJUDGED = 8  # answers in a row that came after the one that was thought to b
 _ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
 _NO_DATA = b""
+_HIGHEST_EMCY = cia301.EMCY + 127
 
 
 class Rig:
@@ -47,21 +48,29 @@ class Rig:
     ) -> None:
         clock = clock or bus.clock
         self.bus = bus
-        self.axes = tuple(Axis(nodes, profile, bus, clock) for nodes, profile in zip(axes, profiles, strict=True))
+        self._answers: dict[int, Inbox] = {}  # by identifier: TPDOs
+        made = []
+        for nodes, profile in zip(axes, profiles, strict=True):
+            axis = Axis(nodes, profile, bus, clock, self._answers)
+            self._answers.update(zip(axis.tpdo_ids, axis.inboxes, strict=True))
+            made.append(axis)
+        self.axes = tuple(made)
         self.error_frames = 0
         self.last_error = ""
         self.flooded = 0
+        self.has_commanded = False  # since it was made
         self.withholds_heartbeat = False  # for a trial of the drives' own watchdogs
         self._clock = clock
         self._settings = settings
-        self._inboxes = tuple(inbox for axis in self.axes for inbox in axis.inboxes)
-        self._answers: dict[int, Inbox] = {}  # by identifier: TPDOs
+        self._inboxes = tuple(self._answers.values())
         self._messages: dict[int, Handler] = {}  # by identifier: what may come at any time
         for axis in self.axes:
-            self._answers.update(zip(axis.tpdo_ids, axis.inboxes, strict=True))
             for health, guard in zip(axis.image.nodes, axis.guards, strict=True):
-                self._messages[cia301.HEARTBEAT + health.node_id] = guard.heartbeat
-                self._messages[cia301.EMCY + health.node_id] = guard.emergency
+                self._hear(cia301.HEARTBEAT + health.node_id, guard.heartbeat)
+                self._hear(cia301.EMCY + health.node_id, guard.emergency)
+        self._guarded = sorted(
+            {axis.nodes.drive.node_id for axis in self.axes if axis.profile.supervision == "guarding"}
+        )  # asked for their state by remote frames
         ours = [
             cia301.NMT,
             cia301.SYNC,
@@ -80,16 +89,51 @@ class Rig:
         self._last = 0  # identifier of the answer that comes last
         self._later = 0  # ... and how often in a row another came after it
 
+    def _hear(self, can_id: int, handler: Handler) -> None:
+        """A node of two axes is heard by both."""
+        first = self._messages.get(can_id)
+        if first is None:
+            self._messages[can_id] = handler
+            return
+
+        def both(data: bytes, first: Handler = first) -> None:
+            first(data)
+            handler(data)
+
+        self._messages[can_id] = both
+
+    @property
+    def settings(self) -> BusSettings:
+        return self._settings
+
+    @property
+    def commands(self) -> bool:
+        """Whether any drive is commanded; see `stand_off`."""
+        return any(not axis.stands_off for axis in self.axes)
+
+    def stand_off(self) -> None:
+        """Command no drive any more until `start`: they are about to be configured, and may be others than we think."""
+        for axis in self.axes:
+            axis.stands_off = True
+
     def start(self) -> None:
-        """Listen to the nodes of this rig only and forget what was received before; once, before the first cycle."""
+        """All nodes are identified and configured: listen to them only, forget old answers, command from now on.
+
+        Emergencies that came since the bring-up are kept.
+        """
         self.bus.accept([*self._answers, *self._messages])
+        now = self._clock()
+        for axis in self.axes:
+            axis.rearm(now)
+            axis.stands_off = False
+        self.has_commanded = True
+        for can_id, data in self.bus.gather(0.0, _MAX_WAITING):
+            if cia301.EMCY < can_id <= _HIGHEST_EMCY:
+                self._take_message(can_id, data)
         self.bus.flush()
         for inbox in self._inboxes:
             inbox.awaited = 1
         self._expect()
-        now = self._clock()
-        for axis in self.axes:
-            axis.rearm(now)
 
     def wait(self, until: float) -> float:
         """Sleep until `until` (monotonic s), then take what arrived meanwhile: emergencies, heartbeats, late answers.
@@ -203,6 +247,8 @@ class Rig:
             if self.withholds_heartbeat:
                 return
             self.bus.send(self._heartbeat_id, _HEARTBEAT)
+            for node_id in self._guarded:
+                self.bus.send(REMOTE_FLAG | cia301.HEARTBEAT + node_id, _NO_DATA)
 
     def nmt(self, command: NmtCommand, node_id: int = cia301.ALL_NODES) -> bool:
         """Send an NMT command to one node or to all."""

@@ -1,0 +1,131 @@
+"""One foreign drive on a wire in virtual time, and a master that is brought up on it; what the master sent is kept."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.plant.bench import plant_file
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.drive.report import Report
+from tsa_ctrl.bus.live.prove import prove
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
+from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.errors import TsaError
+from tsa_ctrl.plant.drive import Drive
+from tsa_ctrl.plant.drive_node import DriveNode
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.settings import load_plant
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
+from tsa_ctrl.virtual.lockstep import End, Wire
+
+PERIOD = 0.002  # s
+MOST_CYCLES = 5000
+
+
+def refused(*parts: str) -> pytest.RaisesContext[TsaError]:
+    """A refusal whose one line has these parts in this order."""
+    return pytest.raises(TsaError, match=".*".join(re.escape(part) for part in parts))
+
+
+class Recording(Wire):
+    """A wire that keeps what the host sends, in order, with the time."""
+
+    def __init__(self) -> None:
+        super().__init__(1_000_000)
+        self.sent: list[tuple[float, int, bytes]] = []
+
+    def send(self, sender: End, can_id: int, data: bytes) -> bool:
+        if sender is self.host:
+            self.sent.append((self.now, can_id, bytes(data)))
+        return super().send(sender, can_id, data)
+
+
+class Foreign:
+    """A plant with one axis without sensors; `quirks` are lines of its [axis.drive]."""
+
+    def __init__(self, folder: Path, *quirks: str, text: str | None = None) -> None:
+        lines = ["[[axis]]", "name = 'joint'", "motion.kind = 'still'", "encoder.present = false"]
+        lines += ["torque_sensor.present = false", *(f"drive.{quirk}" for quirk in ("torque_noise = 0.0", *quirks))]
+        self.wire = Recording()
+        self.machine = Machine(
+            load_plant(plant_file(folder, text or "\n".join(lines) + "\n")), self.wire.plant, self.wire.plant.clock
+        )
+        self.wire.attach(self.machine)
+        self.machine.start()
+        self.settings = BusSettings(interface="virtual")
+        self.rig: Rig | None = None
+        self.supervisor = Supervisor(SupervisionSettings())
+        self.profile = DriveProfile()
+        self.axis = AxisNodes(name="knee", drive=DriveSettings(node_id=1))
+
+    @property
+    def drive(self) -> Drive:
+        return self.machine.axes[0].drive
+
+    @property
+    def node(self) -> DriveNode:
+        node = self.machine.axes[0].by_kind["drive"]
+        assert isinstance(node, DriveNode)
+        return node
+
+    def sent(self, *can_ids: int) -> list[Frame]:
+        """What the host sent with these identifiers; without any: all."""
+        return [(can_id, data) for _, can_id, data in self.wire.sent if not can_ids or can_id in can_ids]
+
+    def commands(self) -> list[Frame]:
+        """What the host sent that is not a question by SDO (an upload)."""
+        return [frame for frame in self.sent() if not (0x600 < frame[0] < 0x680 and frame[1][0] >> 5 in (2, 3))]
+
+    def bring_up(self, profile: DriveProfile | None = None, reset_faults: bool = False, **drive: object) -> Report:
+        self.profile = profile or DriveProfile()
+        self.axis = AxisNodes(name="knee", drive=DriveSettings(node_id=1, **drive))  # type: ignore[arg-type]
+        return bring_up(self.wire.host, self.settings, [self.axis], [self.profile], PERIOD, reset_faults)
+
+    def start(self, profile: DriveProfile | None = None, reset_faults: bool = False, **drive: object) -> Report:
+        """Bring-up and proof."""
+        report = self.bring_up(profile, reset_faults, **drive)
+        late = self.profile.mode_shows == "enabled"
+        self.supervisor = Supervisor(SupervisionSettings(), self.profile.reports_following, late)
+        self.rig = Rig(self.wire.host, self.settings, [self.axis], [self.profile])
+        self.rig.start()
+        prove(self.rig, PERIOD)
+        return report
+
+    def run(self, request: Request, until: Phase, torque: float = 0.0) -> None:
+        """Cycles until the supervisor is in a phase; raises AssertionError with its fault when it is not."""
+        for _ in range(MOST_CYCLES):
+            self.cycle(request, torque)
+            if self.supervisor.phase is until:
+                return
+        raise AssertionError(f"{self.supervisor.phase.value}: {self.supervisor.fault}")
+
+    def cycle(self, request: Request, torque: float = 0.0, cycles: int = 1) -> None:
+        rig = self.rig
+        assert rig is not None
+        for _ in range(cycles):
+            begin = rig.wait(self.wire.now + PERIOD)
+            rig.sync(begin)
+            rig.collect(begin + 0.8 * PERIOD)
+            controlword, permitted, _ = self.supervisor.update(rig.axes[0].image, begin, request)
+            rig.axes[0].command(controlword, torque if permitted else 0.0)
+            rig.heartbeat(begin)
+
+    def enable(self, torque: float = 0.0) -> None:
+        self.cycle(Request.DISABLE, cycles=3)
+        self.run(Request.ENABLE, Phase.ENABLED)
+        self.cycle(Request.ENABLE, torque, cycles=10)
+
+    def stop(self) -> list[str]:
+        """The orderly end; what was not confirmed."""
+        assert self.rig is not None
+        return shut_down(self.rig, PERIOD)
+
+    def wait(self, seconds: float) -> None:
+        """Nobody on the host's side does anything."""
+        self.wire.pass_until(self.wire.now + seconds)
