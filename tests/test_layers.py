@@ -55,7 +55,7 @@ ROOMS: dict[str, str] = {
     "drills": "errors version settings outputs system model bus safety control config daemon",
     "dashboard": "errors ipc",
     "tune": "errors version settings outputs system log model config ipc doctor identify",
-    "demo": "errors system log model bus.wire identify tune",
+    "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system log model bus config ipc daemon identify plant virtual "
         "doctor bench drills dashboard tune demo"

@@ -1,4 +1,4 @@
-"""The full circle: what may be hidden, how the gain is counted, and the whole of it on a vcan."""
+"""The full circle: what may be hidden, how the gain is counted, and the whole of it in virtual time."""
 
 from __future__ import annotations
 
@@ -61,13 +61,11 @@ def test_options_that_do_not_go_together_are_refused(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.vcan
-@pytest.mark.hil
 @pytest.mark.slow
-def test_a_hidden_effect_is_named_and_compensated(tmp_path: Path, vcan: str) -> None:
+def test_a_hidden_effect_is_named_and_compensated(tmp_path: Path) -> None:
     """Nothing of the plant's truth is told: the log of the nominal run names it, and the next run is better for it."""
     options = ("--full", "--hidden", "gravity_load", "--seed", "8", "--seconds", "10", "--rate", "500")
-    command = tsa("demo", *options, "--bus", vcan, "--out", str(tmp_path), "--json")
+    command = tsa("demo", *options, "--virtual", "--out", str(tmp_path), "--json")
     run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert run.returncode == 0, run.stderr
     data = json.loads(run.stdout)

@@ -9,18 +9,21 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tsa_ctrl.bus.wire.link import Interface
 from tsa_ctrl.cli import main
+from tsa_ctrl.cli.demo import LOADS
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo import bus_choice, rig
-from tsa_ctrl.demo.bus_choice import BusChoice, choose
-from tsa_ctrl.demo.motion import PERIOD, from_file, gait
+from tsa_ctrl.demo.bus_choice import VIRTUAL, BusChoice, choose
+from tsa_ctrl.demo.motion import PERIOD, from_file, gait, play_for
 from tsa_ctrl.demo.outcome import Course, Outcome
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.table import read_table
 from tsa_ctrl.plant.process import check as check_plant
 
 
@@ -145,17 +148,67 @@ def course(error: float) -> Course:
     t = np.arange(0.0, 10.0, 0.01)
     wanted = np.sin(t)
     cycles = {"planned": 10, "sent": 9, "late": 1, "missed_pdo": 2}
-    return Course(t, wanted, wanted + error, Path("x.mcap"), {"cycles": cycles})
+    return Course(t, wanted, wanted + error, Path("x.mcap"), {"cycles": cycles}, np.cos(t))
 
 
 def test_reduction_compares_the_rms_errors(tmp_path: Path) -> None:
-    outcome = Outcome("vcan0", course(0.5), course(0.1), tmp_path / "demo.png")
+    outcome = Outcome("vcan0", "imposed", course(0.5), course(0.1), tmp_path / "demo.png")
     assert outcome.reduction == pytest.approx(80.0)
     data = outcome.to_dict()
     assert data["cycles"] == {"planned": 20, "sent": 18, "late": 2, "missed_pdo": 4}
-    assert set(data) == {"schema", "bus", "rms", "reduction_percent", "picture", "log", "cycles"}
+    assert set(data) == {"schema", "bus", "load", "rms", "reduction_percent", "picture", "log", "cycles"}
     outcome.draw(PERIOD)
     assert outcome.picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_every_load_has_files_that_are_valid(tmp_path: Path, load: str) -> None:
+    rig.write(tmp_path, play_for(load), rig.plant(VIRTUAL, "distributed", load=load), {})
+    (axis,) = check_plant(tmp_path / "plant.toml").axis
+    assert axis.joint.load == load
+    assert np.abs(play_for(load).tau_j_des).max() < rig.MOST_TORQUE
+
+
+def demo(folder: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dict[str, Any]:
+    """The JSON of a demo in virtual time."""
+    with pytest.raises(SystemExit) as stop:
+        main(["demo", "--virtual", "--out", str(folder), "--json", *options])
+    assert stop.value.code == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_virtual_time_shows_what_compensation_gains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = demo(tmp_path, capsys, "--seconds", "5")
+    assert (data["bus"], data["load"]) == ("virtual time", "imposed")
+    assert data["reduction_percent"] >= 80.0
+    assert data["cycles"]["late"] == data["cycles"]["missed_pdo"] == 0
+    assert data["cycles"]["planned"] == data["cycles"]["sent"] > 10_000
+    assert Path(data["picture"]).read_bytes().startswith(b"\x89PNG")
+    assert Path(data["log"]).stat().st_size > 100_000
+
+
+def test_the_torque_of_a_demo_moves_the_joint_of_a_load_that_moves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The hand lifts the limb, whatever the torque; on other loads an uncompensated torque may move nothing."""
+    data = demo(tmp_path, capsys, "--load", "wearer", "--seconds", "5", "--rate", "500")
+    columns = read_table(Path(data["log"]), ("t", "q_j")).columns
+    assert np.ptp(columns["q_j"]) > 0.3
+    without = read_table(tmp_path / "without" / "tsa.mcap", ("t", "q_j")).columns
+    assert not np.array_equal(columns["q_j"], without["q_j"])
+
+
+@pytest.mark.parametrize("options", [["--bus", "vcan0"], ["--load", "limp"], ["--full", "--load", "limb"]])
+def test_what_virtual_time_and_loads_do_not_go_with_is_one_line(
+    options: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main(["demo", "--virtual", *options])
+    assert stop.value.code == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
 
 
 @pytest.mark.vcan

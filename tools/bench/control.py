@@ -65,7 +65,7 @@ def main() -> int:
     for label, change in TAKEN_AWAY.items():
         print(f"{label} ...", flush=True)
         tables = rig.plant(bus, arguments.tendon, change)
-        courses = compare(arguments.out, gait(), tables, controllers, arguments.seconds, lambda what, share: None)
+        courses = compare(arguments.out, bus, gait(), tables, controllers, arguments.seconds, lambda what, share: None)
         none, simple, full = (course.rms for course in courses.values())
         errors = (f"{1e3 * value:.1f}" for value in (none, simple, full))
         table.add_row(label, *errors, f"{100 * (1 - simple / none):.1f} %", f"{100 * (1 - full / none):.1f} %")

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from tsa_ctrl.demo.bus_choice import BusChoice
     from tsa_ctrl.demo.outcome import Outcome
 
-SECONDS = 11.0
+SECONDS = 11.0  # of a gait and of a sine; the hand of a wearer takes longer
+LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
 FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
 
 
@@ -26,11 +27,13 @@ FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
 @click.option(
     "--seconds",
     type=Finite(3.0, 3600.0),
-    help=f"Torque per run.  [default: {SECONDS:g}; with --full {FULL_SECONDS:g}]",
+    help=f"Torque per run.  [default: {SECONDS:g}; --load wearer 14; --full {FULL_SECONDS:g}]",
 )
 @click.option("--rate", default=1000.0, show_default=True, type=Finite(50.0, 4000.0), help="Of the loop, Hz.")
 @click.option("--bus", help="CAN interface, or INTERFACE:CHANNEL of python-can; default: the best there is.")
-@click.option("--tendon", type=click.Choice(["full", "distributed"]), default="full", show_default=True)
+@click.option("--virtual", is_flag=True, help="In virtual time: no bus, no rights, faster than real time.")
+@click.option("--load", type=click.Choice(LOADS), default="imposed", show_default=True, help="What the joint drives.")
+@click.option("--tendon", type=click.Choice(["full", "distributed"]), help="Of the plant.  [default: distributed]")
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for files, logs and picture; default: out/demo-DATE."
 )
@@ -43,7 +46,9 @@ def command(
     seconds: float | None,
     rate: float,
     bus: str | None,
-    tendon: str,
+    virtual: bool,
+    load: str,
+    tendon: str | None,
     out: Path | None,
     full: bool,
     seed: int,
@@ -52,31 +57,45 @@ def command(
 ) -> None:
     """Simulated drive and joint on a bus, the daemon, a set-point: what compensation gains.
 
+    An imposed joint follows a gait whatever its torque is; the others are held or move by the torque that arrives, so
+    that "without compensation" is a motion of its own.
+
     With --full: five runs on a plant with a hidden effect (without compensation, with the nominal, the calibrated, the
     extended and the true model), the models estimated from the nominal run's log.
     """
     if full:
-        if setpoint is not None or tendon != "full":
-            raise UsageError("demo: --full has a motion and tendons of its own; leave --setpoint and --tendon out")
-        _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, out, as_json)
+        if setpoint is not None or tendon is not None or load != "imposed":
+            raise UsageError(
+                "demo: --full has a motion and tendons of its own; leave --setpoint, --tendon and --load out"
+            )
+        _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, virtual, out, as_json)
         return
     if hidden:
         raise UsageError("demo: --hidden belongs to --full; give both")
     from tsa_ctrl.demo import rig  # the plant, the loop and the pictures: not loaded for a question
-    from tsa_ctrl.demo.bus_choice import choose
-    from tsa_ctrl.demo.motion import from_file, gait
+    from tsa_ctrl.demo.motion import from_file, play_for
     from tsa_ctrl.demo.run import demo
 
-    seconds = SECONDS if seconds is None else seconds
-    play = gait() if setpoint is None else from_file(setpoint, rig.MOST_TORQUE)
-    chosen = choose(bus, lambda line: click.echo(line, err=True))
+    play = play_for(load) if setpoint is None else from_file(setpoint, rig.MOST_TORQUE)
+    seconds = play.seconds if seconds is None else seconds
+    chosen = _bus(bus, virtual)
     folder = _folder(out)
     with _progress(chosen) as say:
-        outcome = demo(folder, chosen, play, seconds, rate, tendon, say)
+        outcome = demo(folder, chosen, play, seconds, rate, tendon or "distributed", say, load)
     if as_json:
         click.echo(json.dumps(outcome.to_dict(), allow_nan=False))
     else:
         _show(outcome)
+
+
+def _bus(asked: str | None, virtual: bool) -> BusChoice:
+    from tsa_ctrl.demo.bus_choice import VIRTUAL, choose
+
+    if not virtual:
+        return choose(asked, lambda line: click.echo(line, err=True))
+    if asked is not None:
+        raise UsageError(f"demo: --virtual with --bus {asked}: virtual time has no bus; leave one of them out")
+    return VIRTUAL
 
 
 @contextlib.contextmanager
@@ -93,15 +112,21 @@ def _progress(bus: BusChoice) -> Iterator[Callable[[str, float], None]]:
 
 
 def _full_circle(
-    seed: int, names: tuple[str, ...], seconds: float, rate: float, bus: str | None, out: Path | None, as_json: bool
+    seed: int,
+    names: tuple[str, ...],
+    seconds: float,
+    rate: float,
+    bus: str | None,
+    virtual: bool,
+    out: Path | None,
+    as_json: bool,
 ) -> None:
-    from tsa_ctrl.demo.bus_choice import choose
     from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
     from tsa_ctrl.demo.circle_report import show
     from tsa_ctrl.demo.hidden import draw
 
     hidden = draw(seed, names)
-    chosen = choose(bus, lambda line: click.echo(line, err=True))
+    chosen = _bus(bus, virtual)
     folder = _folder(out)
     with _progress(chosen) as say:
         found = circle(folder, chosen, hidden, seconds, rate, say)

@@ -12,14 +12,20 @@ from tsa_ctrl.errors import UsageError
 
 @dataclass(frozen=True)
 class BusChoice:
-    """An interface and channel of python-can; `name` is said to people."""
+    """An interface and channel of python-can, or virtual time; `name` is said to people."""
 
     interface: str
     channel: str
+    virtual: bool = False  # no bus at all; interface and channel are what the files name, to be run on one later
 
     @property
     def name(self) -> str:
+        if self.virtual:
+            return "virtual time"
         return self.channel if self.interface == "socketcan" else f"{self.interface} {self.channel}"
+
+
+VIRTUAL = BusChoice("socketcan", "vcan0", virtual=True)
 
 
 def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: None) -> BusChoice:

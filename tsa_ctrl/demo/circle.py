@@ -15,6 +15,7 @@ from typing import Any
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.hidden import Hidden, motion
+from tsa_ctrl.demo.stage import runs_on
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
@@ -22,7 +23,6 @@ from tsa_ctrl.identify.diagnosis.report.page import write
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, save_model
-from tsa_ctrl.system.processes import daemon, plant
 from tsa_ctrl.tune.run import Run, read_run
 
 STAGES = ("none", "nominal", "calibrated", "extended", "true")
@@ -83,8 +83,11 @@ def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: f
     save_model(hidden.truth(nominal), folder / "true.toml")
     runs: dict[str, Run] = {}
 
+    run = runs_on(bus)
+
     def play(stage: str) -> None:
-        runs[stage] = _play(folder, stage, seconds, lambda share: say(stage, (STAGES.index(stage) + share) / 5.0))
+        summary = run(folder, stage, seconds, lambda share: say(stage, (STAGES.index(stage) + share) / 5.0))
+        runs[stage] = _read(folder, stage, seconds, summary)
 
     play("none")
     play("nominal")
@@ -103,9 +106,7 @@ def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: f
     return Circle(bus.name, hidden, diagnosis, runs, notes)
 
 
-def _play(folder: Path, stage: str, seconds: float, tick: Callable[[float], None]) -> Run:
-    with plant(folder):
-        summary = daemon(folder, stage, seconds, tick)
+def _read(folder: Path, stage: str, seconds: float, summary: dict[str, Any]) -> Run:
     if summary["log"] is None or summary["failed"]:
         raise BusError(f"demo: the run '{stage}' failed: {summary['cause']}")
     log = (folder / str(summary["log"])).rename(folder / f"{stage}.mcap")

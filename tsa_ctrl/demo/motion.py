@@ -16,6 +16,7 @@ FloatArray = NDArray[np.float64]
 
 PERIOD = 1.6  # s of one gait cycle
 RATE = 200.0  # Hz of the built-in tables
+SINE_PERIOD, SINE_TORQUE = 2.0, 0.5  # s, N*m: what no load answers with more than it may move
 # Typical level walking over one cycle, of the literature: knee flexion in degrees, and an assisting torque in N*m as a
 # small actuator gives it. Fraction of the cycle, value.
 KNEE_ANGLE = (
@@ -30,11 +31,13 @@ KNEE_TORQUE = (
 
 @dataclass(frozen=True)
 class Play:
-    """`t` (n) in s from 0; `tau_j_des` (n) in N*m; `q_j` (n) in rad. Repeats."""
+    """`t` (n) in s from 0; `tau_j_des` (n) in N*m; `q_j` (n) in rad, of an imposed joint. Repeats."""
 
     t: FloatArray
     tau_j_des: FloatArray
     q_j: FloatArray
+    seconds: float = 11.0  # of torque that show it
+    shown: float = 3.2  # s of it in the picture
 
     def write_setpoint(self, path: Path) -> None:
         """CSV as the controller's set-point file."""
@@ -53,6 +56,17 @@ def gait() -> Play:
     """One cycle of the built-in gait."""
     t = np.arange(0.0, PERIOD + 0.5 / RATE, 1.0 / RATE)
     return Play(t, _cycle(KNEE_TORQUE)(t / PERIOD % 1.0), np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)))
+
+
+def play_for(load: str) -> Play:
+    """What is played on a joint with this load: the gait, and a sine where the torque moves the joint."""
+    if load in ("imposed", "held"):
+        return gait()
+    t = np.arange(0.0, SINE_PERIOD + 0.5 / RATE, 1.0 / RATE)
+    wanted = SINE_TORQUE * np.sin(2.0 * np.pi * t / SINE_PERIOD)
+    if load == "wearer":  # its hand's script takes 12 s
+        return Play(t, wanted, np.zeros_like(t), seconds=14.0, shown=12.0)
+    return Play(t, wanted, np.zeros_like(t), shown=2.0 * SINE_PERIOD)
 
 
 def _cycle(points: tuple[tuple[float, float], ...]) -> CubicSpline:
@@ -74,4 +88,5 @@ def from_file(path: Path, most_torque: float) -> Play:
             f"{most_torque:.2g} N*m; scale the file down"
         )
     angle = table.columns.get("q_j")
-    return Play(t, wanted, np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)) if angle is None else angle)
+    angle = np.radians(_cycle(KNEE_ANGLE)(t / PERIOD % 1.0)) if angle is None else angle
+    return Play(t, wanted, angle, shown=min(12.0, 2.0 * float(t[-1])))

@@ -18,7 +18,6 @@ FloatArray = NDArray[np.float64]
 
 LEAST_CYCLES = 100  # with torque
 STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
-SHOWN = 2  # repetitions of the motion in the picture
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,7 @@ class Course:
     delivered: FloatArray
     log: Path
     summary: dict[str, Any]
+    angle: FloatArray  # of the joint, (n) in rad
 
     @property
     def error(self) -> FloatArray:
@@ -47,7 +47,7 @@ def read_course(folder: Path, summary: dict[str, Any], seconds: float) -> Course
     """
     log = folder / str(summary["log"])
     columns = read_table(
-        log, ("t", "tau_j_des", "tau_m_cmd", "tau_j")
+        log, ("t", "tau_j_des", "tau_m_cmd", "tau_j", "q_j")
     ).columns  # cycles that were lost are just not there
     wanted, t = columns["tau_j_des"], columns["t"]
     active = np.flatnonzero((wanted != 0.0) | (columns["tau_m_cmd"] != 0.0))
@@ -55,14 +55,16 @@ def read_course(folder: Path, summary: dict[str, Any], seconds: float) -> Course
         raise BusError(f"demo: {log.name} holds no torque; {summary['cause']}")
     enabled = t[active[0]]
     chosen = (t >= enabled + FADE_IN) & (t <= enabled + seconds - STOP_MARGIN) & np.isfinite(columns["tau_j"])
-    return Course(t[chosen] - enabled, wanted[chosen], columns["tau_j"][chosen], log, summary)
+    torque, angle = columns["tau_j"][chosen], columns["q_j"][chosen]
+    return Course(t[chosen] - enabled, wanted[chosen], torque, log, summary, angle)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The run without and the run with compensation on the same motion."""
+    """The run without and the run with compensation; on the same motion, where that is imposed."""
 
     bus: str
+    load: str
     without: Course
     compensated: Course
     picture: Path
@@ -78,6 +80,7 @@ class Outcome:
         return {
             "schema": 1,
             "bus": self.bus,
+            "load": self.load,
             "rms": {
                 "wanted": float(np.sqrt(np.mean(np.square(self.compensated.wanted)))),
                 "without": self.without.rms,
@@ -90,30 +93,36 @@ class Outcome:
             "cycles": {key: sum(c[key] for c in cycles) for key in ("planned", "sent", "late", "missed_pdo")},
         }
 
-    def draw(self, period: float) -> None:
-        """Write the picture: wanted and delivered torque over some repetitions of the motion, and the errors."""
-        figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-        torque, error = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
-        first = float(np.ceil(self.compensated.t[0] / period) * period)
-        torque.plot(*_window(self.compensated.t, self.compensated.wanted, first, period), "k", lw=2.2, label="wanted")
+    def draw(self, seconds: float) -> None:
+        """Write the picture: wanted and delivered torque, the errors, and the joint's motion, over some seconds."""
+        figure = Figure(figsize=(9.0, 7.5), layout="constrained")
+        torque, error, motion = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
+        first = self.compensated.t[0]
+        wanted = self.compensated
+        torque.plot(*_window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="wanted")
         for run, colour, label in (
             (self.without, "tab:red", "without compensation"),
             (self.compensated, "tab:blue", "with compensation"),
         ):
-            torque.plot(*_window(run.t, run.delivered, first, period), colour, lw=1.0, label=f"delivered {label}")
+            torque.plot(*_window(run.t, run.delivered, first, seconds), colour, lw=1.0, label=f"delivered {label}")
             shown = f"{label}: RMS {1e3 * run.rms:.0f} mN·m"
-            error.plot(*_window(run.t, run.error, first, period), colour, lw=1.0, label=shown)
+            error.plot(*_window(run.t, run.error, first, seconds), colour, lw=1.0, label=shown)
+            motion.plot(*_window(run.t, run.angle, first, seconds), colour, lw=1.2, label=label)
         torque.set_ylabel("joint torque (N·m)")
         error.set_ylabel("error (N·m)")
-        error.set_xlabel("time since torque was enabled (s)")
+        motion.set_ylabel("joint angle (rad)")
+        motion.set_xlabel("time since torque was enabled (s)")
         error.axhline(0.0, color="k", lw=0.5)
-        for axes in (torque, error):
+        for axes in (torque, error, motion):
             axes.grid(alpha=0.3)
             axes.legend(loc="upper right", fontsize=8)
-        torque.set_title(f"Feedforward compensation of tendon-sheath friction: error reduced by {self.reduction:.1f} %")
+        torque.set_title(
+            f"Feedforward compensation of tendon-sheath friction, load: {self.load}. "
+            f"Error reduced by {self.reduction:.1f} %"
+        )
         figure.savefig(self.picture, dpi=130)
 
 
-def _window(t: FloatArray, y: FloatArray, first: float, period: float) -> tuple[FloatArray, FloatArray]:
-    chosen = (t >= first) & (t <= first + SHOWN * period)
+def _window(t: FloatArray, y: FloatArray, first: float, seconds: float) -> tuple[FloatArray, FloatArray]:
+    chosen = (t >= first) & (t <= first + seconds)
     return t[chosen], y[chosen]

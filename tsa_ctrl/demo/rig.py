@@ -32,13 +32,16 @@ TRUTH = {"friction_coefficient": 1.08, "pretension": 0.95, "axial_stiffness": 0.
 Tables = dict[str, Any]
 
 
-def plant(bus: BusChoice, tendon: str, axis: Mapping[str, Mapping[str, Any]] | None = None) -> Tables:
+def plant(
+    bus: BusChoice, tendon: str, axis: Mapping[str, Mapping[str, Any]] | None = None, load: str = "imposed"
+) -> Tables:
     """The plant's configuration; `tendon` is its kind, `axis` changes or adds tables of its one axis."""
     tables: Tables = {
         "name": "joint",
         "actuator": "nominal.toml",
         "perturbation": dict(TRUTH),
         "tendon": {"kind": tendon, "curvature": "uniform"},
+        "joint": {"load": load},
         "motion": {"kind": "file", "file": "motion.csv", "repeat": True},
     }
     for name, values in (axis or {}).items():

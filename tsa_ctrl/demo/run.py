@@ -10,31 +10,41 @@ from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.demo.outcome import Course, Outcome, read_course
-from tsa_ctrl.system.processes import daemon, plant
+from tsa_ctrl.demo.stage import runs_on
 
 COMPENSATION = 0.95
 
 Progress = Callable[[str, float], None]
 
 
-def demo(folder: Path, bus: BusChoice, play: Play, seconds: float, rate: float, tendon: str, say: Progress) -> Outcome:
+def demo(
+    folder: Path,
+    bus: BusChoice,
+    play: Play,
+    seconds: float,
+    rate: float,
+    tendon: str,
+    say: Progress,
+    load: str = "imposed",
+) -> Outcome:
     """Run both and measure; everything is left in `folder`. `say(what, share)` reports progress.
 
-    `seconds` of torque per run; `rate` of the loop in Hz; `tendon` is the plant's kind ("full" or "distributed").
-    Raises BusError when plant or daemon fail.
+    `seconds` of torque per run; `rate` of the loop in Hz; `tendon` is the plant's kind ("full" or "distributed") and
+    `load` what the joint drives. Raises BusError when plant or daemon fail.
     """
     controllers = {
         name: rig.controller(bus, name, rate, "nominal.toml", compensation)
         for name, compensation in (("without", 0.0), ("with", COMPENSATION))
     }
-    courses = compare(folder, play, rig.plant(bus, tendon), controllers, seconds, say)
-    outcome = Outcome(bus.name, courses["without"], courses["with"], folder / "demo.png")
-    outcome.draw(float(play.t[-1]))
+    courses = compare(folder, bus, play, rig.plant(bus, tendon, load=load), controllers, seconds, say)
+    outcome = Outcome(bus.name, load, courses["without"], courses["with"], folder / "demo.png")
+    outcome.draw(play.shown)
     return outcome
 
 
 def compare(
     folder: Path,
+    bus: BusChoice,
     play: Play,
     plant_tables: rig.Tables,
     controllers: Mapping[str, rig.Tables],
@@ -43,11 +53,11 @@ def compare(
 ) -> dict[str, Course]:
     """Each controller for `seconds` on a plant that starts anew, with the same motion; their courses by name."""
     rig.write(folder, play, plant_tables, controllers)
+    run = runs_on(bus)
     courses = {}
     for number, name in enumerate(controllers):
         say(f"{name} compensation: starting the plant", number / len(controllers))
-        with plant(folder):
-            summary = daemon(folder, name, seconds, partial(_tick, say, name, number, len(controllers)))
+        summary = run(folder, name, seconds, partial(_tick, say, name, number, len(controllers)))
         courses[name] = read_course(folder, summary, seconds)
     return courses
 
