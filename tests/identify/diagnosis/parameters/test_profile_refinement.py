@@ -20,7 +20,7 @@ def test_a_step_that_the_rest_of_the_model_cannot_follow_is_not_taken(monkeypatc
         seen.append((problem, reported))
         return reported
 
-    monkeypatch.setattr(pipeline, "sharpened", keep)
+    monkeypatch.setattr(pipeline, "profile_refined", keep)
     diagnosed("single", "presliding_hysteresis", 9005)
     problem, reported = seen[0]
     monkeypatch.setattr(
