@@ -292,13 +292,6 @@ def test_a_bad_file_is_one_line(tmp_path: Path, name: str, content: bytes | None
         load_log(tmp_path / name)
 
 
-def test_parquet_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pq.write_table(pa.table(columns()), tmp_path / "a.parquet")
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(UsageError, match="needs pyarrow; install it"):
-        load_log(tmp_path / "a.parquet")
-
-
 def test_columns_of_different_length_are_refused() -> None:
     with pytest.raises(UsageError, match="give columns of one length"):
         Dataset.from_arrays({"t": T, "tau_m": T[:-1], "omega_j": T})

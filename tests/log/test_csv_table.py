@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log import csv_table
 from tsa_ctrl.log.csv_table import read_csv
 
 PLAIN = "t,tau_m\n0,1.5\n0.001,-2.5\n"
@@ -118,20 +118,40 @@ def test_an_empty_field_is_nan(tmp_path: Path) -> None:
     assert np.isnan(columns["tau_m"][0])
 
 
+def test_more_than_one_column_may_have_no_name(tmp_path: Path) -> None:
+    """As spreadsheets leave them behind."""
+    columns, _, _ = read_csv(written(tmp_path, "t,,tau_m,\n0,,1.5,\n"))
+    assert (columns["t"].tolist(), columns["tau_m"].tolist()) == ([0.0], [1.5])
+
+
+def test_a_column_may_be_changed_by_who_reads_it(tmp_path: Path) -> None:
+    columns, _, _ = read_csv(written(tmp_path, PLAIN))
+    columns["tau_m"] *= 2.0
+    assert columns["tau_m"].tolist() == [3.0, -5.0]
+
+
+def test_a_column_may_turn_from_numbers_to_text_late(tmp_path: Path) -> None:
+    """Nobody asked for it: it is left out, however many numbers came first."""
+    columns, left_out, _ = read_csv(written(tmp_path, "t,note\n" + "0,1\n" * 300_000 + "1,late\n"))
+    assert (list(columns), left_out, len(columns["t"])) == (["t"], ["note"], 300_001)
+
+
 @given(
     table=hnp.arrays(np.float64, st.tuples(st.integers(1, 40), st.integers(1, 4)), elements=st.floats(allow_nan=False)),
-    block=st.integers(1, 300),
+    text=st.sampled_from([repr, "{:.17g}".format, "{:+.16e}".format, " {} ".format]),
 )
-def test_the_size_of_the_blocks_read_does_not_show(
-    tmp_path_factory: pytest.TempPathFactory, table: np.ndarray, block: int
+def test_every_number_reads_back_as_float_does(
+    tmp_path_factory: pytest.TempPathFactory, table: np.ndarray, text: Callable[[float], str]
 ) -> None:
     names = ["a", "b", "c", "d"][: table.shape[1]]
-    text = ",".join(names) + "\n" + "".join(",".join(map(repr, row)) + "\n" for row in table.tolist())
-    path = written(tmp_path_factory.mktemp("csv"), text)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(csv_table, "BLOCK", max(block, len(names) * 2 + 2))
-        patch.setattr(csv_table, "ROWS", 7)
-        patch.setattr(csv_table, "ODD", 5)
-        columns, _, _ = read_csv(path)
+    lines = [",".join(names), *(",".join(map(text, row)) for row in table.tolist())]
+    columns, _, _ = read_csv(written(tmp_path_factory.mktemp("csv"), "\n".join(lines) + "\n"), names)
     for i, name in enumerate(names):
         np.testing.assert_array_equal(columns[name], table[:, i])
+
+
+@pytest.mark.parametrize("entry", ["9007199254740993", "2.2250738585072011e-308", "1e400", "+.5", "1.", "nan", "-0.0"])
+def test_odd_numbers_read_as_float_reads_them(tmp_path: Path, entry: str) -> None:
+    """Halfway between two doubles, subnormal, too large, without digits on one side of the point."""
+    columns, _, _ = read_csv(written(tmp_path, f"t,tau_m\n0,{entry}\n"))
+    assert repr(columns["tau_m"][0].item()) == repr(float(entry))

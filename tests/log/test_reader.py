@@ -16,8 +16,9 @@ from mcap.writer import Writer
 from tests.log.logs import HEADER, records, write_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import McapFile
-from tsa_ctrl.log.reader import LogFile, read_axis
+from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.record import FIELD_NAMES
+from tsa_ctrl.log.table import read_table
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def test_a_whole_log_is_complete(log: Path) -> None:
 
 
 def test_a_table_of_an_axis_has_no_empty_columns(log: Path) -> None:
-    assert list(read_axis(log, "hip").columns) == ["t", "tau_m", "omega_j", "cycle", "state"]
+    assert list(read_table(f"{log}:hip").columns) == ["t", "tau_m", "omega_j", "cycle", "state"]
 
 
 @given(kept=st.floats(0.0, 1.0))
@@ -140,7 +141,7 @@ def test_a_flipped_bit_anywhere_is_at_most_one_line(
     bad = tmp_path_factory.mktemp("bad") / "bad.mcap"
     bad.write_bytes(data)
     with contextlib.suppress(UsageError):
-        read_axis(bad, "hip")
+        read_table(f"{bad}:hip")
 
 
 @pytest.mark.parametrize(
@@ -149,7 +150,7 @@ def test_a_flipped_bit_anywhere_is_at_most_one_line(
 )
 def test_several_axes_want_a_name(log: Path, axis: str | None, said: str) -> None:
     with pytest.raises(UsageError, match=said):
-        read_axis(log, axis)
+        read_table(f"{log}:{axis}" if axis else log)
 
 
 @pytest.mark.parametrize(("content", "said"), [(b"", "is empty"), (b"t,tau_m\n", "is no MCAP file")])

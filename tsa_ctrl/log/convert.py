@@ -146,14 +146,9 @@ class _Parquet:
     """One row group per block; codes as text."""
 
     def __init__(self, path: Path, source: _Source) -> None:
-        try:
-            import pyarrow as pa
-            import pyarrow.parquet as pq
-        except ImportError:
-            raise UsageError(
-                f"{path.name[1:-5]}: writing Parquet needs pyarrow; install it (pip install 'tsa-ctrl[parquet]') or "
-                "write CSV"
-            ) from None
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
         self._pa: Any = pa
         self._source = source
         fields = [(name, pa.string() if name in source.codes else pa.float64()) for name in source.names]

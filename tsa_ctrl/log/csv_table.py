@@ -1,28 +1,32 @@
-"""CSV files of any size to columns of doubles: read in blocks, checked line by line, with errors that name the place.
+"""CSV files of any size to columns of doubles, with errors that name the place.
 
 Comma, semicolon and tab part the fields; a byte-order mark, Windows line ends, quotes, spaces and `#` lines above the
-header are accepted. A decimal comma is not: a number must read the same everywhere.
+header are accepted. A decimal comma is not: a number must read the same everywhere. pyarrow parts the lines and reads
+the numbers (each as `float()` would); here is what it accepts and a log may not have, and the place of what it refuses.
+
+It is pyarrow by measurement, 400,000 rows of 10 numbers: 0.48 s of one processor; pandas 0.24, polars 0.2, numpy's
+loadtxt 1.3, the csv module and float() 3.0, a reader of our own in numba 0.33 and 0.8 s more at its first use. pandas
+and polars take a row that is too short, numpy no empty field; pyarrow refuses both kinds and says where.
 """
 
 from __future__ import annotations
 
 import gzip
+import re
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log import numbers
 from tsa_ctrl.log.columns import SIGNAL_NAMES
 
-BLOCK = 1 << 22  # bytes read at once
-ROWS = 1 << 16  # lines parsed at once
-ODD = 1 << 14  # entries that are no plain numbers handled at once
+HEAD = 1 << 16  # bytes in which the header is looked for
 DELIMITERS = ",;\t"
+_NO_NUMBER = re.compile(r"In CSV column #(\d+): Row #(\d+): .* invalid value '(.*)'$", re.DOTALL)  # as pyarrow says it
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -35,100 +39,101 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
     """
     try:
         with _open(path) as stream:
-            return _read(path, stream, wanted)
+            head = stream.read(HEAD)
+        names, delimiter, above = _header(path, head)
+        with _open(path) as stream:
+            return _read(path, stream, names, delimiter, above, wanted)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
 
 
 def _open(path: Path) -> BinaryIO | gzip.GzipFile:
-    if path.suffix.lower() == ".gz":
-        return gzip.GzipFile(path, "rb")
-    return path.open("rb")
+    return gzip.GzipFile(path, "rb") if path.suffix.lower() == ".gz" else path.open("rb")
 
 
 def _read(
-    path: Path, stream: BinaryIO | gzip.GzipFile, wanted: Collection[str] | None
+    path: Path,
+    stream: BinaryIO | gzip.GzipFile,
+    names: list[str],
+    delimiter: str,
+    above: int,
+    wanted: Collection[str] | None,
 ) -> tuple[Columns, list[str], int]:
-    names, delimiter, above, rest = _header(path, stream)
-    kept = [name for name in names if wanted is None or name in wanted]
-    target = np.array([kept.index(name) if name in kept else -1 for name in names], dtype=np.int64)
-    columns = [_Growing() for _ in kept]
-    texts: dict[int, tuple[int, str]] = {}  # the first entry that is no number, per column
-    out = np.empty((max(1, len(kept)), ROWS))
-    odd = np.empty((max(ODD, len(names)), 4), dtype=np.int64)
-    rows = 0
-    for block in _lines(rest, stream):
-        text = np.frombuffer(block, dtype=np.uint8)
-        position = 0
-        while position < len(text):
-            done, position, odds, outcome, found = numbers.parse(
-                text, position, len(text), ord(delimiter), target, out, odd
-            )
-            for row, column, begin, end in odd[:odds].tolist():
-                token = block[begin:end]
-                try:
-                    out[column, row] = _odd_number(token)
-                except ValueError:
-                    texts.setdefault(column, (rows + row + 1, token.decode("utf-8", "replace")))
-            for growing, values in zip(columns, out, strict=False):
-                growing.extend(values[:done])
-            rows += done
-            if outcome == numbers.BLANK_LINE and not block[position:].strip() and not stream.read(1 << 16).strip():
-                position = len(text)
-            elif outcome != numbers.OK:
-                raise UsageError(f"{path}: row {rows + 1} (line {rows + 1 + above}) " + _wrong(outcome, found, names))
-    for column, (row, entry) in texts.items():
-        if wanted is not None or kept[column] in SIGNAL_NAMES:
-            raise UsageError(
-                f"{path}: column {kept[column]}, row {row} (line {row + above}): found '{entry[:40]}' where a number "
-                f"is needed{_comma_hint(entry)}; correct it"
-            )
-    whole = {name: columns[i].whole() for i, name in enumerate(kept) if i not in texts}
-    return whole, [name for name in names if name not in whole], above
+    import pyarrow as pa
+    from pyarrow import csv
+
+    kept = [place for place, name in enumerate(names) if wanted is None or name in wanted]  # names may be empty
+    numeric = [str(place) for place in kept if wanted is not None or names[place] in SIGNAL_NAMES]
+    refused: list[str] = []
+
+    def wrong_length(row: Any) -> str:
+        if not row.text.strip():
+            return "skip"
+        hint = " (a decimal comma: only the point is allowed)" if row.actual_columns >= 2 * len(names) - 1 else ""
+        place = f"row {row.number - above} (line {row.number})"
+        found = f"{place} has {row.actual_columns} fields where the header has {len(names)}{hint}"
+        refused.append(f"{path}: {found}; correct or remove it")
+        return "error"
+
+    try:
+        table: Any = csv.read_csv(
+            stream,
+            csv.ReadOptions(use_threads=False, skip_rows=above, column_names=[str(i) for i in range(len(names))]),
+            csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False, invalid_row_handler=wrong_length),
+            csv.ConvertOptions(
+                column_types=dict.fromkeys(numeric, pa.float64()),
+                null_values=[""],
+                include_columns=[str(place) for place in kept],
+            ),
+        )
+    except pa.ArrowInvalid as error:
+        raise UsageError(refused[0] if refused else _no_number(path, str(error), names, above)) from None
+    rows = _last(path, table, above)
+    columns: Columns = {}
+    for place, column in zip(kept, table.columns, strict=True):
+        if pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_null(column.type):
+            values = column.slice(0, rows).cast(pa.float64(), safe=False).to_numpy()
+            columns[names[place]] = np.require(values, requirements="W")
+    return columns, [name for name in names if name not in columns], above
 
 
-class _Growing:
-    """One column that grows in place, so that a file of gigabytes is in memory once."""
-
-    def __init__(self) -> None:
-        self._values = np.empty(ROWS)
-        self._length = 0
-
-    def extend(self, values: NDArray[np.float64]) -> None:
-        end = self._length + len(values)
-        if end > len(self._values):
-            self._values.resize(max(end, len(self._values) * 5 // 4), refcheck=False)
-        self._values[self._length : end] = values
-        self._length = end
-
-    def whole(self) -> NDArray[np.float64]:
-        """The column; nothing may be added afterwards."""
-        self._values.resize(self._length, refcheck=False)
-        return self._values
+def _last(path: Path, table: Any, above: int) -> int:
+    """Number of rows without the empty ones at the end; raises UsageError for an empty one before others."""
+    rows: int = table.num_rows
+    if not table.num_columns or not all(column.null_count for column in table.columns):
+        return rows
+    empty = np.logical_and.reduce([column.is_null().to_numpy() for column in table.columns])
+    if not empty.any():
+        return rows
+    first = int(np.argmax(empty))
+    if not empty[first:].all():
+        raise UsageError(
+            f"{path}: row {first + 1} (line {first + 1 + above}) is empty; a log has no holes: remove the line or cut "
+            "the file there"
+        )
+    return first
 
 
-def _lines(rest: bytes, stream: BinaryIO | gzip.GzipFile) -> Iterator[bytes]:
-    """Blocks of whole lines."""
-    while chunk := stream.read(BLOCK):
-        cut = chunk.rfind(b"\n") + 1
-        if cut == 0:
-            rest += chunk
-            continue
-        yield rest + chunk[:cut]
-        rest = chunk[cut:]
-    if rest.strip():
-        yield rest
+def _no_number(path: Path, said: str, names: list[str], above: int) -> str:
+    found = _NO_NUMBER.match(said)
+    if found is None:
+        return f"{path}: is no table of numbers ({' '.join(said.split())}); write it again"
+    column, line, entry = names[int(found[1])], int(found[2]), found[3]
+    hint = " (a decimal comma: only the point is allowed)" if "," in entry and _is_number(entry) else ""
+    return (
+        f"{path}: column {column}, row {line - above} (line {line}): found '{entry[:40]}' where a number is needed"
+        f"{hint}; correct it"
+    )
 
 
-def _header(path: Path, stream: BinaryIO | gzip.GzipFile) -> tuple[list[str], str, int, bytes]:
-    """Names, delimiter, number of lines down to the header, and the bytes read beyond it."""
-    head = stream.read(BLOCK)
+def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
+    """Names, delimiter, and number of lines down to the header."""
     if not head.strip():
         raise UsageError(f"{path}: is empty; give a log with a header row and at least two rows")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise UsageError(f"{path}: is UTF-16 text; save it as UTF-8")
-    if b"\0" in head[:4096]:
+    if b"\0" in head:
         raise UsageError(f"{path}: is not text; give CSV, CSV.gz, Parquet or MCAP (by the file's ending)")
     head = head.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in head and b"\n" not in head:
@@ -148,15 +153,7 @@ def _header(path: Path, stream: BinaryIO | gzip.GzipFile) -> tuple[list[str], st
     twice = next((name for name in names if name and names.count(name) > 1), None)
     if twice is not None:
         raise UsageError(f"{path}: column {twice} stands twice in the header; rename or remove one")
-    return names, delimiter, above, head
-
-
-def _odd_number(token: bytes) -> float:
-    if not token:
-        return float("nan")
-    if b"_" in token:  # float() takes 1_000
-        raise ValueError(token)
-    return float(token)
+    return names, delimiter, above
 
 
 def _is_number(text: str) -> bool:
@@ -165,14 +162,3 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _comma_hint(token: str) -> str:
-    return " (a decimal comma: only the point is allowed)" if "," in token and _is_number(token) else ""
-
-
-def _wrong(outcome: int, found: int, names: list[str]) -> str:
-    if outcome == numbers.BLANK_LINE:
-        return "is empty; a log has no holes: remove the line or cut the file there"
-    hint = " (a decimal comma: only the point is allowed)" if found >= 2 * len(names) - 1 else ""
-    return f"has {found} fields where the header has {len(names)}{hint}; correct or remove it"

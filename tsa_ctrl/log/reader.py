@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME
 from tsa_ctrl.log.note import Note
-from tsa_ctrl.log.table import Table
 
 _DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage
 _PREFIX = 9  # bytes of opcode and length before the content of a record
@@ -177,23 +176,6 @@ class LogFile:
         self.about = dict(record.metadata)
         for key in ("axes", "fields", "units", "codes", "rate"):
             self.about[key] = json.loads(self.about[key])
-
-
-def read_axis(path: Path, axis: str | None, wanted: Collection[str] | None = None) -> Table:
-    """One axis of a log, `wanted` fields only. Raises UsageError when several are there and none is named."""
-    log = LogFile(path)
-    listed = ", ".join(log.axes)
-    if axis is None and len(log.axes) > 1:
-        raise UsageError(f"{path}: holds the axes {listed}; name one as {path}:{log.axes[0]}")
-    if axis is not None and axis not in log.axes:
-        raise UsageError(f"{path}: holds no axis '{axis}'; it holds {listed}")
-    axis = axis or log.axes[0]
-    kept = [name for name in log.fields if wanted is None or name in wanted]
-    columns = log.columns(axis, kept)
-    columns = {name: values for name, values in columns.items() if name == "t" or not np.isnan(values).all()}
-    label = str(path) if len(log.axes) == 1 else f"{path}:{axis}"
-    left_out = tuple(name for name in log.fields if name not in kept)
-    return Table(label, columns, left_out, axis=axis, recorded=True)
 
 
 def _notes(data: bytes) -> list[Note]:

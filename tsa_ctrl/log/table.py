@@ -89,9 +89,7 @@ def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table
     check_readable(file)
     kind = kind_of(file)
     if kind == ".mcap":
-        from tsa_ctrl.log.reader import read_axis
-
-        return read_axis(file, axis, wanted)
+        return _read_log(file, axis, wanted)
     if kind == ".parquet":
         return _read_parquet(file, wanted)
     columns, left_out, above = read_csv(file, wanted)
@@ -99,14 +97,29 @@ def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table
     return Table(str(file), columns, tuple(left_out), above, recorded=recorded)
 
 
+def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> Table:
+    """One axis of the daemon's own log; without the fields that it never had."""
+    from tsa_ctrl.log.reader import LogFile
+
+    log = LogFile(path)
+    listed = ", ".join(log.axes)
+    if axis is None and len(log.axes) > 1:
+        raise UsageError(f"{path}: holds the axes {listed}; name one as {path}:{log.axes[0]}")
+    if axis is not None and axis not in log.axes:
+        raise UsageError(f"{path}: holds no axis '{axis}'; it holds {listed}")
+    axis = axis or log.axes[0]
+    kept = [name for name in log.fields if wanted is None or name in wanted]
+    columns = log.columns(axis, kept)
+    columns = {name: values for name, values in columns.items() if name == "t" or not np.isnan(values).all()}
+    label = str(path) if len(log.axes) == 1 else f"{path}:{axis}"
+    left_out = tuple(name for name in log.fields if name not in kept)
+    return Table(label, columns, left_out, axis=axis, recorded=True)
+
+
 def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ImportError:
-        raise UsageError(
-            f"{path}: reading Parquet needs pyarrow; install it (pip install 'tsa-ctrl[parquet]') or give CSV"
-        ) from None
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         with pq.ParquetFile(path) as file:
             schema = file.schema_arrow
