@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.drives.rig import Foreign, refused
+from tests.drives.rig import PERIOD, Foreign, refused
+from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile, Identity
 
 RPDO, NMT, SYNC, HEARTBEAT = 0x201, 0x000, 0x080, 0x77F
@@ -274,3 +275,27 @@ def test_nothing_is_ever_stored_in_the_drive(tmp_path: Path) -> None:
     foreign.stop()
     assert foreign.node.storage.saves == 0
     assert not [data for can_id, data in foreign.sent(0x601) if data[1:3] in (b"\x10\x10", b"\x11\x10")]
+
+
+def test_what_the_start_waits_for_is_told(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path)
+    stages: list[str] = []
+    bring_up(foreign.wire.host, foreign.settings, [foreign.axis], [foreign.profile], PERIOD, tell=stages.append)
+    assert stages == [
+        "listening for another master on the bus",
+        "asking axis 'knee' drive node 1 who it is",
+        "waiting for the boot-up of axis 'knee' drive node 1, 3 s at most",
+        "configuring axis 'knee' drive node 1",
+        "waiting for axis 'knee' drive node 1 to become operational",
+    ]
+
+
+def test_a_fault_found_at_the_start_says_what_becomes_of_it(tmp_path: Path) -> None:
+    for resets, words in ((False, "must be reset before it can enable: --reset-faults"), (True, "it is reset now")):
+        foreign = Foreign(tmp_path)
+        foreign.drive.fault(0x2310)
+        foreign.wait(0.1)
+        report = bring_up(
+            foreign.wire.host, foreign.settings, [foreign.axis], [foreign.profile], PERIOD, resets_later=resets
+        )
+        assert [note for note in report.nodes[0].notes if note.startswith("in fault: error 0x2310") and words in note]

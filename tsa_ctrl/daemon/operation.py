@@ -38,8 +38,11 @@ class Operation:
         say: Say = lambda line: None,
         no_loop: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
         configured: bool = False,
+        tell: Callable[[str], None] = lambda stage: None,
     ) -> None:
-        """`no_loop` surrounds a new bring-up; `configured`: nothing is written to the nodes, see `daemon.run`."""
+        """`no_loop` surrounds a new bring-up; `configured`: nothing is written to the nodes, see `daemon.run`; `tell`
+        gets what a bring-up waits for, in words, and nothing when it is over.
+        """
         self.unconfirmed: list[str] = []
         self._configuration = configuration
         self._rig = rig
@@ -48,6 +51,7 @@ class Operation:
         self._say = say
         self._no_loop = no_loop
         self._configured = configured
+        self._tell = tell
 
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
         """Bring up, run, bring up again when asked to; then descend, whatever happened.
@@ -57,8 +61,7 @@ class Operation:
         period = self._configuration.period
         try:
             self._bring_up(reset_faults)
-            if not self._configured:
-                prove(self._rig, period)
+            self._prove(period)
             ready()
             try:
                 self._loop.run(seconds)
@@ -77,18 +80,30 @@ class Operation:
         file = configuration.file
         self._rig.stand_off()
         if not self._configured:
-            report = bring_up(
-                self._rig.bus,
-                file.bus,
-                file.axes,
-                configuration.profiles,
-                configuration.period,
-                reset_faults,
-                resets_later,
-            )
+            try:
+                report = bring_up(
+                    self._rig.bus,
+                    file.bus,
+                    file.axes,
+                    configuration.profiles,
+                    configuration.period,
+                    reset_faults,
+                    resets_later,
+                    self._tell,
+                )
+            finally:
+                self._tell("")
             for line in report.lines():
                 self._say(line)
         self._rig.start()
+
+    def _prove(self, period: float) -> None:
+        if not self._configured:
+            self._tell("seeing that every node answers every SYNC")
+            try:
+                prove(self._rig, period)
+            finally:
+                self._tell("")
 
     def _recover(self, seconds: float) -> None:
         """Configure all nodes anew, as at the start; a failure leaves the fault latched and is told."""

@@ -96,7 +96,14 @@ class Daemon:
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )
                     operation = Operation(
-                        configuration, rig, axes, loop, self._say, self._notifier.no_loop, self._configured
+                        configuration,
+                        rig,
+                        axes,
+                        loop,
+                        self._say,
+                        self._notifier.no_loop,
+                        self._configured,
+                        lambda stage: children.mailbox.publish_stage(bus.clock(), stage),
                     )
                     realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
                     try:

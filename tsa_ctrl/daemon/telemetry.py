@@ -52,6 +52,7 @@ class Telemetry:
         self._note = None if ring is None else ring.note
         self._noted = 0
         self._error_frames = 0
+        self._warnings: dict[tuple[int, int], int] = {}  # told of each node
         self._server_alive: Callable[[], bool] | None = None
         self._log = log
         self._sensors = sensors
@@ -171,11 +172,23 @@ class Telemetry:
             self._sensors.check(t, self._events)
 
     def check_bus(self, t: float) -> None:
-        """About once a second: say that error frames came."""
+        """About once a second: say that error frames or warnings came."""
+        self._tell_warnings(t)
         more = self._rig.error_frames - self._error_frames
         if more:
             self._error_frames += more
             self._events.add(t, "", f"error frames: {more}, the last one: {self._rig.last_error}")
+
+    def _tell_warnings(self, t: float) -> None:
+        """Emergencies that the profile calls warnings."""
+        for index, axis in self._axes:
+            for place, health in enumerate(axis.image.nodes):
+                key = (index, place)
+                more = health.warnings - self._warnings.get(key, 0)
+                self._warnings[key] = health.warnings
+                if more > 0:
+                    times = f", {more} times" if more > 1 else ""
+                    self._events.add(t, axis.name, f"warning of {health}: {health.warning}{times}")
 
     def watch_server(self, alive: Callable[[], bool]) -> None:
         """Look after the socket server, too."""

@@ -16,6 +16,7 @@ from tsa_ctrl.system.shared_memory import Newest, Places, SharedMemory, space
 
 SLOTS = 64  # commands that may wait; the loop takes one per cycle
 TEXT = 16 * 1024  # bytes of events
+STAGE = 512  # bytes of what the start waits for
 
 
 class General(NamedTuple):
@@ -59,13 +60,15 @@ class AxisStatus(NamedTuple):
 COUNTS = ("missed", "late", "repeated", "malformed")  # of an axis: whole numbers since the start
 Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the description
 
+_SINCE = struct.Struct("=d")  # s, monotonic
 _COMMAND = struct.Struct("=qqd")  # axis, parameter, value
 _TAIL, _STOP = 0, 8  # words of the header: commands taken, stop asked for
 _LATENESS = 64
 _WORK = _LATENESS + 8 * BINS
 _COMMANDS = -(-(_WORK + 8 * BINS) // 64) * 64
 _TEXT = _COMMANDS + space(SLOTS, _COMMAND.size)
-_STATUS = _TEXT + space(2, TEXT)
+_STAGE = _TEXT + space(2, TEXT)
+_STATUS = _STAGE + space(2, STAGE)
 
 
 @dataclass(frozen=True)
@@ -97,10 +100,12 @@ class Mailbox:
         self._words = memory.words
         self._commands = Places(memory, _COMMANDS, SLOTS, _COMMAND.size)
         self._text = Newest(memory, _TEXT, TEXT)
+        self._stage = Newest(memory, _STAGE, STAGE)
         self._status = Newest(memory, _STATUS, self._status_format.size)
         self._put, _ = self._commands.newest()
         self._seen = bytes(self._status_format.size)  # the last status that was whole
         self._seen_text = (0, b"")
+        self._seen_stage = b""
 
     def close(self) -> None:
         """Unmap; the memory goes with its last user."""
@@ -142,6 +147,14 @@ class Mailbox:
         self._seen_text = found if found[0] else self._seen_text
         return self._seen_text
 
+    def stage(self) -> tuple[float, str]:
+        """Since when (s, monotonic) the start waits, and for what; empty while the loop runs."""
+        found = self._stage.read()
+        self._seen_stage = found[1] if found[0] else self._seen_stage
+        if len(self._seen_stage) < _SINCE.size:
+            return 0.0, ""
+        return _SINCE.unpack_from(self._seen_stage)[0], self._seen_stage[_SINCE.size :].decode(errors="replace")
+
     # The loop's side
 
     def take(self) -> Command | None:
@@ -161,6 +174,10 @@ class Mailbox:
         """Write a new status."""
         values = [value for axis, parameters in axes for value in (*axis, *parameters)]
         self._status.write(self._status_format.pack(*general, *values))
+
+    def publish_stage(self, now: float, text: str) -> None:
+        """Say what the start waits for since `now`; empty when it is over."""
+        self._stage.write(_SINCE.pack(now) + text.encode()[: STAGE - _SINCE.size])
 
     def publish_text(self, text: bytes) -> None:
         """Write the events, cut to what fits by the caller (`TEXT` bytes)."""

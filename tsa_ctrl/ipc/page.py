@@ -92,7 +92,9 @@ class Page:
             f"{cycles['dropped']} frames dropped, {cycles['log_lost']} records lost",
             style="not bold default",
         )
-        if status["age"] > STALE:
+        if status["waiting_for"]:
+            head.append(f"   since {status['waiting']:.1f} s: {status['waiting_for']}", style="bold yellow")
+        elif status["age"] > STALE:
             head.append(f"   no news for {status['age']:.1f} s: the loop hangs or is gone", style="bold red")
         parts: list[RenderableType] = [head]
         parts += [self._axis(axis) for axis in status["axes"]]

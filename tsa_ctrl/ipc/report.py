@@ -18,13 +18,16 @@ def status_report(mailbox: Mailbox, description: Description, now: float) -> dic
     """What `tsa status --json` prints; `now` in s, monotonic."""
     general, axes = mailbox.status()
     _, text = mailbox.text()
+    since, stage = mailbox.stage()
     events = msgspec.json.decode(text) if text else []
     report: dict[str, Any] = {
         "schema": SCHEMA,
         "name": description.name,
         "phase": description.phases[int(general.phase)],
-        "age": max(0.0, now - general.time),
+        "age": max(0.0, now - max(general.time, now if stage else 0.0)),
         "uptime": general.time - general.start,
+        "waiting_for": stage or None,
+        "waiting": max(0.0, now - since) if stage else None,
         "axes": [_axis(description, index, *axis) for index, axis in enumerate(axes)],
         "faults": [event for event in events if event["fault"]],
         "events": [event for event in events if not event["fault"]],

@@ -72,14 +72,14 @@ def bring_up(
             session.be_patient(node.node_id, node.answer_timeout)
         session.guard([node.node_id for node in nodes if node.is_guarded])
         try:
-            tell("another master on the bus is listened for")
+            tell("listening for another master on the bus")
             _be_alone(bus, session, nodes)
             there = _look_at(session, nodes, tell)
             session.begin_heartbeat()
             _boot(bus, session, nodes, there, tell)
             reports = []
             for node, plan, noted in zip(nodes, plans, notes, strict=True):
-                tell(f"{node.name} is configured")
+                tell(f"configuring {node.name}")
                 report = NodeReport(node.name, notes=noted)
                 reports.append(report)
                 _configure(session, node, plan, settings, report, reset_faults, resets_later)
@@ -145,7 +145,7 @@ def _look_at(session: Session, nodes: Sequence[Node], tell: Tell) -> set[int]:
     for node in nodes:
         if node.node_id in silent:
             continue
-        tell(f"{node.name} is asked who it is")
+        tell(f"asking {node.name} who it is")
         if session.ask(node.node_id, objects.DEVICE_TYPE) is None:
             silent.add(node.node_id)  # off, booting, or stopped: it is looked at after its reset
             continue
@@ -164,7 +164,7 @@ def _boot(bus: Bus, session: Session, nodes: Sequence[Node], there: set[int], te
     missing = session.boot(ids, 0.0)
     for timeout in sorted(set(longest.values())):
         names = ", ".join(node.name for node in nodes if node.node_id in missing)
-        tell(f"boot-up of {names} ({timeout:g} s at most)")
+        tell(f"waiting for the boot-up of {names}, {timeout:g} s at most")
         missing = session.booted(missing, timeout - waited)
         waited = timeout
         late = {node_id for node_id in missing if longest[node_id] <= timeout}
@@ -217,7 +217,7 @@ def _configure(
 
 def _start(bus: Bus, session: Session, nodes: Sequence[Node], tell: Tell) -> None:
     names = ", ".join(node.name for node in nodes)
-    tell(f"{names} to become operational")
+    tell(f"waiting for {names} to become operational")
     missing = session.start({node.node_id for node in nodes}, START_TIMEOUT)
     if missing:
         late = [node for node in nodes if node.node_id in missing]

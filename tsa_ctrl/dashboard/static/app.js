@@ -192,7 +192,9 @@ function show(status) {
   $("phase").textContent = status.phase;
   $("phase").className = `badge ${status.phase}`;
   const { cycles } = status;
-  $("news").textContent = status.age > STALE ? `no news for ${status.age.toFixed(1)} s: the loop hangs or is gone` : "";
+  $("news").textContent = status.waiting_for
+    ? `since ${status.waiting.toFixed(1)} s: ${status.waiting_for}`
+    : status.age > STALE ? `no news for ${status.age.toFixed(1)} s: the loop hangs or is gone` : "";
   status.axes.forEach(showAxis);
   showTimes(status);
   const lines = [...status.events, ...status.faults].sort((a, b) => b.number - a.number).slice(0, 12);
