@@ -28,7 +28,9 @@ def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
     rigid = isinstance(model, RigidDrive)
     found: dict[str, tuple[Variant, ...]] = {}
     refused: dict[str, str] = {}
-    for name in CATALOGUE:
+    for name, spec in CATALOGUE.items():
+        if spec.named:
+            continue  # the user's own formula is no hypothesis
         reason = _untestable(name, frame, model, scales, rigid)
         if reason:
             refused[name] = reason
