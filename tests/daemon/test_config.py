@@ -178,3 +178,17 @@ def test_check_moves_nothing_and_says_the_load(folder: Path) -> None:
     result = CliRunner().invoke(cli, ["run", "--check", str(folder / "controller.toml")])
     assert result.exit_code == 0
     assert "knee at 1000 Hz, bus load" in result.output
+
+
+def test_check_compares_the_plan_with_the_eds(folder: Path) -> None:
+    """`tsa run --check` finds before there is a drive what its EDS does not allow."""
+    (folder / "drives").mkdir(exist_ok=True)
+    (folder / "drives" / "mine.toml").write_text('eds = "mine.eds"\n', encoding="utf-8")
+    (folder / "drives" / "mine.eds").write_text(
+        "[6072]\nParameterName=Max torque\nDataType=0x0006\nAccessType=rw\nLowLimit=0\nHighLimit=500\n",
+        encoding="utf-8",
+    )
+    path = edit(folder, r'^# profile = "generic"', 'profile = "mine"')
+    result = CliRunner().invoke(cli, ["run", "--check", str(path)])
+    assert isinstance(result.exception, UsageError)
+    assert "mine.eds: section [6072]: 0x6072:0 max torque shall be 3000, allowed is 0 to 500" in str(result.exception)
