@@ -10,16 +10,32 @@ import re
 
 from tsa_ctrl.bus.canopen import objects
 
-_NUMBERS = frozenset(
-    {
-        "VendorNumber", "ProductNumber", "RevisionNumber", "NrOfRXPDO", "NrOfTXPDO", "Granularity",
-        "SimpleBootUpMaster", "SimpleBootUpSlave", "DynamicChannelsSupported", "GroupMessaging", "LSS_Supported", "CompactPDO",
-        "BaudRate_10", "BaudRate_20", "BaudRate_50", "BaudRate_125", "BaudRate_250", "BaudRate_500", "BaudRate_800",
-        "BaudRate_1000", "ObjectType", "DataType", "SubNumber", "PDOMapping", "LowLimit", "HighLimit", "Lines",
-        "SupportedObjects", "NrOfEntries", "CompactSubObj", "ObjFlags",
-    }
-)  # fmt: skip
-_OPTIONAL = _NUMBERS - {"DataType", "Lines"}  # a missing one means what the standard says
+_BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s
+_NUMBERS = frozenset(f"BaudRate_{rate}" for rate in _BIT_RATES) | {
+    "VendorNumber",
+    "ProductNumber",
+    "RevisionNumber",
+    "NrOfRXPDO",
+    "NrOfTXPDO",
+    "Granularity",
+    "SimpleBootUpMaster",
+    "SimpleBootUpSlave",
+    "DynamicChannelsSupported",
+    "GroupMessaging",
+    "LSS_Supported",
+    "CompactPDO",
+    "ObjectType",
+    "DataType",
+    "SubNumber",
+    "PDOMapping",
+    "LowLimit",
+    "HighLimit",
+    "SupportedObjects",
+    "NrOfEntries",
+    "CompactSubObj",
+    "ObjFlags",
+}
+_OPTIONAL = _NUMBERS - {"DataType"}  # a missing one means what the standard says
 _SECTION = re.compile(r"^\s*\[([^\]]*)\]\s*$")
 _OBJECT = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})(?:sub(?:0x)?([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
 _PDO_PARAMETERS = (range(0x1400, 0x1404), range(0x1600, 0x1604), range(0x1800, 0x1804), range(0x1A00, 0x1A04))
