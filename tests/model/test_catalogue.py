@@ -10,6 +10,7 @@ import pytest
 
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.effects import EFFECTS
+from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.effects.specification import Draw, Parameter, Specification, Stage
 
 STAGES = list(Stage)
@@ -47,8 +48,7 @@ def test_parameters_are_read_from_the_class() -> None:
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
 def test_every_parameter_has_its_annotation(spec: Specification) -> None:
     """One for each field of the class, in its order."""
-    fields = [field.name for field in dataclasses.fields(spec.effect) if field.name != "constants" or not spec.named]
-    assert [p.name for p in spec.parameters] == fields
+    assert [p.name for p in spec.parameters] == [field.name for field in dataclasses.fields(spec.effect)]
 
 
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
@@ -64,6 +64,66 @@ def test_what_is_shown_and_hidden_is_allowed(spec: Specification) -> None:
 def test_names_of_excluded_effects_exist() -> None:
     """An exclusion of a name that nobody has would exclude nothing."""
     assert {other for spec in CATALOGUE.values() for other in spec.excludes} <= set(CATALOGUE)
+
+
+def test_twins_are_written_once_and_exist() -> None:
+    """Every pair that can be confused stands on one of the two; the names are effects, or parameter_error."""
+    pairs = [frozenset({name, other}) for name, spec in CATALOGUE.items() for t in spec.twins for other in t.names]
+    assert len(pairs) == len(set(pairs))
+    assert {name for pair in pairs for name in pair} <= {*CATALOGUE, "parameter_error"}
+
+
+SCALES = Scales(
+    torque=0.5,
+    motor_torque=0.4,
+    speed=1.2,
+    speed_noise=0.005,
+    acceleration=6.0,
+    reach=0.5,
+    middle=0.1,
+    motor_reach=0.6,
+    motor_step=0.002,
+    seconds=60.0,
+    period=0.002,
+    heating=12.0,
+    bending=0.3,
+    derived_velocity="",
+    plain=False,
+    offset=False,
+)
+
+
+@pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
+def test_a_fit_starts_within_the_bounds(spec: Specification) -> None:
+    """Every start, with its amplitudes a tenth of the torque, is a table that a model file may hold."""
+    assert not spec.untestable(SCALES)
+    variants = spec.search(spec.name, SCALES)
+    assert variants
+    for variant in variants:
+        for start in (*variant.starts, *variant.full_strength):
+            point = np.array(start)
+            point[[i for i in variant.amplitude if point[i] == 0.0]] = 0.1
+            assert all(c.low <= u <= c.high for c, u in zip(variant.coordinates, point, strict=True))
+            check_effects({spec.name: variant.parameters(point)}, variant.label)
+
+
+def test_logs_that_cannot_show_an_effect() -> None:
+    """Too little warmth, no path that changes, a velocity from the angle: said in words."""
+    poor = dataclasses.replace(SCALES, heating=0.1, bending=0.0, derived_velocity="omega_j")
+    said = {name: spec.untestable(poor) for name, spec in CATALOGUE.items() if spec.untestable(poor)}
+    assert said == {
+        "velocity_lag": "omega_j was derived from the angle by a zero-phase filter",
+        "stiffness_nonlinearity": "the path length is not varied (no column theta that changes)",
+        "thermal_friction_drift": "the temperature varies by 0.1 K only",
+    }
+
+
+def test_without_a_motor_angle_nothing_follows_it() -> None:
+    """No ripple, and presliding over the joint alone."""
+    blind = dataclasses.replace(SCALES, motor_step=math.nan)
+    assert not CATALOGUE["torque_ripple"].search("torque_ripple", blind)
+    labels = [v.label for v in CATALOGUE["presliding_hysteresis"].search("presliding_hysteresis", blind)]
+    assert labels == [f"{n} elements, joint" for n in (1, 2, 4, 8)]
 
 
 def test_defaults_are_filled_in() -> None:

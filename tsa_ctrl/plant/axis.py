@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import build_chain, settle
-from tsa_ctrl.plant.formula import steps_of
 from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
@@ -76,7 +75,6 @@ class Axis:
             motion=np.ascontiguousarray(np.vstack((motion.angle, motion.speed))),
             bending=_table(settings.environment.bending),
             temperature=_table(settings.environment.temperature),
-            formula=steps_of(settings.effects),
             hand=hand_table(settings.joint),
         )
         self.time = 0.0  # s since the plant's start
@@ -275,8 +273,6 @@ def _effects(effects: Effects, model: TendonSheath) -> dict[str, float]:
         values["torque_gain"] = 1.0 + effects["torque_constant_error"]["relative_error"]
     if effects.get("pretension_relaxation", {}).get("law") == "logarithmic":
         values["relaxation_logarithmic"] = 1
-    if "custom" in effects:
-        values["formula_at_motor"] = float(effects["custom"]["stage"] == "motor")
     if "presliding_hysteresis" in effects:
         side = effects["presliding_hysteresis"].get("displacement", "motor")
         values["hysteresis"] = Presliding[str(side).upper()]

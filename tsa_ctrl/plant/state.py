@@ -79,7 +79,6 @@ PARAMETERS = np.dtype(
         ("spring", _F),  # N*m/rad
         ("spring_rest", _F),  # rad
         ("offset", _F),  # N*m
-        ("formula_at_motor", _I),  # which side the formula of the plant file takes from
         ("load_friction", _F),
         ("backlash", _F),  # rad
         ("backlash_threshold", _F),  # rad: two encoder counts
@@ -136,7 +135,6 @@ STATE = np.dtype(
         ("hand_damping", _F),  # N*m*s/rad
         ("hand_angle", _F),  # rad
         ("hand_speed", _F),  # rad/s
-        ("taken", _F),  # N*m, by the formula of the plant file
         ("tau_outside", _F),  # N*m, by hand and push on the joint
         ("tau_sensed", _F),  # N*m, the same through the sensor's delay
         ("z", _F),  # state of friction in the sheaths, -1 to 1

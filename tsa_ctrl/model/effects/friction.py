@@ -5,20 +5,48 @@ Source: the catalogue of effects.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+import numpy as np
+
+from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear, one
 from tsa_ctrl.model.effects.specification import (
     Draw,
+    Motion,
     Parameter,
     Shown,
     Specification,
     Stage,
+    Twins,
     non_negative,
     positive,
 )
 from tsa_ctrl.model.effects.state import State
-from tsa_ctrl.model.functions import F, Functions
+from tsa_ctrl.model.functions import Array, F, Functions
+
+NOISE_TO_SPEED = 4.0  # a speed scale below so many times the velocity noise is not resolved
+LEAST_HEATING = 0.5  # K; thermometers are not better
+
+
+def _velocities(name: str, s: Scales) -> list[Variant]:
+    lowest = max(0.02 * s.speed, NOISE_TO_SPEED * s.speed_noise)
+    low, high = math.log(lowest), math.log(max(0.6 * s.speed, 1.5 * lowest))
+
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"static_excess": float(u[0]), "stribeck_velocity": math.exp(u[1]), "shape": float(u[2])}
+
+    if lowest > 0.3 * s.speed:
+        return []
+    coordinates = (
+        Coordinate("static_excess", 0.0, 20.0, 1e-3),
+        Coordinate("stribeck_velocity", low, high, 1e-2),
+        Coordinate("shape", 0.5, 2.0, 1e-2),
+    )
+    speeds = np.log(geometric(lowest, max(0.6 * s.speed, 1.5 * lowest), 6))
+    starts = tuple((0.0, float(v), shape) for v in speeds for shape in (2.0, 1.0))
+    return [Variant(name, coordinates, starts, (0,), parameters)]
 
 
 @dataclass(frozen=True)
@@ -33,6 +61,9 @@ class StribeckFriction:
         name="stribeck_friction",
         stage=Stage.FRICTION,
         summary="friction falls with speed at low speed",
+        search=_velocities,
+        unresolved="the velocity is too noisy to resolve slow motion",
+        twins=(Twins(("velocity_lag", "motor_side_friction", "parameter_error"), (Motion.SPEEDS,)),),
         shown=Shown(
             {"static_excess": 0.3, "stribeck_velocity": 0.25}, "speed", "μ ← μ (1 + k exp(−|ω/ω_s|^n))", short=True
         ),
@@ -42,6 +73,10 @@ class StribeckFriction:
     def factor(self, functions: Functions[F], state: State[F]) -> F:
         speed = functions.power(abs(state.omega) / self.stribeck_velocity, self.shape)
         return 1.0 + self.static_excess * functions.exp(-speed)
+
+
+def _heated_too_little(s: Scales) -> str:
+    return f"the temperature varies by {s.heating:.2g} K only" if s.heating < LEAST_HEATING else ""
 
 
 @dataclass(frozen=True)
@@ -55,6 +90,10 @@ class ThermalFrictionDrift:
         name="thermal_friction_drift",
         stage=Stage.FRICTION,
         summary="friction follows the temperature",
+        search=linear("temperature_coefficient", lambda s: 1.0 / s.heating),
+        untestable=_heated_too_little,
+        twins=(Twins(("pretension_relaxation",), (Motion.WARM,)),),
+        asks=Motion.WARM,
         columns=(("temperature",),),
         shown=Shown({"temperature_coefficient": 0.01}, "temperature", "μ ← μ (1 + a (ϑ − ϑ_0))"),
     )
@@ -74,6 +113,8 @@ class TensionDependentFriction:
         name="tension_dependent_friction",
         stage=Stage.TENSION,
         summary="the friction coefficient falls as tension grows",
+        search=linear("exponent", one, 0.0, 1.0, full_strength=((0.4,), (0.8,))),
+        twins=(Twins(("torque_constant_error",), (Motion.BENDING, Motion.GAIN)),),
         rigid_drive=False,
         shown=Shown({"exponent": 0.2}, "load", "x_i ← x (T_i / T_ref)^−n"),
     )
@@ -100,6 +141,8 @@ class LoadDependentFriction:
         name="load_dependent_friction",
         stage=Stage.LOAD,
         summary="friction in the joint grows with its load",
+        search=linear("coefficient", one, 0.0, 0.95),
+        twins=(Twins(("sheath_asymmetry", "tendon_slack", "tension_dependent_friction"), (Motion.SIGNS,)),),
         shown=Shown({"coefficient": 0.06}, "load", "τ_J ← τ_J − σ k |τ_J|"),
         demo={"coefficient": Draw(0.15, 0.25)},
     )

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from tsa_ctrl.model.effects.specification import Draw, Parameter, Shown, Specification, Stage, non_negative
+from tsa_ctrl.model.effects.search import INF, Coordinate, Scales, Value, Variant, linear
+from tsa_ctrl.model.effects.specification import (
+    Draw,
+    Motion,
+    Parameter,
+    Shown,
+    Specification,
+    Stage,
+    Twins,
+    non_negative,
+)
 from tsa_ctrl.model.effects.state import State
-from tsa_ctrl.model.functions import F, Functions
+from tsa_ctrl.model.functions import Array, F, Functions
 
 ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j; slower than the loop, faster than a joint
 
@@ -22,6 +33,11 @@ class ViscousFriction:
         name="viscous_friction",
         stage=Stage.JOINT,
         summary="friction proportional to speed",
+        search=linear("coefficient", lambda s: s.torque / s.speed, low=0.0),
+        twins=(
+            Twins(("sheath_asymmetry",), (Motion.BOTH_WAYS,)),
+            Twins(("motor_side_friction", "parameter_error", "stribeck_friction"), (Motion.SPEEDS,)),
+        ),
         shown=Shown({"coefficient": 0.05}, "speed", "τ_J ← τ_J − b ω", short=True),
         demo={"coefficient": Draw(0.08, 0.16)},
     )
@@ -40,6 +56,8 @@ class DirectionAsymmetricFriction:
         name="direction_asymmetric_friction",
         stage=Stage.JOINT,
         summary="friction proportional to speed that differs by direction",
+        search=linear("viscous_difference", lambda s: s.torque / s.speed),
+        twins=(Twins(("viscous_friction", "sheath_asymmetry"), (Motion.BOTH_WAYS,)),),
         shown=Shown({"viscous_difference": 0.05}, "speed", "τ_J ← τ_J − b |ω|", short=True),
         demo={"viscous_difference": Draw(0.08, 0.16, signed=True)},
     )
@@ -58,6 +76,7 @@ class Inertia:
         name="inertia",
         stage=Stage.JOINT,
         summary="torque that accelerates a mass",
+        search=linear("inertia", lambda s: s.torque / s.acceleration, low=0.0),
         feedforward=f"compensated with an acceleration from omega_j that is {1e3 * ACCELERATION_TIME:g} ms late",
         shown=Shown({"inertia": 0.005}, "acceleration", "τ_J ← τ_J − J dω/dt", short=True),
         demo={"inertia": Draw(0.015, 0.03)},
@@ -65,6 +84,15 @@ class Inertia:
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.inertia * state.acceleration
+
+
+def _weights(name: str, s: Scales) -> list[Variant]:
+    def parameters(u: Array) -> dict[str, Value]:
+        amplitude = math.hypot(u[0], u[1]) * s.torque
+        return {"amplitude": amplitude, "phase": math.atan2(u[1], u[0]) if amplitude else 0.0}
+
+    coordinates = (Coordinate("cosine", -INF, INF, 1e-3), Coordinate("sine", -INF, INF, 1e-3))
+    return [Variant(name, coordinates, ((0.0, 0.0),), (0, 1), parameters)]
 
 
 @dataclass(frozen=True)
@@ -78,6 +106,11 @@ class GravityLoad:
         name="gravity_load",
         stage=Stage.JOINT,
         summary="a weight on the joint",
+        search=_weights,
+        twins=(
+            Twins(("configuration_dependent_bending",), (Motion.RANGE,)),
+            Twins(("inertia",), (Motion.FREQUENCIES,)),
+        ),
         columns=(("q_j",),),
         shown=Shown({"amplitude": 0.15, "phase": 0.3}, "angle", "τ_J ← τ_J − A sin(q + φ)", short=True),
         demo={"amplitude": Draw(0.2, 0.4), "phase": Draw(-1.0, 1.0)},
@@ -85,6 +118,25 @@ class GravityLoad:
 
     def torque(self, functions: Functions[F], state: State[F]) -> F:
         return self.amplitude * functions.sin(state.q_j + self.phase)
+
+
+def _springs(name: str, s: Scales) -> list[Variant]:
+    unit = s.torque / s.reach
+
+    def parameters(u: Array) -> dict[str, Value]:
+        stiffness = float(u[0]) * unit
+        rest = s.middle - float(u[1]) * s.torque / stiffness if stiffness > 1e-12 * unit else s.middle
+        return {"stiffness": stiffness, "rest_angle": rest}
+
+    if s.offset:  # where the spring rests is the same as a constant torque
+        only = Coordinate("stiffness", 0.0, INF, 1e-3)
+
+        def centred(u: Array) -> dict[str, Value]:
+            return {"stiffness": float(u[0]) * unit, "rest_angle": s.middle}
+
+        return [Variant(name, (only,), ((0.0,),), (0,), centred, unidentifiable=("rest_angle",))]
+    coordinates = (Coordinate("stiffness", 1e-6, INF, 1e-3), Coordinate("torque_at_middle", -INF, INF, 1e-3))
+    return [Variant(name, coordinates, ((1e-6, 0.0),), (0, 1), parameters)]
 
 
 @dataclass(frozen=True)
@@ -98,6 +150,11 @@ class JointStiffness:
         name="joint_stiffness",
         stage=Stage.JOINT,
         summary="a spring at the joint",
+        search=_springs,
+        twins=(
+            Twins(("gravity_load", "configuration_dependent_bending"), (Motion.RANGE,)),
+            Twins(("inertia",), (Motion.FREQUENCIES,)),
+        ),
         columns=(("q_j",),),
         shown=Shown({"stiffness": 0.15, "rest_angle": 0.2}, "angle", "τ_J ← τ_J − k (q − q_0)", short=True),
         demo={"stiffness": Draw(0.3, 0.6), "rest_angle": Draw(-0.3, 0.3)},
@@ -117,6 +174,11 @@ class TorqueOffset:
         name="torque_offset",
         stage=Stage.JOINT,
         summary="a constant torque or an offset of a sensor",
+        search=linear("offset", lambda s: s.torque),
+        twins=(
+            Twins(("direction_asymmetric_friction",), (Motion.BOTH_WAYS,)),
+            Twins(("gravity_load", "joint_stiffness", "configuration_dependent_bending"), (Motion.RANGE,)),
+        ),
         shown=Shown({"offset": 0.05}, "time", "τ_J ← τ_J + c", short=True),
         demo={"offset": Draw(0.08, 0.2, signed=True)},
     )

@@ -10,14 +10,17 @@ from typing import Annotated, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from tsa_ctrl.model.effects.search import FEW_SAMPLES, Coordinate, Scales, Value, Variant, geometric
 from tsa_ctrl.model.effects.specification import (
     Columns,
     Draw,
+    Motion,
     Parameter,
     Setting,
     Shown,
     Specification,
     Stage,
+    Twins,
     non_negative,
     positive,
 )
@@ -37,6 +40,21 @@ def _followed(parameters: Mapping[str, Setting]) -> Columns:
     return (("q_m",),) if side == "motor" else (("q_j",),) if side == "joint" else (("q_m", "q_j"),)
 
 
+def _distances(name: str, s: Scales) -> list[Variant]:
+    def of(elements: int, follows: str, reach: float) -> Variant:
+        def parameters(u: Array) -> dict[str, Value]:
+            return {"presliding_distance": math.exp(u[0]), "elements": elements, "displacement": follows}
+
+        low, high = 0.0002 * reach, 0.7 * reach
+        coordinate = Coordinate("presliding_distance", math.log(low), math.log(high), 2e-2)
+        starts = tuple((math.log(v),) for v in geometric(3.0 * low, 0.5 * reach, 8))
+        return Variant(name, (coordinate,), starts, (), parameters, f"{elements} elements, {follows}")
+
+    # Where the tendons are soft a motor hardly moves while the joint's own reversal turns the friction.
+    motor = [] if math.isnan(s.motor_step) else [("motor", s.motor_reach)]
+    return [of(n, follows, reach) for follows, reach in (*motor, ("joint", s.reach)) for n in (1, 2, 4, 8)]
+
+
 @dataclass(frozen=True)
 class PreslidingHysteresis:
     """sigma becomes z everywhere: dz/ds = (1 - sign(ds) z)/q_p (Dahl), or the mean of N > 1 Maxwell-slip elements.
@@ -53,6 +71,9 @@ class PreslidingHysteresis:
         name="presliding_hysteresis",
         stage=Stage.DIRECTION,
         summary="friction builds up over a displacement after a reversal",
+        search=_distances,
+        unresolved="the motion is too small to show a build-up after reversals",
+        twins=(Twins(("velocity_lag", "stribeck_friction"), (Motion.SPEEDS,)),),
         columns=(("q_m", "q_j", "omega_j"),),
         live_columns=_followed,
         shown=Shown({"presliding_distance": 0.05}, "since", "dz/ds = (1 − sign(ds) z)/q_p", short=True),
@@ -117,6 +138,16 @@ class PreslidingState:
         return self.z
 
 
+def _gaps(name: str, s: Scales) -> list[Variant]:
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"gap": math.exp(u[0])}
+
+    low, high = 0.002 * s.reach, 0.5 * s.reach
+    coordinate = Coordinate("gap", math.log(low), math.log(high), 4e-2)
+    starts = tuple((math.log(v),) for v in geometric(0.004 * s.reach, 0.3 * s.reach, 10))
+    return [Variant(name, (coordinate,), starts, (), parameters)]
+
+
 @dataclass(frozen=True)
 class Backlash:
     """The tendon part of tau_J is 0 while abs(q - q_r) < gap, q_r the joint angle at the last reversal."""
@@ -127,6 +158,8 @@ class Backlash:
         name="backlash",
         stage=Stage.BACKLASH,
         summary="play after each reversal",
+        search=_gaps,
+        twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis"), (Motion.SPEEDS,)),),
         columns=(("q_j",),),
         rigid_drive=False,  # there is no tendon part that play could take away
         feedforward="not compensated, no torque crosses the play of {gap} rad",
@@ -140,6 +173,18 @@ class Backlash:
         return np.asarray(kernels.within_gap(np.ascontiguousarray(q_j), self.gap, _REVERSAL * resolution(q_j)))
 
 
+def _delays(name: str, s: Scales) -> list[Variant]:
+    unit = 0.01  # s
+    coordinate = Coordinate("delay", 0.0, 0.2 / unit, 0.02)
+    starts = tuple((v / unit,) for v in geometric(0.003, 0.1, 8))
+    short = ((FEW_SAMPLES * s.period / unit,),)
+
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"delay": float(u[0]) * unit}
+
+    return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
+
+
 @dataclass(frozen=True)
 class TransportDelay:
     """The measured torque is late: y(t) = y_true(t - T_d), linear between samples; the first value before the log."""
@@ -150,6 +195,8 @@ class TransportDelay:
         name="transport_delay",
         stage=Stage.DELAY,
         summary="the measured joint torque is late",
+        search=_delays,
+        twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis", "backlash"), (Motion.SPEEDS,)),),
         feedforward="not compensated, {delay} s cannot be undone ahead of time",
         shown=Shown({"delay": 0.01}, "time", "τ_J(t) ← τ_J(t − T_d)", short=True),
     )

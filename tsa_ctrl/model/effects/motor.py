@@ -9,9 +9,48 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from tsa_ctrl.model.effects.specification import Draw, Parameter, Shown, Specification, Stage, non_negative
+from tsa_ctrl.model.effects.search import (
+    FEW_SAMPLES,
+    INF,
+    Coordinate,
+    Scales,
+    Value,
+    Variant,
+    geometric,
+    linear,
+    one,
+)
+from tsa_ctrl.model.effects.specification import (
+    Draw,
+    Motion,
+    Parameter,
+    Shown,
+    Specification,
+    Stage,
+    Twins,
+    non_negative,
+)
 from tsa_ctrl.model.effects.state import State
-from tsa_ctrl.model.functions import F, Functions
+from tsa_ctrl.model.functions import Array, F, Functions
+
+MOST_CYCLES = 40  # of torque ripple per motor turn that are looked for
+LINES_PER_RANGE = 0.6  # turns of the ripple's phase that a log must pass through
+
+
+def _lags(name: str, s: Scales) -> list[Variant]:
+    unit = 0.01  # s
+    coordinate = Coordinate("time_constant", 0.0, 0.3 / unit, max(0.3, 1.5 * s.period / unit))
+    starts = tuple((v / unit,) for v in geometric(0.004, 0.15, 9))
+    short = ((FEW_SAMPLES * s.period / unit,),)
+
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"time_constant": float(u[0]) * unit}
+
+    return [Variant(name, (coordinate,), starts, (), parameters, full_strength=short)]
+
+
+def _derived(s: Scales) -> str:
+    return f"{s.derived_velocity} was derived from the angle by a zero-phase filter" if s.derived_velocity else ""
 
 
 @dataclass(frozen=True)
@@ -24,6 +63,8 @@ class VelocityLag:
         name="velocity_lag",
         stage=Stage.VELOCITY,
         summary="the measured velocity lags behind the true one",
+        search=_lags,
+        untestable=_derived,
         columns=(("omega_j",),),
         feedforward="compensated in the velocity; the direction is led by the loop",
         shown=Shown({"time_constant": 0.02}, "time", "σ = sign(ω + T dω/dt)", short=True),
@@ -43,6 +84,8 @@ class TorqueConstantError:
         name="torque_constant_error",
         stage=Stage.MOTOR_TORQUE,
         summary="the drive's torque has a wrong scale",
+        search=linear("relative_error", one, -0.5, 0.5),
+        twins=(Twins(("parameter_error",), (Motion.GAIN,)),),
         shown=Shown({"relative_error": 0.05}, "load", "τ_M ← (1 + e) τ_M"),
     )
 
@@ -51,6 +94,23 @@ class TorqueConstantError:
 
     def invert(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:
         return tau_m / (1.0 + self.relative_error)
+
+
+def _ripples(name: str, s: Scales) -> list[Variant]:
+    def of(cycles: int) -> Variant:
+        def parameters(u: Array) -> dict[str, Value]:
+            amplitude = math.hypot(u[0], u[1]) * s.motor_torque
+            phase = math.atan2(u[1], u[0]) if amplitude else 0.0
+            return {"amplitude": amplitude, "cycles_per_revolution": cycles, "phase": phase}
+
+        coordinates = (Coordinate("cosine", -INF, INF, 1e-3), Coordinate("sine", -INF, INF, 1e-3))
+        return Variant(name, coordinates, ((0.0, 0.0),), (0, 1), parameters, f"{cycles} cycles")
+
+    def resolved(cycles: int) -> bool:  # false without a motor angle
+        return cycles * s.motor_reach / math.pi > LINES_PER_RANGE and cycles * s.motor_step < 0.6 * math.pi
+
+    first = 2 if s.plain else 1  # one cycle per turn of a plain drive's shaft is a weight on it
+    return [of(cycles) for cycles in range(first, MOST_CYCLES + 1) if resolved(cycles)]
 
 
 @dataclass(frozen=True)
@@ -65,6 +125,8 @@ class TorqueRipple:
         name="torque_ripple",
         stage=Stage.MOTOR_TORQUE,
         summary="cogging or torque ripple of the motor",
+        search=_ripples,
+        unresolved="the motor turns too little to show a line of its angle",
         columns=(("q_m",),),
         shown=Shown(
             {"amplitude": 0.03, "cycles_per_revolution": 12, "phase": 0.4},
@@ -99,6 +161,8 @@ class MotorSideFriction:
         name="motor_side_friction",
         stage=Stage.MOTOR_TORQUE,
         summary="Coulomb friction in the motor and its gear",
+        search=linear("coulomb", lambda s: s.motor_torque, low=0.0),
+        twins=(Twins(("parameter_error",), (Motion.SPEEDS,)),),
         rigid_drive=False,
         shown=Shown({"coulomb": 0.03}, "speed", "τ_M ← τ_M − τ_c σ", short=True),
     )

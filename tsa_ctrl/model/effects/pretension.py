@@ -5,20 +5,26 @@ Source: the catalogue of effects; T_p below 0 is slack and is cut off after each
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear
 from tsa_ctrl.model.effects.specification import (
     Draw,
+    Motion,
     Parameter,
     Shown,
     Specification,
     Stage,
+    Twins,
     non_negative,
     positive,
 )
 from tsa_ctrl.model.effects.state import State
-from tsa_ctrl.model.functions import F, Functions
+from tsa_ctrl.model.functions import Array, F, Functions
+
+LEAST_BENDING = 0.01  # of the bending angle: a path length that varies less says nothing of the stiffness
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,7 @@ class ConfigurationDependentBending:
         name="configuration_dependent_bending",
         stage=Stage.BENDING,
         summary="the sheath's bending follows the joint angle",
+        search=linear("bending_per_joint_angle", lambda s: 1.0 / s.reach),
         columns=(("q_j",),),
         rigid_drive=False,
         shown=Shown({"bending_per_joint_angle": 0.3}, "angle", "Θ ← Θ + k q", short=True),
@@ -39,6 +46,10 @@ class ConfigurationDependentBending:
 
     def bending(self, theta: F, state: State[F]) -> F:
         return theta + self.bending_per_joint_angle * state.q_j
+
+
+def _bent_alike(s: Scales) -> str:
+    return "" if s.bending > LEAST_BENDING else "the path length is not varied (no column theta that changes)"
 
 
 @dataclass(frozen=True)
@@ -51,12 +62,32 @@ class StiffnessNonlinearity:
         name="stiffness_nonlinearity",
         stage=Stage.PRETENSION,
         summary="the tendon stiffens with tension",
+        search=linear("quadratic", lambda s: 1000.0),  # T_p/EA is about a thousandth
+        untestable=_bent_alike,
+        twins=(Twins(("motor_side_friction", "parameter_error"), (Motion.BENDING,)),),
+        asks=Motion.BENDING,
         rigid_drive=False,
         shown=Shown({"quadratic": 100.0}, "theta", "T_p ← T_p (1 + k T_p / EA)"),
     )
 
     def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F:
         return pretension * (1.0 + self.quadratic / axial_stiffness * pretension)
+
+
+def _relaxations(name: str, s: Scales) -> list[Variant]:
+    def of(law: str, low: float, high: float, most: float) -> Variant:
+        def parameters(u: Array) -> dict[str, Value]:
+            return {"relaxed_fraction": float(u[0]), "time_constant": math.exp(u[1]), "law": law}
+
+        coordinates = (
+            Coordinate("relaxed_fraction", 0.0, most, 1e-3),
+            Coordinate("time_constant", math.log(low), math.log(high), 2e-2),
+        )
+        starts = tuple((0.0, math.log(v)) for v in geometric(1.2 * low, 0.8 * high, 5))
+        return Variant(name, coordinates, starts, (0,), parameters, law)
+
+    t = s.seconds
+    return [of("exponential", 0.02 * t, 2.0 * t, 0.98), of("logarithmic", 0.002 * t, 0.5 * t, 0.6)]
 
 
 @dataclass(frozen=True)
@@ -72,6 +103,8 @@ class PretensionRelaxation:
         name="pretension_relaxation",
         stage=Stage.PRETENSION,
         summary="the pretension creeps away with time",
+        search=_relaxations,
+        twins=(Twins(("motor_side_friction", "stiffness_nonlinearity", "parameter_error"), (Motion.BENDING,)),),
         rigid_drive=False,
         shown=Shown({"relaxed_fraction": 0.2, "time_constant": 15.0}, "time", "T_p ← T_p (1 − c (1 − exp(−t/T)))"),
     )

@@ -17,9 +17,9 @@ from typing import Any, Literal, TypeAlias, get_type_hints
 import numpy as np
 
 from tsa_ctrl.model import curvature
+from tsa_ctrl.model.effects.search import Scales, Search, Value
 
-Value: TypeAlias = float | int | str  # what a fit may set
-Setting: TypeAlias = Value | curvature.Points  # what a file may give
+Setting: TypeAlias = Value | curvature.Points  # what a file gives
 Columns: TypeAlias = tuple[tuple[str, ...], ...]  # of each inner tuple one column must be there
 
 
@@ -40,6 +40,27 @@ class Stage(Enum):
     DELAY = "delay of the measurement"
 
 
+class Motion(Enum):
+    """What a person must record to part effects that look alike; in the order of what it costs."""
+
+    SPEEDS = "reversals at several speeds (0.1 to 2 rad/s) over the same range"
+    BOTH_WAYS = f"{SPEEDS}, in both directions"
+    SIGNS = "load the joint with torques of both signs and of several levels"
+    RANGE = "move over the whole range of the joint"
+    FREQUENCIES = f"{RANGE}, at two frequencies of motion at least"
+    WARM = "heat and cool the drive while it moves, and log its temperature"
+    BENDING = "repeat the same motion at two or more known bending angles (column theta) or known pretensions"
+    GAIN = "hang a known weight on the joint and hold it, to certify the torque's gain"
+
+
+@dataclass(frozen=True)
+class Twins:
+    """Effects (or `parameter_error`) that look like another one in some logs, and the motions that part them."""
+
+    names: tuple[str, ...]
+    parted_by: tuple[Motion, ...]
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of an effect, as `Annotated[float, Parameter(unit, bounds)]` of its class.
@@ -57,14 +78,11 @@ class Parameter:
     points: bool = False  # beside the choices, a course of the bending by points
     integer: bool = False
     fitted: bool = True  # False: given, never estimated from a log
-    text: bool = False  # a formula
     name: str = ""
     default: Setting | None = None
 
     def describe(self) -> str:
         """Allowed values in words, for error messages."""
-        if self.text:
-            return 'a formula in quotes, such as "k*sin(2*q_j)"'
         if self.choices:
             return " or ".join([*(f'"{choice}"' for choice in self.choices), *([curvature.POINTS] * self.points)])
         kind = "a whole number" if self.integer else "a number"
@@ -76,8 +94,6 @@ class Parameter:
         return " ".join([kind, " and ".join(bounds)]).strip() + (f" ({self.unit})" if self.unit != "1" else "")
 
     def accepts(self, value: object) -> bool:
-        if self.text:
-            return isinstance(value, str)
         if self.choices:
             chosen = isinstance(value, str) and value in self.choices
             return chosen or (self.points and curvature.as_points(value) is not None)
@@ -91,8 +107,6 @@ class Parameter:
 
     def taken(self, value: Any) -> Setting:
         """An accepted value as the effect's class takes it."""
-        if self.text:
-            return str(value)
         if self.choices:
             return value if isinstance(value, str) else curvature.as_points(value) or ()
         return int(value) if self.integer else float(value)
@@ -137,10 +151,17 @@ class Draw:
         return float(sign * rng.uniform(self.low, self.high))
 
 
+def _always(_: Scales) -> str:
+    return ""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Specification:
     """One effect: its name and stage, its sentence for a person, what it needs, and how it is undone, shown and hidden.
 
+    `search`: how a fit looks for it; `unresolved` says what a log lacks that leaves no variant, `untestable` why a log
+    with such signals cannot show it at all (empty when it can), and `asks` what to record then. A pair of `twins` is
+    written on one of the two.
     `columns`: what a log must have; `live_columns`, by the effect's parameters: what the loop must measure, where that
     is not the same. `feedforward`: what the live inverse cannot do, with {parameter} in it; empty when it is exact.
     `demo`: sizes that the full circle of `tsa demo` may hide, between a tenth and a third of its rig's half loop.
@@ -149,11 +170,15 @@ class Specification:
     name: str
     stage: Stage
     summary: str
+    search: Search
     shown: Shown
+    twins: tuple[Twins, ...] = ()
+    unresolved: str = "the log does not reach the scale on which it acts"
+    untestable: Callable[[Scales], str] = _always
+    asks: Motion | None = None
     columns: Columns = ()
     live_columns: Callable[[Mapping[str, Setting]], Columns] | None = None
     excludes: tuple[str, ...] = ()
-    named: bool = False  # further parameters of any name, numbers, are its constants
     rigid_drive: bool = True  # has a meaning for a plain drive (kind = "rigid_drive")
     feedforward: str = ""
     demo: Mapping[str, Draw | Setting] | None = None
@@ -167,17 +192,11 @@ class Specification:
         return dataclasses.replace(own, parameters=_parameters(effect), effect=effect)
 
     def parameter(self, name: str) -> Parameter:
-        """That of the class; a constant that the file names is a plain number."""
-        return next((p for p in self.parameters if p.name == name), Parameter(name=name))
+        return next(p for p in self.parameters if p.name == name)
 
-    def build(self, parameters: Mapping[str, Setting]) -> Any:
-        """The effect with checked parameters; those that its class does not know are its `constants`."""
-        if not self.named:
-            return self.effect(**parameters)
-        known = {p.name for p in self.parameters}
-        own = {name: value for name, value in parameters.items() if name in known}
-        rest = tuple((name, value) for name, value in parameters.items() if name not in known)
-        return self.effect(**own, constants=rest)
+    def parted_from(self, other: str) -> tuple[Motion, ...]:
+        """The motions that part this effect from another, as written here."""
+        return next((twins.parted_by for twins in self.twins if other in twins.names), ())
 
     def needed_live(self, parameters: Mapping[str, Setting]) -> Columns:
         """The signals that the loop must measure."""
@@ -188,8 +207,6 @@ def _parameters(effect: type[Any]) -> tuple[Parameter, ...]:
     hints = get_type_hints(effect, include_extras=True)
     found = []
     for entry in dataclasses.fields(effect):
-        if not hasattr(hints[entry.name], "__metadata__"):
-            continue  # not a parameter of the file
         parameter: Parameter = hints[entry.name].__metadata__[0]
         default = None if entry.default is dataclasses.MISSING else entry.default
         found.append(dataclasses.replace(parameter, name=entry.name, default=default))

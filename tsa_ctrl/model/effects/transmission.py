@@ -13,7 +13,8 @@ from typing import Annotated, ClassVar
 from tsa_ctrl.model import curvature, transmission
 from tsa_ctrl.model.curvature import NAMED, Profile
 from tsa_ctrl.model.effects.friction import TensionDependentFriction
-from tsa_ctrl.model.effects.specification import Draw, Parameter, Shown, Specification, Stage
+from tsa_ctrl.model.effects.search import Scales, Variant, linear, one
+from tsa_ctrl.model.effects.specification import Draw, Motion, Parameter, Shown, Specification, Stage, Twins
 from tsa_ctrl.model.functions import SCALARS, F, Functions
 
 
@@ -27,6 +28,8 @@ class SheathAsymmetry:
         name="sheath_asymmetry",
         stage=Stage.TRANSMISSION,
         summary="the two sheaths have different friction angles",
+        search=linear("relative_difference", one, -1.98, 1.98),
+        twins=(Twins(("tension_dependent_friction",), (Motion.SIGNS,)),),
         rigid_drive=False,
         shown=Shown({"relative_difference": 0.3}, "load", "x_a, x_b ← x (1 ± k/2)"),
         demo={"relative_difference": Draw(0.8, 1.2, signed=True)},
@@ -45,6 +48,8 @@ class TendonSlack:
         name="tendon_slack",
         stage=Stage.TRANSMISSION,
         summary="a tendon cannot push",
+        search=lambda name, s: [Variant(name, (), ((),), (), lambda u: {})],
+        twins=(Twins(("sheath_asymmetry", "tension_dependent_friction"), (Motion.SIGNS,)),),
         rigid_drive=False,
         shown=Shown({}, "load", "T_1, T_3 ≥ 0"),
     )
@@ -54,6 +59,13 @@ class TendonSlack:
             functions.at_least(t1, 0.0) + functions.at_least(-t3, 0.0),
             functions.at_least(t3, 0.0) + functions.at_least(-t1, 0.0),
         )
+
+
+def _profiles(name: str, s: Scales) -> list[Variant]:
+    def of(profile: str) -> Variant:
+        return Variant(name, (), ((),), (), lambda u: {"curvature_profile": profile}, profile)
+
+    return [of("uniform"), of("motor_end")]  # all bending at the joint is (3.55)
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,8 @@ class ElongationCoupling:
         name="elongation_coupling",
         stage=Stage.TRANSMISSION,
         summary="the full model (3.53): friction along the sheath couples into the pretension",
+        search=_profiles,
+        twins=(Twins(("torque_constant_error", "tension_dependent_friction"), (Motion.BENDING, Motion.GAIN)),),
         excludes=("tendon_slack", "sheath_asymmetry", "tension_dependent_friction"),
         rigid_drive=False,
         shown=Shown({"curvature_profile": "uniform"}, "load", "(3.53) in place of (3.55)"),

@@ -16,10 +16,10 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, responses, scores
 from tsa_ctrl.identify.diagnosis.hypotheses.base import base_of
-from tsa_ctrl.identify.diagnosis.hypotheses.scales import Scales
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, all_but
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise, estimate, white_noise
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance, nuisance
+from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 

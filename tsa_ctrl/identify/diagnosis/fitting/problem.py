@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
-from tsa_ctrl.identify.diagnosis.hypotheses.base import Base, Coordinate
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Variant
+from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance, Projection
-from tsa_ctrl.model.catalogue import Value
+from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict_each

@@ -15,7 +15,7 @@ import numpy as np
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Variant
+from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
 
 TRIAL = 0.02  # amplitude (in units of the torque) at which a nearly linear response is computed

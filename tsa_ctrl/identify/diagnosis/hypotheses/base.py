@@ -14,24 +14,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.hypotheses.scales import Scales
+from tsa_ctrl.model.effects.search import Coordinate, Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
 WIDE_PRIOR = 20.0  # factor: recalibration without regard to [uncertainty], to see what wrong parameters could explain
-STEP = 1e-4  # of a coordinate, for derivatives
-
-
-@dataclass(frozen=True)
-class Coordinate:
-    """One free number of a fit, in its own scale: bounds, and the step of finite differences."""
-
-    name: str
-    low: float
-    high: float
-    step: float = STEP
 
 
 class Base(Protocol):

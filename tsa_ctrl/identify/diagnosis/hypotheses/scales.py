@@ -2,30 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
-from tsa_ctrl.model.parameters import Model, RigidDrive
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Sizes of this log's signals, to scale coordinates and to place grids."""
-
-    torque: float  # RMS of the predicted torque's change, N*m
-    motor_torque: float  # N*m
-    speed: float  # 95 % of the moving speeds are below, rad/s
-    speed_noise: float  # rad/s
-    acceleration: float  # rad/s^2
-    reach: float  # half range of q_j, rad
-    motor_reach: float  # half range of the displacement that presliding follows, rad
-    seconds: float  # longest run, s
-    period: float  # compute period, s
-    heating: float  # range of the temperature, K
-    plain: bool  # a drive without tendons: joint and motor are one
-    offset: bool  # the base model has a constant torque, which is fitted
+from tsa_ctrl.model.effects.search import Scales
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 
 
 def scales_of(frame: Frame, model: Model) -> Scales:
@@ -37,6 +22,8 @@ def scales_of(frame: Frame, model: Model) -> Scales:
     motor = max((0.5 * float(np.ptp(s.q_m)) for s in signals if s.q_m is not None), default=0.0)
     if not reach:
         reach = max(0.5 * float(np.ptp(np.cumsum(s.omega_j))) * s.period for s in signals)
+    plain = isinstance(model, RigidDrive)
+    derived = "omega_m" if plain else "omega_j"
     return Scales(
         torque=max(float(np.std(np.concatenate([run.target for run in frame.runs]))), 1e-9),
         motor_torque=max(float(np.std(np.concatenate([s.tau_m for s in signals]))), 1e-9),
@@ -44,10 +31,25 @@ def scales_of(frame: Frame, model: Model) -> Scales:
         speed_noise=max(run.velocity_noise for run in frame.runs),
         acceleration=max(float(np.std(np.concatenate([s.acceleration for s in signals]))), 1e-9),
         reach=max(reach, 1e-9),
+        middle=float(np.mean(frame.column("q_j"))) if frame.has("q_j") else 0.0,
         motor_reach=max(motor or reach, 1e-9),
+        motor_step=_step([s.q_m for s in signals if s.q_m is not None]) if frame.has("q_m") else math.nan,
         seconds=max(float(s.t[-1] - s.t[0]) for s in signals),
         period=signals[0].period,
         heating=max((float(np.ptp(s.temperature)) for s in signals if s.temperature is not None), default=0.0),
-        plain=isinstance(model, RigidDrive),
+        bending=0.0 if isinstance(model, RigidDrive) else _range_of_bending(frame, model),
+        derived_velocity=derived if any(derived in run.raw.derived for run in frame.runs) else "",
+        plain=plain,
         offset=isinstance(model, RigidDrive) and model.torque_offset is not None,
     )
+
+
+def _step(angles: Sequence[Array]) -> float:
+    """90 % of the steps from sample to sample are below, rad."""
+    return float(np.quantile(np.abs(np.concatenate([np.diff(angle) for angle in angles])), 0.9))
+
+
+def _range_of_bending(frame: Frame, model: TendonSheath) -> float:
+    """Range of the column theta over the model's bending angle; 0 where no log has it."""
+    angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
+    return float(np.ptp(np.concatenate(angles))) / max(model.bending_angle, 1e-9) if angles else 0.0

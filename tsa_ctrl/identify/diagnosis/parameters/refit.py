@@ -18,7 +18,8 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.catalogue import CATALOGUE, Value
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.effects.search import Value
 from tsa_ctrl.model.functions import Array
 
 LEVEL = 0.95

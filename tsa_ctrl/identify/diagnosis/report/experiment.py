@@ -6,6 +6,7 @@ torque can sweep (speed of reversals, level, sign, rest), and the words say what
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -13,6 +14,8 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Experiment, Verdict
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.effects.specification import Motion
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 
@@ -21,43 +24,6 @@ FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, of the reversals
 LEVELS = (0.25, 0.5, 1.0)  # of the torque seen in the logs
 CYCLES = 3  # at each frequency and level
 LONGEST = 12.0  # s at one frequency and level
-
-_SPEEDS = "reversals at several speeds (0.1 to 2 rad/s) over the same range"
-_BENDING = "repeat the same motion at two or more known bending angles (column theta) or known pretensions"
-_GAIN = "hang a known weight on the joint and hold it, to certify the torque's gain"
-_SIGNS = "load the joint with torques of both signs and of several levels"
-_RANGE = "move over the whole range of the joint"
-_WARM = "heat and cool the drive while it moves, and log its temperature"
-
-# What parts two effects; the pairs are those of the catalogue's table of twins.
-_PARTS: Sequence[tuple[frozenset[str], tuple[str, ...]]] = (
-    (
-        frozenset({"transport_delay", "presliding_hysteresis", "velocity_lag", "backlash", "stribeck_friction"}),
-        (_SPEEDS,),
-    ),
-    (
-        frozenset({"viscous_friction", "direction_asymmetric_friction", "sheath_asymmetry"}),
-        (f"{_SPEEDS}, in both directions",),
-    ),
-    (frozenset({"direction_asymmetric_friction", "torque_offset"}), (f"{_SPEEDS}, in both directions",)),
-    (frozenset({"viscous_friction", "motor_side_friction", "parameter_error", "stribeck_friction"}), (_SPEEDS,)),
-    (
-        frozenset({"load_dependent_friction", "sheath_asymmetry", "tendon_slack", "tension_dependent_friction"}),
-        (_SIGNS,),
-    ),
-    (frozenset({"thermal_friction_drift", "pretension_relaxation"}), (_WARM,)),
-    (frozenset({"gravity_load", "joint_stiffness", "torque_offset", "configuration_dependent_bending"}), (_RANGE,)),
-    (frozenset({"inertia", "joint_stiffness", "gravity_load"}), (f"{_RANGE}, at two frequencies of motion at least",)),
-    (
-        frozenset({"elongation_coupling", "torque_constant_error", "tension_dependent_friction"}),
-        (_BENDING, _GAIN),
-    ),
-    (frozenset({"torque_constant_error", "parameter_error"}), (_GAIN,)),
-    (
-        frozenset({"motor_side_friction", "stiffness_nonlinearity", "parameter_error", "pretension_relaxation"}),
-        (_BENDING,),
-    ),
-)
 
 
 def advice(
@@ -102,12 +68,16 @@ def _playable(text: str, torque: Array) -> Experiment:
 
 def parted_by(names: Sequence[str]) -> list[str]:
     """What parts each pair of a group."""
-    out: list[str] = []
-    for i, first in enumerate(names):
-        for second in names[i + 1 :]:
-            texts = [text for members, text in _PARTS if {first, second} <= members]
-            out += texts[0] if texts else (_SPEEDS, _SIGNS)
-    return list(dict.fromkeys(out))
+    pairs = itertools.combinations(names, 2)
+    return list(dict.fromkeys(motion.value for first, second in pairs for motion in _parting(first, second)))
+
+
+def _parting(first: str, second: str) -> tuple[Motion, ...]:
+    """What parts two effects, as one of them says; else what parts most."""
+    for name, other in ((first, second), (second, first)):
+        if name in CATALOGUE and (motions := CATALOGUE[name].parted_from(other)):
+            return motions
+    return Motion.SPEEDS, Motion.SIGNS
 
 
 def _gaps(found: Audit, not_testable: Mapping[str, str], rigid: bool) -> list[str]:
@@ -116,14 +86,13 @@ def _gaps(found: Audit, not_testable: Mapping[str, str], rigid: bool) -> list[st
     if not found.both_directions:
         wanted.append("move in both directions")
     if found.reversals < 8:
-        wanted.append(_SPEEDS)
+        wanted.append(Motion.SPEEDS.value)
     if not rigid and not _both_signs(found):
-        wanted.append(_SIGNS)
-    if "thermal_friction_drift" in not_testable:
-        wanted.append(_WARM)
-    if not rigid and "stiffness_nonlinearity" in not_testable:
-        wanted.append(_BENDING)
-    return wanted or [_SPEEDS]
+        wanted.append(Motion.SIGNS.value)
+    specs = [CATALOGUE[name] for name in not_testable]
+    asked = {spec.asks for spec in specs if spec.rigid_drive or not rigid}
+    wanted += [motion.value for motion in Motion if motion in asked]
+    return wanted or [Motion.SPEEDS.value]
 
 
 def _both_signs(found: Audit) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import simulation_error
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast
 from tsa_ctrl.identify.diagnosis.residual import changes, features
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence

@@ -10,7 +10,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.residual.changes import DRIFT
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion

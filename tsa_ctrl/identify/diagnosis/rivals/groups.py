@@ -18,13 +18,12 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit_or_none
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
-from tsa_ctrl.identify.diagnosis.hypotheses.base import Coordinate
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, Variant, all_but
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.residual.features import angle
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
-from tsa_ctrl.model.catalogue import Value
+from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 

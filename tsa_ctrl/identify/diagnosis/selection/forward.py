@@ -14,7 +14,7 @@ from tsa_ctrl.identify.diagnosis.fitting.noise_model import pilot_noise
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, Score, responses, scores
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, all_but
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
 from tsa_ctrl.identify.diagnosis.selection.entry import (
     LEAST_OUTSIDE,

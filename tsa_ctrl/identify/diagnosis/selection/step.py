@@ -10,8 +10,9 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, fit_or_none
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Response, Score, best_by_effect, responses, scores
-from tsa_ctrl.identify.diagnosis.hypotheses.variants import Catalogue, Variant, all_but
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
+from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
 
 LATE_REVERSALS = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity

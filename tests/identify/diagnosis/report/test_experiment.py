@@ -1,0 +1,31 @@
+"""What parts effects that look alike, in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from tsa_ctrl.identify.diagnosis.report.experiment import parted_by
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("transport_delay", "presliding_hysteresis"), ["several speeds"]),
+        (("presliding_hysteresis", "transport_delay"), ["several speeds"]),
+        (("elongation_coupling", "torque_constant_error"), ["bending angles", "known weight"]),
+        (("parameter_error", "torque_constant_error"), ["known weight"]),
+        (("inertia", "joint_stiffness"), ["two frequencies"]),
+        (("thermal_friction_drift", "pretension_relaxation"), ["heat and cool"]),
+        (("torque_ripple", "inertia"), ["several speeds", "torques of both signs"]),
+    ],
+)
+def test_a_pair_is_parted_by_what_one_of_the_two_says(names: tuple[str, ...], words: list[str]) -> None:
+    """In either order; a pair that nobody speaks of by what parts most."""
+    found = parted_by(names)
+    assert len(found) == len(words)
+    assert all(word in text for word, text in zip(words, found, strict=True))
+
+
+def test_a_group_is_parted_pair_by_pair_and_nothing_is_said_twice() -> None:
+    """Three that differ by speed alone need one motion."""
+    assert len(parted_by(("transport_delay", "velocity_lag", "backlash"))) == 1

@@ -1,0 +1,105 @@
+"""How a fit looks for an effect in logs: coordinates of its parameters, and starting grids of the nonlinear ones.
+
+Coordinates are scaled so that 1 is an effect about as large as the torque; an amplitude with a phase is a pair (cosine,
+sine), which is linear where amplitude and phase are not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from tsa_ctrl.model.functions import Array
+
+Value: TypeAlias = float | int | str  # what a fit sets
+Parameters: TypeAlias = Callable[[Array], dict[str, Value]]
+INF = math.inf
+FEW_SAMPLES = 1.5  # a lag or delay so short hides among the moments of unknown direction
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One free number of a fit, in its own scale: bounds, and the step of finite differences."""
+
+    name: str
+    low: float
+    high: float
+    step: float = 1e-4
+
+
+@dataclass(frozen=True)
+class Variant:
+    """An effect with its discrete choices made.
+
+    `starts`: vectors over `coordinates`; those of `amplitude` (indices) are at 0 there, where the effect vanishes, and
+    its response is nearly linear in them. Without an amplitude a start is the whole effect.
+    """
+
+    effect: str
+    coordinates: tuple[Coordinate, ...]
+    starts: tuple[tuple[float, ...], ...]
+    amplitude: tuple[int, ...]
+    parameters: Parameters
+    label: str = ""
+    unidentifiable: tuple[str, ...] = ()  # parameters that no log of this base model tells
+    full_strength: tuple[tuple[float, ...], ...] = ()  # further starts, of effects far from linear in their strength
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of the signals of some logs, to scale coordinates and to place grids, and what the logs lack."""
+
+    torque: float  # RMS of the predicted torque's change, N*m
+    motor_torque: float  # N*m
+    speed: float  # 95 % of the moving speeds are below, rad/s
+    speed_noise: float  # rad/s
+    acceleration: float  # rad/s^2
+    reach: float  # half range of q_j, rad
+    middle: float  # mean of q_j, rad
+    motor_reach: float  # half range of the displacement that presliding follows, rad
+    motor_step: float  # 90 % of the steps of q_m are below, rad; nan without q_m
+    seconds: float  # longest run, s
+    period: float  # compute period, s
+    heating: float  # range of the temperature, K
+    bending: float  # range of the column theta, over the model's bending angle
+    derived_velocity: str  # column of the velocity that was derived from an angle; empty when it was measured
+    plain: bool  # a drive without tendons: joint and motor are one
+    offset: bool  # the base model has a constant torque, which is fitted
+
+
+Search: TypeAlias = Callable[[str, Scales], Sequence[Variant]]  # of an effect by its name
+
+
+def linear(
+    parameter: str,
+    scale: Callable[[Scales], float],
+    low: float = -INF,
+    high: float = INF,
+    full_strength: tuple[tuple[float, ...], ...] = (),
+) -> Search:
+    """One amplitude: parameter = scale * coordinate, between bounds of the parameter."""
+
+    def variants(name: str, s: Scales) -> list[Variant]:
+        unit = scale(s)
+
+        def parameters(u: Array) -> dict[str, Value]:
+            return {parameter: float(u[0]) * unit}
+
+        coordinate = Coordinate(parameter, low / unit, high / unit, 1e-3)
+        return [Variant(name, (coordinate,), ((0.0,),), (0,), parameters, full_strength=full_strength)]
+
+    return variants
+
+
+def one(_: Scales) -> float:
+    """The scale of a parameter that is a share of the whole."""
+    return 1.0
+
+
+def geometric(low: float, high: float, count: int) -> list[float]:
+    """`count` values from low to high in equal ratios; none where there is no range."""
+    return [float(v) for v in np.geomspace(low, high, count)] if high > low > 0.0 else []
