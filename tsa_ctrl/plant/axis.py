@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Mapping
 from typing import Any
 
@@ -24,7 +25,6 @@ CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "motor_end": ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0)),
     "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),
 }
-_TRUTH = tuple(name for name, _ in COLUMNS[7:])
 _MIN_PRESLIDING = 1e-6  # m
 _LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps
 
@@ -37,6 +37,9 @@ _TIME, _TORQUE, _MOTOR_SPEED, _MOTOR_ANGLE, _JOINT_ANGLE, _JOINT_SPEED, _JOINT_T
         "t", "torque_loop", "omega_m", "q_m", "q_lagged", "omega_lagged", "tau_sensed", "temperature", "speed_limited",
     )
 )  # fmt: skip
+
+
+_TRUTH = operator.itemgetter(*((STATE.names or ()).index(name) for name, _ in COLUMNS[7:]))
 
 
 class Axis:
@@ -134,7 +137,7 @@ class Axis:
         self._read()
 
     def _read(self) -> None:
-        values = self.state[0].item()
+        self._values = values = self.state[0].item()
         readings = self.readings
         self.time = values[_TIME]
         readings.motor_torque = values[_TORQUE]
@@ -148,11 +151,10 @@ class Axis:
 
     def truth(self) -> tuple[float, ...]:
         """What the record has of this axis, in its order from `enabled` on."""
-        v = self.values()
-        return (float(self.command.enabled), self.command.torque, *(v[name] for name in _TRUTH))
+        return (float(self.command.enabled), self.command.torque, *_TRUTH(self._values))
 
     def values(self) -> dict[str, float]:
-        """The whole state by name."""
+        """The whole state by name, as it is now."""
         return dict(zip(STATE.names or (), self.state[0].item(), strict=True))
 
 

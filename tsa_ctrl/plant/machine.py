@@ -146,8 +146,11 @@ class Machine:
     @property
     def due(self) -> float:
         """When something happens here although no frame comes, s of the clock."""
-        delayed = [at for outlet in self._outlets if (at := outlet.due) is not None]
-        return min(self._next_tick, *delayed) if delayed else self._next_tick
+        due = self._next_tick
+        for outlet in self._outlets:
+            if outlet.waiting:
+                due = min(due, outlet.waiting[0][0])
+        return due
 
     def step(self, frame: Frame | None, now: float) -> None:
         """What is due at `now`, and a frame that has arrived."""

@@ -56,11 +56,6 @@ class Outlet:
             sent = self.send(can_id, data)
         return sent
 
-    @property
-    def due(self) -> float | None:
-        """When the next delayed frame is to be sent."""
-        return self.waiting[0][0] if self.waiting else None
-
     def release(self, now: float) -> None:
         """Send delayed frames whose time has come."""
         while self.waiting and self.waiting[0][0] <= now:
