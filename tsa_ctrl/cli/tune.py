@@ -47,6 +47,13 @@ if TYPE_CHECKING:
     metavar="FILE",
     help="Excite with this torque (CSV with t, tau_j_des), as tsa diagnose writes it.",
 )
+@click.option(
+    "--virtual",
+    "plant",
+    type=click.Path(path_type=Path),
+    metavar="PLANT.toml",
+    help="Tune this simulated plant, in virtual time; nothing goes on a bus.",
+)
 @click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: beside logs."
@@ -69,6 +76,7 @@ def command(
     given_form: bool,
     extended: bool,
     setpoint: Path | None,
+    plant: Path | None,
     logs: tuple[str, ...],
     out: Path | None,
     yes: bool,
@@ -96,7 +104,10 @@ def command(
         forms=not given_form,
         extended=extended,
         setpoint=setpoint,
+        plant=plant,
     )
+    if plant is not None and logs:
+        raise click.UsageError("--virtual makes its own runs; leave it out, or --from-log")
     if setpoint is not None and logs:
         raise click.UsageError("--setpoint is for a run on the rig; leave it out, or --from-log")
     session = Session(controller, axis_name, plan)

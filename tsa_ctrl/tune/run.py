@@ -23,6 +23,7 @@ from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
 FloatArray = NDArray[np.float64]
+Play = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
 
 SHORTEST_PIECE = 1.5  # s between two longer skips, to be learned from
 STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
@@ -60,7 +61,11 @@ class Run:
 class RigRunner:
     """Plays waveforms on one axis of a rig; everything that is written goes to `folder`."""
 
-    def __init__(self, configuration: Configuration, axis: AxisSettings, bounds: Bounds, folder: Path) -> None:
+    def __init__(
+        self, configuration: Configuration, axis: AxisSettings, bounds: Bounds, folder: Path, run: Play = daemon
+    ) -> None:
+        """`run` is what runs `controller-NAME.toml` of a folder: the daemon on the rig, or a simulation."""
+        self._run = run
         self._configuration = configuration
         self._axis = axis
         self._bounds = bounds
@@ -84,7 +89,7 @@ class RigRunner:
         np.savetxt(setpoint, table, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
         text = self._controller(name, model, compensation, setpoint, slew)
         (self._folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
-        summary = daemon(self._folder, name, waveform.seconds, tick)
+        summary = self._run(self._folder, name, waveform.seconds, tick)
         if summary["log"] is None or summary["failed"]:
             raise BusError(f"the run '{name}' failed: {summary['cause']}")
         log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")

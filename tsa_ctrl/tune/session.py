@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -17,6 +18,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.outputs import untaken
+from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune import model_file
 from tsa_ctrl.tune.controller_file import differ_in_slew_alone, with_slew
 from tsa_ctrl.tune.excitation import (
@@ -30,7 +32,7 @@ from tsa_ctrl.tune.excitation import (
 from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
-from tsa_ctrl.tune.run import RigRunner
+from tsa_ctrl.tune.run import Play, RigRunner
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Plan:
     forms: bool = True
     extended: bool = False
     setpoint: Path | None = None  # file to play as the excitation, as a diagnosis writes it
+    plant: Path | None = None  # in virtual time on this simulated plant; default: on the rig's bus
 
 
 class Session:
@@ -71,6 +74,7 @@ class Session:
             extended=plan.extended,
             excitation=played,
         )
+        self._plant = plan.plant
         self._folder = Path()
         self._final: Path | None = None
         self.page: Path | None = None
@@ -191,8 +195,15 @@ class Session:
     def run(self, say: Progress) -> Outcome:
         """The whole procedure on the rig; raises UsageError, BusError."""
         self._check_ready()
-        runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder)
+        runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play())
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, self._folder, say).run()
+
+    def _play(self) -> Play:
+        if self._plant is None:
+            return daemon
+        from tsa_ctrl.virtual.stage import play  # the loop and the plant in this process
+
+        return functools.partial(play, plant=self._plant)
 
     def _check_ready(self) -> None:
         """The joint torque is measured, and the bus is there."""
@@ -202,6 +213,8 @@ class Session:
                 f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, which tuning learns "
                 "from; give [axis.torque_sensor] or an [[axis.serial]] of tau_j"
             )
+        if self._plant is not None:
+            return
         file = self._configuration.file
         for check in can_interface.checks(file.bus, (self.axis,), file.controller.rate):
             if check.result is Result.FAIL:
