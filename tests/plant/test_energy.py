@@ -16,12 +16,11 @@ from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
 from tsa_ctrl.plant.full import commit_full, full_tensions
 from tsa_ctrl.plant.settings import PhysicsSettings
 
-S_BENT = [(0.0, 0.0), (0.15, 0.05), (0.35, 0.45), (0.65, 0.5), (0.85, 0.95), (1.0, 1.0)]
 PROFILES: dict[str, Any] = {
     "uniform": "uniform",
     "motor_end": "motor_end",
     "joint_end": "joint_end",
-    "s_bent": S_BENT,
+    "s_bent": "s_bent",
     "one_bend": [(0.0, 0.0), (0.3, 0.0), (0.34, 1.0), (1.0, 1.0)],
 }
 POINTS = 800  # of one cycle

@@ -24,6 +24,7 @@ CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "uniform": ((0.0, 0.0), (1.0, 1.0)),
     "motor_end": ((0.0, 0.0), (0.0, 1.0), (1.0, 1.0)),
     "joint_end": ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0)),
+    "s_bent": ((0.0, 0.0), (0.1, 0.0), (0.35, 0.5), (0.65, 0.5), (0.9, 1.0), (1.0, 1.0)),  # two bends, straight between
 }
 _MIN_PRESLIDING = 1e-6  # m
 _LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps

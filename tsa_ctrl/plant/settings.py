@@ -76,7 +76,7 @@ class TendonSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     """How the pair of tendons is simulated, and where the sheaths bend."""
 
     kind: Literal["full", "distributed"] = "full"
-    curvature: Literal["uniform", "motor_end", "joint_end"] | list[tuple[float, float]] = "uniform"
+    curvature: Literal["uniform", "motor_end", "joint_end", "s_bent"] | list[tuple[float, float]] = "uniform"
     elements: Annotated[int, Meta(ge=1, le=1000)] = 40  # per tendon, distributed
     bristle_stiffness: NonNegative = 0.0  # N/m of one whole tendon on its liner, distributed; 0: rigid
     presliding: NonNegative = 0.0  # m of tendon until sticking turns into sliding, full; 0: from the elasticity
