@@ -44,7 +44,7 @@ ROOMS: dict[str, str] = {
     "ipc": "errors system",
     "daemon": "errors settings outputs system log sensors model bus safety control config ipc",
     # offline: from logs to parameters and causes, without bus and loop
-    "identify": "errors version settings log model",
+    "identify": "errors version settings system log model",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
     # both of them in one process, in time of their own

@@ -112,6 +112,12 @@ def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None
     assert call(serving, "stop", "--wait", "0").exit_code == 0
 
 
+@pytest.mark.parametrize("wait", ["nan", "-1", "inf", "soon"])
+def test_a_wait_that_is_no_time_is_refused_before_anybody_is_asked(serving: Serving, wait: str) -> None:
+    assert call(serving, "stop", "--wait", wait).exit_code == 2
+    assert not serving.mailbox.stop_requested
+
+
 @pytest.mark.parametrize("verb", [["status", "--json"], ["set", "compensation", "1"], ["stop"]])
 def test_without_a_daemon_exit_code_1(tmp_path: Path, verb: list[str]) -> None:
     """No daemon: one line, exit code 1, empty stdout."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import grp
 import json
 import os
@@ -250,6 +251,33 @@ def test_socket_may_belong_to_a_group(tmp_path: Path) -> None:
     with listen(str(path), group.gr_name):
         found = path.stat()
     assert (stat.S_IMODE(found.st_mode), found.st_gid) == (0o660, group.gr_gid)
+
+
+@pytest.mark.parametrize("step", ["chown", "chmod", "listen"])
+def test_socket_that_cannot_be_opened_is_not_left_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    """A group that this user is not in, above all: one line, and the name is free again."""
+
+    def denied(*arguments: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    where = {"chown": "os.chown", "chmod": "pathlib.Path.chmod", "listen": "socket.socket.listen"}
+    path = tmp_path / "tsa.sock"
+    with monkeypatch.context() as changed:
+        changed.setattr(where[step], denied)
+        with pytest.raises(UsageError, match=r"\[socket\] .*Operation not permitted") as error:
+            listen(str(path), grp.getgrgid(os.getgid()).gr_name)
+    assert "\n" not in str(error.value)
+    assert not path.exists()
+
+
+def test_a_file_that_is_in_the_way_stays(tmp_path: Path) -> None:
+    path = tmp_path / "tsa.sock"
+    path.write_text("somebody's")
+    with pytest.raises(UsageError, match="cannot listen there"):
+        listen(str(path), None)
+    assert path.read_text() == "somebody's"
 
 
 def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:

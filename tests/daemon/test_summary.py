@@ -104,3 +104,16 @@ def test_events_fit_the_mailbox() -> None:
     text = events.encoded()
     assert len(text) <= TEXT
     assert json.loads(text)[-1]["t"] == MOST - 1
+
+
+def test_the_cause_is_among_the_events_that_fit_the_mailbox() -> None:
+    """Who looks at the status must see why it stopped, however much was said since."""
+    events = Events()
+    events.add(0.0, "", "log: written again")
+    events.add(1.0, "k" * 10_000, "\0" * 10_000, fault=True)
+    for n in range(MOST):
+        events.add(2.0 + n, "knee", "x" * 1000, fault=True)
+    told = json.loads(events.encoded())
+    assert (told[0]["number"], told[0]["t"]) == (1, 1.0)
+    assert told[-1]["t"] == MOST + 1
+    assert len(events.encoded()) <= TEXT

@@ -113,6 +113,19 @@ def test_text_in_a_signal_is_an_error_even_when_all_columns_are_read(tmp_path: P
         read_csv(written(tmp_path, "t,tau_m\n0,high\n"))
 
 
+@pytest.mark.parametrize("end", ["", "\n"])
+@pytest.mark.parametrize("size", [40, 1 << 20, (1 << 20) + 1, 1 << 22, (1 << 22) + 3])
+def test_a_blank_line_before_the_last_row_is_found_wherever_a_block_ends(tmp_path: Path, size: int, end: str) -> None:
+    """`size`: bytes up to the end of the blank line; a file is read in blocks of some power of two."""
+    head, row = "t,tau_m\n", "0,1.5\n"
+    rows, more = divmod(size - len(head) - 1, len(row))
+    text = head + row * (rows - 1) + f"0,{'1':0>{3 + more}}\n"
+    assert len(text) + 1 == size
+    assert len(read_csv(written(tmp_path, text + "\n"))[0]["t"]) == rows
+    with pytest.raises(UsageError, match=rf"row {rows + 1} \(line {rows + 2}\) is empty"):
+        read_csv(written(tmp_path, f"{text}\n2,3{end}"))
+
+
 def test_an_empty_field_is_nan(tmp_path: Path) -> None:
     columns, _, _ = read_csv(written(tmp_path, "t,tau_m\n0,\n1,2\n"))
     assert np.isnan(columns["tau_m"][0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,15 @@ def controller(tmp_path: Path) -> Path:
     path = tmp_path / "controller.toml"
     path.write_text(CONTROLLER)
     return path
+
+
+def test_files_are_replaced_beside_the_main_thread_too(file: Path) -> None:
+    """Only there can Python set a handler, and only there one runs."""
+    with ThreadPoolExecutor(1) as pool:
+        kept = pool.submit(replace, {file: "a = 2\n"}).result()
+        assert kept[file].read_text() == MODEL
+        pool.submit(undo, last(file)).result()
+    assert file.read_text() == MODEL
 
 
 def test_a_diff_shows_what_changes(file: Path) -> None:

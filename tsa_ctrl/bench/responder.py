@@ -24,7 +24,7 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.parent import terminal_blocked
+from tsa_ctrl.system.parent import child
 
 PRIORITY = 70  # below the loop, above everything else
 BEAT = 0.02  # s between heartbeats, at the next SYNC
@@ -126,10 +126,7 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
         with _in_a_thread(settings, axes):
             yield
         return
-    with terminal_blocked():
-        process = subprocess.Popen(
-            [sys.executable, "-m", "tsa_ctrl.bench.responder"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        )
+    process = child("tsa_ctrl.bench.responder")
     assert process.stdin is not None
     assert process.stdout is not None
     try:

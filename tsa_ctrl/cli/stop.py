@@ -6,6 +6,7 @@ import time
 
 import click
 
+from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
@@ -18,7 +19,7 @@ POLL = 0.05  # s
     epilog="Example: tsa stop",
 )
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
-@click.option("--wait", default=15.0, show_default=True, help="Seconds to wait for its end; 0: do not wait.")
+@click.option("--wait", default=15.0, show_default=True, type=Finite(0.0), help="Seconds for its end; 0: do not wait.")
 def command(path: str, wait: float) -> None:
     """Ramp a running daemon's torque to zero, disable its drives, and end it."""
     with Client(path) as client:

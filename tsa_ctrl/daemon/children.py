@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import subprocess
-import sys
 from collections.abc import Sequence
 
 import msgspec
@@ -19,7 +17,7 @@ from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.outputs import untaken
-from tsa_ctrl.system.parent import terminal_blocked
+from tsa_ctrl.system.parent import child
 
 PATIENCE = 2.0  # s for the socket server to end
 
@@ -35,13 +33,7 @@ class Children:
         self.sensors = AxisSensors(file.axes)
         self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters))
         description = describe(configuration, tuners)
-        with terminal_blocked():
-            self._server = subprocess.Popen(
-                [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[self.mailbox.descriptor],
-            )
+        self._server = child("tsa_ctrl.ipc.server", self.mailbox.descriptor, fd=self.mailbox.descriptor)
         assert self._server.stdin is not None
         assert self._server.stdout is not None
         try:

@@ -9,6 +9,8 @@ import msgspec
 from tsa_ctrl.ipc.mailbox import TEXT
 
 MOST = 50  # events that are kept beside the first fault
+LONGEST = 1000  # characters of a text; the first fault always has room in the mailbox
+LONGEST_NAME = 100  # characters of an axis' name
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class Events:
         self.changed = False
 
     def add(self, t: float, axis: str, text: str, fault: bool = False) -> None:
-        self._kept.append(Event(self._number, t, axis, text, fault))
+        self._kept.append(Event(self._number, t, axis[:LONGEST_NAME], text[:LONGEST], fault))
         self._number += 1
         self.changed = True
         if len(self._kept) > MOST:
@@ -58,8 +60,10 @@ class Events:
         return tuple(event for event in self._kept if event.number >= number)
 
     def encoded(self) -> bytes:
-        """JSON of as many of the newest as the mailbox has room for."""
+        """JSON of the first fault, and of as many of the newest as the mailbox has room for beside it."""
         kept = [asdict(event) for event in self._kept]
-        while len(text := msgspec.json.encode(kept)) > TEXT:
-            kept.pop(0)
+        cause = self.first_fault
+        spared = 0 if cause is None else 1
+        while len(text := msgspec.json.encode(kept)) > TEXT and len(kept) > spared:
+            kept.pop(1 if cause is not None and kept[0]["number"] == cause.number else 0)
         return text

@@ -28,6 +28,7 @@ from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills.samples import Sample
 from tsa_ctrl.errors import TsaError
+from tsa_ctrl.system.signals import ignore
 
 READY = b"ready\n"
 TAKE_OVER = 3  # periods without a SYNC after which the loop counts as gone
@@ -143,8 +144,7 @@ class Listener:
 
 def main(argv: list[str]) -> int:
     """Serve until told to end, or until stdin closes."""
-    for number in (signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    ignore(signal.SIGINT, signal.SIGHUP)
     try:
         configuration = load_configuration(argv[0])
         bus = open_bus(configuration.file.bus)

@@ -21,7 +21,7 @@ from tsa_ctrl.drills.listener import READY, ZERO_SHARE
 from tsa_ctrl.drills.samples import Sample, Timing, timing
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.safety.shut_down import shut_down
-from tsa_ctrl.system.parent import environment, terminal_blocked
+from tsa_ctrl.system.parent import child, environment, terminal_blocked
 
 STARTED = 60.0  # s until the loop delivers torque
 SETTLED = 0.4  # s of torque before anything is done
@@ -66,12 +66,7 @@ class ListenerProcess:
 
     def __init__(self, configuration: Configuration) -> None:
         """Raises BusError when it cannot listen."""
-        with terminal_blocked():
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", "tsa_ctrl.drills.listener", str(configuration.path)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-            )
+        self._process = child("tsa_ctrl.drills.listener", configuration.path)
         assert self._process.stdout is not None
         said = self._process.stdout.readline()
         if said != READY:

@@ -35,6 +35,7 @@ from tsa_ctrl.ipc.protocol import (
     is_socket,
 )
 from tsa_ctrl.ipc.report import status_report
+from tsa_ctrl.system.signals import ignore
 
 CLIENTS = 16
 UNSENT = 256 * 1024  # bytes of answers that a client may leave unread
@@ -250,31 +251,36 @@ def listen(path: str, group: str | None) -> socket.socket:
             else:
                 raise UsageError(f"{path}: another daemon answers there; stop it, or give another [socket] path")
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    bound = False
     try:
         before = os.umask(0o177)
         try:
             listener.bind(path)
         finally:
             os.umask(before)
+        bound = True
         if group is not None:
             os.chown(path, -1, grp.getgrnam(group).gr_gid)
             place.chmod(0o660)
         listener.listen(CLIENTS)
         listener.setblocking(False)
-    except KeyError:
+    except (KeyError, OSError) as error:
         listener.close()
-        place.unlink()
-        raise UsageError(f"[socket] group '{group}': no such group; give one that exists") from None
-    except OSError as error:
-        listener.close()
+        if bound:  # else it is another's
+            place.unlink(missing_ok=True)
+        if isinstance(error, KeyError):
+            raise UsageError(f"[socket] group '{group}': no such group; give one that exists") from None
+        if bound and isinstance(error, PermissionError):
+            raise UsageError(
+                f"[socket] group '{group}': {path} cannot be given to it ({error.strerror}); give a group of this user"
+            ) from None
         raise UsageError(f"[socket] path {path}: cannot listen there ({error.strerror}); give another path") from None
     return listener
 
 
 def main(argv: list[str]) -> int:
     """Serve until the daemon's end of stdin closes; events are printed as they come."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they reach the whole group; the daemon decides
-        signal.signal(number, signal.SIG_IGN)
+    ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # they reach the whole group; the daemon decides
     asked = sys.stdin.buffer.readline()
     if not asked:  # the daemon is gone already
         return 0

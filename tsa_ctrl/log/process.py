@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
-from tsa_ctrl.system.parent import terminal_blocked
+from tsa_ctrl.system.parent import child
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
 STARTED = 20.0  # s for the writer to look at the ring
@@ -28,13 +27,7 @@ class LogProcess:
         self.path = path
         self._ring = ring
         check_place(path)
-        with terminal_blocked():
-            self._child = subprocess.Popen(
-                [sys.executable, "-m", "tsa_ctrl.log.writer", str(ring.fd), str(path)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                pass_fds=[ring.fd],
-            )
+        self._child = child("tsa_ctrl.log.writer", ring.fd, path, stdout=subprocess.DEVNULL, fd=ring.fd)
         assert self._child.stdin is not None
         try:
             self._child.stdin.write(header.to_json().encode() + b"\n")

@@ -22,6 +22,7 @@ from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.log.ring import RingReader, WriterState
+from tsa_ctrl.system.signals import ignore
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost
@@ -122,12 +123,7 @@ def _joined(blocks: Blocks) -> NDArray[np.float64]:
 
 def main(argv: list[str]) -> int:
     """Run until the owner finishes the ring or dies."""
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-        signal.SIGHUP,
-    ):  # they reach the whole group; the owner decides when records end
-        signal.signal(number, signal.SIG_IGN)
+    ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the owner decides when records end
     fd, path = int(argv[0]), Path(argv[1])
     owner = os.getppid()
     asked = sys.stdin.buffer.readline()

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import functools
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
 
 import msgspec
 
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.sensors.slots import Reading, Slots
-from tsa_ctrl.system.parent import terminal_blocked
+from tsa_ctrl.system.parent import child as start
 
 PATIENCE = 2.0  # s for a reader to end
 
@@ -26,12 +25,8 @@ class SerialSensors:
 
     def _start(self, index: int) -> subprocess.Popen[bytes]:
         text = msgspec.json.encode(self.settings[index]).decode()
-        command = [sys.executable, "-m", "tsa_ctrl.sensors.reader"]
-        arguments = [str(self._slots.fd), str(self._slots.count), str(index), text]
-        with terminal_blocked():
-            return subprocess.Popen(
-                command + arguments, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, pass_fds=[self._slots.fd]
-            )
+        fd, count = self._slots.fd, self._slots.count
+        return start("tsa_ctrl.sensors.reader", fd, count, index, text, stdout=subprocess.DEVNULL, fd=fd)
 
     def reader(self, index: int) -> Callable[[float], float]:
         """SI value of a sensor at a monotonic time, nan when there is none younger than its time-out; about 1 us."""

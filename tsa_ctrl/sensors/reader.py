@@ -20,6 +20,7 @@ import serial
 from tsa_ctrl.sensors.parser import LineParser
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.sensors.slots import LineState, Reading, Slots
+from tsa_ctrl.system.signals import ignore
 
 RETRY = 0.5  # s between attempts to open a port
 TICK = 0.05  # s: how often the parent's life and the line's silence are looked at
@@ -96,8 +97,7 @@ def parent_gone(wait: float) -> bool:
 
 def main() -> None:
     """Read one sensor until the daemon ends this process."""
-    for number in (signal.SIGINT, signal.SIGHUP):  # they are for the daemon, which then ends this process
-        signal.signal(number, signal.SIG_IGN)
+    ignore(signal.SIGINT, signal.SIGHUP)  # they are for the daemon, which then ends this process
     fd, count, index, text = sys.argv[1:]
     settings = msgspec.json.decode(text, type=SerialSensorSettings)
     SerialReader(settings, Slots(int(count), int(fd)), int(index)).run()

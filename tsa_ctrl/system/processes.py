@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import queue
-import signal
 import subprocess
 import sys
 import threading
@@ -16,6 +15,7 @@ from typing import Any
 
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.parent import environment
+from tsa_ctrl.system.signals import postponed
 
 READY_TIME = 120.0  # s: the plant compiles its physics on the first start of a machine
 END_TIME = 15.0  # s
@@ -25,23 +25,6 @@ OVERTIME = 30.0  # s beyond the asked duration until a daemon counts as hung
 def tsa(*arguments: str) -> list[str]:
     """The command line of a verb, whatever is on PATH."""
     return [sys.executable, "-m", "tsa_ctrl", *arguments]
-
-
-@contextlib.contextmanager
-def _signals_wait() -> Iterator[None]:
-    """SIGINT and SIGTERM are handled when the block is left: no process may start that nobody knows of."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    caught: list[int] = []
-    kept = {number: signal.signal(number, lambda n, _: caught.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in kept.items():
-            signal.signal(number, handler)
-    for waiting in caught:
-        signal.raise_signal(waiting)
 
 
 @contextlib.contextmanager
@@ -102,7 +85,7 @@ def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None
     process = None
     begin = time.monotonic()
     try:
-        with _signals_wait():
+        with postponed():  # no process may start that nobody knows of
             process = subprocess.Popen(
                 command, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
             )

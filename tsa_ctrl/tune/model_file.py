@@ -6,15 +6,14 @@ A signal waits until all of them are written.
 
 from __future__ import annotations
 
-import contextlib
 import difflib
-import signal
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.outputs import backups
+from tsa_ctrl.system.signals import postponed
 
 
 def diff(path: Path, text: str) -> str:
@@ -23,22 +22,7 @@ def diff(path: Path, text: str) -> str:
     return "".join(difflib.unified_diff(before, text.splitlines(keepends=True), path.name, f"{path.name} (new)"))
 
 
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """By handlers: a mask is one thread's own, and a signal takes any thread that lets it through."""
-    came: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda got, _: came.append(got)) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        if came:
-            signal.raise_signal(came[0])
-
-
-@_uninterrupted()
+@postponed()
 def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path, Path]:
     """Write each text to its path, by renaming; returns where the files that were there are kept.
 
@@ -78,7 +62,7 @@ def last(path: Path, *others: Path) -> dict[Path, Path]:
     return found
 
 
-@_uninterrupted()
+@postponed()
 def undo(kept: Mapping[Path, Path]) -> None:
     """Put kept files back in place."""
     for path, old in kept.items():

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from tests.bus.local_nodes import Bench, bench
 from tests.bus.nodes import axis_nodes
-from tsa_ctrl.bus.drive.backup import StoredObject, load_backup, restore_plan
+from tsa_ctrl.bus.drive.backup import Backup, StoredObject, load_backup, restore_plan
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import BusSettings
@@ -65,6 +65,17 @@ def test_dump_holds_what_the_drive_has_and_no_command(nodes: Bench, tmp_path: Pa
     assert (backup.vendor_id, backup.product_code, backup.serial_number) == (0x0F0F, 0x0402, 7)
     assert (found[0x6072, 0], found[0x60C2, 2], found[0x1400, 1]) == (3000, -3, 0x201)
     assert not {(0x6040, 0), (0x6071, 0), (0x1402, 1)} & set(found)
+
+
+@pytest.mark.parametrize("name", ['5" drive', "back\\slash", "two\nlines", "tab\t", "'''", "\x7f\x00", "µ"])
+def test_any_name_in_a_backup_is_read_again(tmp_path: Path, name: str) -> None:
+    """A profile may name its own objects as it likes."""
+    stored = [StoredObject(index=0x2000, subindex=n, type="i16", value=-n, name=name) for n in range(3)]
+    backup = Backup(node_id=1, vendor_id=0xFB, product_code=1, object=stored)
+    file = tmp_path / "drive.toml"
+    file.write_text(backup.text(), encoding="utf-8")
+    assert load_backup(file) == backup
+    assert "vendor_id = 0x000000FB\n" in backup.text()
 
 
 def test_diff_without_a_file_shows_what_a_bring_up_would_change(nodes: Bench) -> None:

@@ -197,6 +197,19 @@ def test_answer_that_comes_last_is_found_out_and_listened_for() -> None:
     assert bus.bell == last[0]
 
 
+def test_a_frame_that_is_no_answer_is_never_listened_for() -> None:
+    """A heartbeat that stands behind the last answer ends no cycle."""
+    rig, bus, nodes = one_axis_rig()
+    bus.answers = lambda timeout, most: []  # type: ignore[method-assign]
+    bus.recv = lambda timeout: None  # type: ignore[method-assign]
+    batch = [*nodes.frames(), (0x701, b"\x05")]
+    bus.gather = lambda until, most: batch if until > bus.clock.now else []  # type: ignore[method-assign]
+    for _ in range(20):
+        cycle(rig, bus)
+        assert rig.axes[0].image.fresh
+    assert bus.bell == nodes.frames()[-1][0]
+
+
 def test_wakes_early_by_what_waking_costs_and_takes_what_comes_until_the_time() -> None:
     """An answer that comes after it woke, but before its time, is late like one that waited."""
     bus = FakeBus(FakeClock(), Responder())

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
+import tomlkit
+import tomlkit.items
 from msgspec import Meta
 
 from tsa_ctrl import settings
@@ -60,27 +62,28 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
 
     def text(self) -> str:
         """The file's text; values in hexadecimal where they are not negative."""
-        lines = [
-            "# Objects of a drive, as read by `tsa drive dump`; `tsa drive restore` writes them back.",
-            f"format = {self.format}",
-            f"node_id = {self.node_id}",
-            f"vendor_id = 0x{self.vendor_id:08X}",
-            f"product_code = 0x{self.product_code:08X}",
-            f"revision = 0x{self.revision:08X}",
-            f"serial_number = 0x{self.serial_number:08X}",
-        ]
+        document = tomlkit.document()
+        head = "Objects of a drive, as read by `tsa drive dump`; `tsa drive restore` writes them back."
+        document.add(tomlkit.comment(head))
+        document["format"] = self.format
+        document["node_id"] = self.node_id
+        for name in ("vendor_id", "product_code", "revision", "serial_number"):
+            document[name] = _hexadecimal(getattr(self, name), 8)
+        objects = tomlkit.aot()
         for stored in self.object:
-            value = str(stored.value) if stored.value < 0 else f"0x{stored.value:X}"
-            lines += [
-                "",
-                "[[object]]",
-                f"index = 0x{stored.index:04X}",
-                f"subindex = {stored.subindex}",
-                f'type = "{stored.type}"',
-                f"value = {value}",
-                f'name = "{stored.name}"',
-            ]
-        return "\n".join(lines) + "\n"
+            table = tomlkit.table()
+            table["index"] = _hexadecimal(stored.index, 4)
+            table["subindex"] = stored.subindex
+            table["type"] = stored.type
+            table["value"] = _hexadecimal(stored.value, 1)
+            table["name"] = stored.name
+            objects.append(table)
+        document["object"] = objects
+        return str(tomlkit.dumps(document))
+
+
+def _hexadecimal(value: int, digits: int) -> tomlkit.items.Integer | int:
+    return value if value < 0 else tomlkit.items.Integer(value, tomlkit.items.Trivia(), f"0x{value:0{digits}X}")
 
 
 @dataclass(frozen=True)

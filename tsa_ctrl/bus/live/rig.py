@@ -185,7 +185,7 @@ class Rig:
         pending = 0 if self._flooded_now else self._expected
         if pending:
             frames = bus.answers(self._patience, pending)
-            taken, rounds, over = 0, 0, False
+            taken, rounds, over, last = 0, 0, False, self._last
             while True:
                 for can_id, data in frames:
                     inbox = answers.get(can_id)
@@ -194,7 +194,9 @@ class Rig:
                     elif inbox.armed and len(data) == inbox.length:
                         inbox.armed = False
                         inbox.store(inbox.unpack(data))
-                        pending -= inbox.awaited
+                        if inbox.awaited:
+                            pending -= 1
+                            last = can_id
                     else:
                         inbox.refuse(data)
                 taken += len(frames)
@@ -206,7 +208,7 @@ class Rig:
                 over = frame is None  # then only what came in time is still taken
                 frames = bus.gather(deadline, pending + _OTHERS) if frame is None else (frame,)
             if rounds > 1 and pending <= 0:
-                self._learn_the_last(can_id)
+                self._learn_the_last(last)
         complete = pending <= 0 and self._expected == len(self._inboxes) and not self._flooded_now
         if self._flooded_now:
             self.flooded += 1

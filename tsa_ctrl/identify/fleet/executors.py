@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import multiprocessing
 import os
 import signal
@@ -13,8 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.system.parent import end_with_parent
+from tsa_ctrl.system.signals import ignore
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
 CONNECT = 10.0  # s to reach a scheduler
 
 
@@ -49,9 +49,8 @@ def local(jobs: int | None = None) -> Iterator[Workers]:
 
 def _begin() -> None:
     """Ctrl-C is for the process that started the fleet; a worker ends with it, however it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    ignore(signal.SIGINT)
+    end_with_parent()
 
 
 @contextlib.contextmanager
