@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import build_chain, settle
+from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values
 from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
 from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.record import COLUMNS
 from tsa_ctrl.plant.settings import AxisSettings, MotionSettings, PhysicsSettings
-from tsa_ctrl.plant.state import DELAY_SAMPLES, MAX_ELEMENTS, PARAMETERS, STATE, Presliding
+from tsa_ctrl.plant.state import DELAY_SAMPLES, PARAMETERS, STATE
 
 CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "uniform": ((0.0, 0.0), (1.0, 1.0)),
@@ -28,9 +29,6 @@ CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
 }
 _MIN_PRESLIDING = 1e-6  # m
 _LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps
-
-Effects = Mapping[str, Mapping[str, Any]]
-
 
 _TIME, _TORQUE, _MOTOR_SPEED, _MOTOR_ANGLE, _JOINT_ANGLE, _JOINT_SPEED, _JOINT_TORQUE, _TEMPERATURE, _SPEED_LIMITED = (
     (STATE.names or ()).index(name)
@@ -59,8 +57,8 @@ class Axis:
         self.state: NDArray[Any] = np.zeros(1, STATE)
         _set(self.parameters, step=physics.step)
         _set(self.parameters, **_transmission(model, settings), **_motor(settings), **load_parameters(settings.joint))
-        _set(self.parameters, **_neutral(model, settings))
-        _set(self.parameters, **_effects(settings.effects, model))
+        _set(self.parameters, **effect_values(settings.effects, model))
+        _set(self.parameters, backlash_threshold=2.0 * 2.0 * math.pi / settings.encoder.counts_per_revolution)
         _set(
             self.parameters,
             motion_grid=motion.grid,
@@ -215,69 +213,3 @@ def _motor(settings: AxisSettings) -> dict[str, float]:
         "torque_lag": drive.torque_time_constant,
         "peak_torque": drive.peak_torque * drive.gear_ratio,
     }
-
-
-def _neutral(model: TendonSheath, settings: AxisSettings) -> dict[str, float]:
-    """Values of absent effects that are not zero."""
-    return {
-        "torque_gain": 1.0,
-        "stribeck_velocity": 1.0,
-        "stribeck_shape": 2.0,
-        "reference_temperature": 25.0,
-        "reference_tension": max(model.pretension, 1e-6),
-        "relaxation_time": 1.0,
-        "hysteresis": Presliding.ELASTIC,
-        "backlash_threshold": 2.0 * 2.0 * math.pi / settings.encoder.counts_per_revolution,
-    }
-
-
-_NAMES: dict[str, dict[str, str]] = {
-    "velocity_lag": {"time_constant": "velocity_lag"},
-    "torque_ripple": {"amplitude": "ripple", "cycles_per_revolution": "ripple_cycles", "phase": "ripple_phase"},
-    "motor_side_friction": {"coulomb": "motor_coulomb"},
-    "configuration_dependent_bending": {"bending_per_joint_angle": "bending_per_angle"},
-    "stiffness_nonlinearity": {"quadratic": "stiffening"},
-    "pretension_relaxation": {
-        "relaxed_fraction": "relaxed",
-        "time_constant": "relaxation_time",
-        "start_time": "relaxation_start",
-    },
-    "stribeck_friction": {
-        "static_excess": "static_excess",
-        "stribeck_velocity": "stribeck_velocity",
-        "shape": "stribeck_shape",
-    },
-    "thermal_friction_drift": {
-        "temperature_coefficient": "temperature_coefficient",
-        "reference_temperature": "reference_temperature",
-    },
-    "tension_dependent_friction": {"exponent": "tension_exponent", "reference_tension": "reference_tension"},
-    "presliding_hysteresis": {"presliding_distance": "hysteresis_distance", "elements": "hysteresis_elements"},
-    "sheath_asymmetry": {"relative_difference": "asymmetry"},
-    "load_dependent_friction": {"coefficient": "load_friction"},
-    "backlash": {"gap": "backlash"},
-    "viscous_friction": {"coefficient": "viscous"},
-    "direction_asymmetric_friction": {"viscous_difference": "viscous_difference"},
-    "inertia": {"inertia": "inertia"},
-    "gravity_load": {"amplitude": "gravity", "phase": "gravity_phase"},
-    "joint_stiffness": {"stiffness": "spring", "rest_angle": "spring_rest"},
-    "torque_offset": {"offset": "offset"},
-    "transport_delay": {"delay": "sensor_delay"},
-}  # tendon_slack is always there; torque_constant_error and elongation_coupling are not a plain number
-
-
-def _effects(effects: Effects, model: TendonSheath) -> dict[str, float]:
-    values: dict[str, float] = {}
-    for name, parameters in effects.items():
-        for key, target in _NAMES.get(name, {}).items():
-            if key in parameters:
-                values[target] = parameters[key]
-    if "torque_constant_error" in effects:
-        values["torque_gain"] = 1.0 + effects["torque_constant_error"]["relative_error"]
-    if effects.get("pretension_relaxation", {}).get("law") == "logarithmic":
-        values["relaxation_logarithmic"] = 1
-    if "presliding_hysteresis" in effects:
-        side = effects["presliding_hysteresis"].get("displacement", "motor")
-        values["hysteresis"] = Presliding[str(side).upper()]
-        values["hysteresis_elements"] = min(MAX_ELEMENTS, int(values["hysteresis_elements"]))
-    return values

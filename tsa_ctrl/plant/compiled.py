@@ -19,7 +19,16 @@ from numba import config, njit
 
 F = TypeVar("F", bound=Callable[..., object])
 
-_KERNELS = ("compiled.py", "state.py", "interpolation.py", "losses.py", "full.py", "chain.py", "mechanics.py")
+_KERNELS = (
+    "compiled.py",
+    "state.py",
+    "interpolation.py",
+    "effects.py",
+    "lags.py",
+    "full.py",
+    "chain.py",
+    "mechanics.py",
+)
 _KEPT = 14 * 86_400.0  # s; compiled code of other versions is thrown away when it is older: two weeks of going back
 
 

@@ -17,7 +17,8 @@ import math
 from typing import Any
 
 from tsa_ctrl.plant.compiled import compiled
-from tsa_ctrl.plant.state import NATURAL_ELEMENTS, Presliding
+from tsa_ctrl.plant.effects import Presliding
+from tsa_ctrl.plant.state import NATURAL_ELEMENTS
 
 _ELASTIC, _MOTOR = int(Presliding.ELASTIC), int(Presliding.MOTOR)
 

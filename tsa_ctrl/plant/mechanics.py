@@ -21,18 +21,17 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
 from tsa_ctrl.plant.compiled import compiled
-from tsa_ctrl.plant.full import commit_full, full_tensions
-from tsa_ctrl.plant.interpolation import hand, imposed_motion, table_value
-from tsa_ctrl.plant.losses import (
+from tsa_ctrl.plant.effects import (
     MICRO,
     friction_coefficient,
     joint_losses,
     pretension,
-    sense,
     tension_factor,
-    torque_loop,
     track_backlash,
 )
+from tsa_ctrl.plant.full import commit_full, full_tensions
+from tsa_ctrl.plant.interpolation import hand, imposed_motion, table_value
+from tsa_ctrl.plant.lags import sense, torque_loop
 from tsa_ctrl.plant.state import Load
 
 _IMPOSED, _SPRING, _WEIGHT = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT)

@@ -6,6 +6,8 @@ from enum import IntEnum
 
 import numpy as np
 
+from tsa_ctrl.plant.effects import EFFECT_FIELDS
+
 
 class Load(IntEnum):
     """What the joint drives."""
@@ -16,15 +18,6 @@ class Load(IntEnum):
     WEIGHT = 3
 
 
-class Presliding(IntEnum):
-    """What the friction's direction follows while it builds up."""
-
-    ELASTIC = 0  # displacement of the tendon's middle, over what its elasticity gives
-    MOTOR = 1  # effect presliding_hysteresis over the motor's angle
-    JOINT = 2  # effect presliding_hysteresis over the joint's angle
-
-
-MAX_ELEMENTS = 64  # Maxwell-slip elements of presliding_hysteresis
 NATURAL_ELEMENTS = 10  # of the build-up of friction by the tendons' elasticity
 DELAY_SAMPLES = 8192  # of the delivered torque, one per sub-step
 
@@ -54,11 +47,6 @@ PARAMETERS = np.dtype(
         ("motor_damping", _F),  # N*m*s/rad
         ("torque_lag", _F),  # s
         ("peak_torque", _F),  # N*m
-        ("motor_coulomb", _F),  # N*m
-        ("torque_gain", _F),  # 1 + relative error
-        ("ripple", _F),  # N*m
-        ("ripple_cycles", _F),
-        ("ripple_phase", _F),
         # joint and load
         ("load", _I),
         ("load_inertia", _F),  # kg*m^2
@@ -70,39 +58,7 @@ PARAMETERS = np.dtype(
         ("hand_factor", _F),  # of the hand's stiffness and damping
         ("hand_repeat", _I),
         ("push", _F),  # N*m, on the joint from outside
-        # effects between the joint pulley and the load
-        ("viscous", _F),  # N*m*s/rad
-        ("viscous_difference", _F),  # N*m*s/rad
-        ("inertia", _F),  # kg*m^2
-        ("gravity", _F),  # N*m
-        ("gravity_phase", _F),  # rad
-        ("spring", _F),  # N*m/rad
-        ("spring_rest", _F),  # rad
-        ("offset", _F),  # N*m
-        ("load_friction", _F),
-        ("backlash", _F),  # rad
-        ("backlash_threshold", _F),  # rad: two encoder counts
-        # effects on friction and pretension
-        ("static_excess", _F),
-        ("stribeck_velocity", _F),  # rad/s
-        ("stribeck_shape", _F),
-        ("temperature_coefficient", _F),  # 1/K
-        ("reference_temperature", _F),  # deg C
-        ("tension_exponent", _F),
-        ("reference_tension", _F),  # N
-        ("asymmetry", _F),
-        ("bending_per_angle", _F),  # rad/rad
-        ("stiffening", _F),
-        ("relaxed", _F),
-        ("relaxation_time", _F),  # s
-        ("relaxation_start", _F),  # s
-        ("relaxation_logarithmic", _I),
-        ("hysteresis", _I),  # Presliding
-        ("hysteresis_distance", _F),  # rad
-        ("hysteresis_elements", _I),
-        # sensors
-        ("sensor_delay", _F),  # s
-        ("velocity_lag", _F),  # s
+        *EFFECT_FIELDS,
         # faults
         ("torn_a", _I),
         ("torn_b", _I),

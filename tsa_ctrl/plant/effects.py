@@ -1,0 +1,200 @@
+"""The catalogue of effects in the simulated joint, in the plant's own equations: numbers, names and formulas.
+
+Once per sub-step: pretension, friction coefficient, play, joint side. Where a definition says sign(omega), a sign that
+builds up over a milliradian stands here, so that standstill is possible. Motor's friction and ripple, load-dependent
+friction and the direction stand where the mechanics need them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.plant.compiled import compiled
+
+MICRO = 1e-3  # rad over which Coulomb friction of motor and joint builds up
+MAX_ELEMENTS = 64  # Maxwell-slip elements of presliding_hysteresis
+_MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
+_F = np.float64
+_I = np.int64
+
+
+class Presliding(IntEnum):
+    """What the friction's direction follows while it builds up."""
+
+    ELASTIC = 0  # displacement of the tendon where it is bent, over what its elasticity gives
+    MOTOR = 1  # effect presliding_hysteresis over the motor's angle
+    JOINT = 2  # effect presliding_hysteresis over the joint's angle
+
+
+EFFECT_FIELDS = [  # of the record of parameters
+    # motor
+    ("motor_coulomb", _F),  # N*m
+    ("torque_gain", _F),  # 1 + relative error
+    ("ripple", _F),  # N*m
+    ("ripple_cycles", _F),
+    ("ripple_phase", _F),
+    # effects between the joint pulley and the load
+    ("viscous", _F),  # N*m*s/rad
+    ("viscous_difference", _F),  # N*m*s/rad
+    ("inertia", _F),  # kg*m^2
+    ("gravity", _F),  # N*m
+    ("gravity_phase", _F),  # rad
+    ("spring", _F),  # N*m/rad
+    ("spring_rest", _F),  # rad
+    ("offset", _F),  # N*m
+    ("load_friction", _F),
+    ("backlash", _F),  # rad
+    ("backlash_threshold", _F),  # rad: two encoder counts
+    # effects on friction and pretension
+    ("static_excess", _F),
+    ("stribeck_velocity", _F),  # rad/s
+    ("stribeck_shape", _F),
+    ("temperature_coefficient", _F),  # 1/K
+    ("reference_temperature", _F),  # deg C
+    ("tension_exponent", _F),
+    ("reference_tension", _F),  # N
+    ("asymmetry", _F),
+    ("bending_per_angle", _F),  # rad/rad
+    ("stiffening", _F),
+    ("relaxed", _F),
+    ("relaxation_time", _F),  # s
+    ("relaxation_start", _F),  # s
+    ("relaxation_logarithmic", _I),
+    ("hysteresis", _I),  # Presliding
+    ("hysteresis_distance", _F),  # rad
+    ("hysteresis_elements", _I),
+    # sensors
+    ("sensor_delay", _F),  # s
+    ("velocity_lag", _F),  # s
+]
+
+_NEUTRAL = {  # values of absent effects that are not zero
+    "torque_gain": 1.0,
+    "stribeck_velocity": 1.0,
+    "stribeck_shape": 2.0,
+    "reference_temperature": 25.0,
+    "relaxation_time": 1.0,
+    "hysteresis": Presliding.ELASTIC,
+}
+
+_NAMES: dict[str, dict[str, str]] = {
+    "velocity_lag": {"time_constant": "velocity_lag"},
+    "torque_ripple": {"amplitude": "ripple", "cycles_per_revolution": "ripple_cycles", "phase": "ripple_phase"},
+    "motor_side_friction": {"coulomb": "motor_coulomb"},
+    "configuration_dependent_bending": {"bending_per_joint_angle": "bending_per_angle"},
+    "stiffness_nonlinearity": {"quadratic": "stiffening"},
+    "pretension_relaxation": {
+        "relaxed_fraction": "relaxed",
+        "time_constant": "relaxation_time",
+        "start_time": "relaxation_start",
+    },
+    "stribeck_friction": {
+        "static_excess": "static_excess",
+        "stribeck_velocity": "stribeck_velocity",
+        "shape": "stribeck_shape",
+    },
+    "thermal_friction_drift": {
+        "temperature_coefficient": "temperature_coefficient",
+        "reference_temperature": "reference_temperature",
+    },
+    "tension_dependent_friction": {"exponent": "tension_exponent", "reference_tension": "reference_tension"},
+    "presliding_hysteresis": {"presliding_distance": "hysteresis_distance", "elements": "hysteresis_elements"},
+    "sheath_asymmetry": {"relative_difference": "asymmetry"},
+    "load_dependent_friction": {"coefficient": "load_friction"},
+    "backlash": {"gap": "backlash"},
+    "viscous_friction": {"coefficient": "viscous"},
+    "direction_asymmetric_friction": {"viscous_difference": "viscous_difference"},
+    "inertia": {"inertia": "inertia"},
+    "gravity_load": {"amplitude": "gravity", "phase": "gravity_phase"},
+    "joint_stiffness": {"stiffness": "spring", "rest_angle": "spring_rest"},
+    "torque_offset": {"offset": "offset"},
+    "transport_delay": {"delay": "sensor_delay"},
+}  # tendon_slack is always there; torque_constant_error and elongation_coupling are not a plain number
+
+
+def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath) -> dict[str, float]:
+    """Numbers of the record for these effects, and those of the absent ones."""
+    values: dict[str, float] = {**_NEUTRAL, "reference_tension": max(model.pretension, 1e-6)}
+    for name, parameters in effects.items():
+        for key, target in _NAMES.get(name, {}).items():
+            if key in parameters:
+                values[target] = parameters[key]
+    if "torque_constant_error" in effects:
+        values["torque_gain"] = 1.0 + effects["torque_constant_error"]["relative_error"]
+    if effects.get("pretension_relaxation", {}).get("law") == "logarithmic":
+        values["relaxation_logarithmic"] = 1
+    if "presliding_hysteresis" in effects:
+        side = effects["presliding_hysteresis"].get("displacement", "motor")
+        values["hysteresis"] = Presliding[str(side).upper()]
+        values["hysteresis_elements"] = min(MAX_ELEMENTS, int(values["hysteresis_elements"]))
+    return values
+
+
+@compiled
+def pretension(s: Any, p: Any, time: float) -> float:
+    """T_p0 at this bending, stiffened and relaxed; time in s since the start."""
+    base = p.pretension * p.pretension_factor
+    tension = max(0.0, base + p.tendon_stiffness * p.bending_arm * (s.theta - p.theta))
+    tension *= 1.0 + p.stiffening * tension / p.stiffness
+    elapsed = max(0.0, time - p.relaxation_start)
+    if p.relaxed != 0.0:
+        if p.relaxation_logarithmic:
+            tension *= max(0.0, 1.0 - p.relaxed * math.log10(1.0 + elapsed / p.relaxation_time))
+        else:
+            tension *= 1.0 - p.relaxed * (1.0 - math.exp(-elapsed / p.relaxation_time))
+    return float(tension)
+
+
+@compiled
+def friction_coefficient(s: Any, p: Any) -> float:
+    """mu with the effects that change it."""
+    mu = p.friction
+    if p.static_excess != 0.0:
+        mu *= 1.0 + p.static_excess * math.exp(-(abs(s.omega_j / p.stribeck_velocity) ** p.stribeck_shape))
+    if p.temperature_coefficient != 0.0:
+        mu *= max(0.0, 1.0 + p.temperature_coefficient * (s.temperature - p.reference_temperature))
+    return float(mu)
+
+
+@compiled
+def tension_factor(p: Any, tension: float) -> float:
+    """Factor on the friction by the tension (tension_dependent_friction)."""
+    if p.tension_exponent == 0.0:
+        return 1.0
+    ratio = max(tension, _MIN_TENSION * p.reference_tension) / p.reference_tension
+    return float(ratio ** (-p.tension_exponent))
+
+
+@compiled
+def track_backlash(s: Any, p: Any) -> None:
+    """Track reversals of the joint; within the gap after one the tendons do not reach it."""
+    if s.direction == 0.0:
+        s.direction = 1.0 if s.omega_j >= 0.0 else -1.0
+        s.extreme = s.q_j
+        s.reversal = s.q_j - 2.0 * p.backlash * s.direction
+    if (s.q_j - s.extreme) * s.direction > 0.0:
+        s.extreme = s.q_j
+    elif (s.extreme - s.q_j) * s.direction > p.backlash_threshold:
+        s.reversal = s.extreme
+        s.direction = -s.direction
+        s.extreme = s.q_j
+    s.in_gap = 1 if abs(s.q_j - s.reversal) < p.backlash else 0
+
+
+@compiled
+def joint_losses(p: Any, q: float, omega: float, acceleration: float) -> float:
+    """What the effects between the joint pulley and the load take from the tendons' torque."""
+    return float(
+        p.viscous * omega
+        + p.viscous_difference * abs(omega)
+        + p.inertia * acceleration
+        + p.gravity * math.sin(q + p.gravity_phase)
+        + p.spring * (q - p.spring_rest)
+        - p.offset
+    )
