@@ -1,75 +1,177 @@
-"""Compensation of a distributed-tendon plant by (3.55) and by the extended model, and what limits each.
+"""Every joint, wherever its sheath bends: error of the delivered torque by how much the controller knows.
 
-Usage: tools/run bench/control [--seconds 8] [--rate 1000] [--tendon distributed] [--out out/compare_control]
-Run it under tools/vcan for a real vcan. Each line is a pair of processes, plant and daemon, on the same motion; the
-shares are measured by taking one thing away in the plant.
+Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
+The real loop on the plant with distributed tendons, in virtual time: the same command prints the same figures. Laws:
+none (compensation 0), (3.55) with the nominal file, what `tsa tune` and `tsa tune --extended` make of that file on an
+imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
+the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
+With --limits: what limits the compensation of an imposed joint, by taking one thing away in the plant.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import math
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import tomlkit
 from rich.console import Console
 from rich.table import Table
 
 from tools import command
+from tools.bench.torque_error import Measures, measure
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import choose
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.run import compare
+from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.motion import gait, play_for
 from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.virtual.script import Change
+from tsa_ctrl.virtual.simulation import simulate_loop
 
-NOISELESS: dict[str, dict[str, Any]] = {"drive": {"torque_noise": 0.0}, "torque_sensor": {"noise": 0.0}}
-PROMPT = {"drive": {"torque_time_constant": 1e-5}}
-STIFF = {"perturbation": {"axial_stiffness": 10.0}}
-LIGHT = {"motor": {"inertia": 2e-6}}
+JOINTS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
+SHAPES = ("uniform", "motor_end", "joint_end")
+LAWS = ("none", "(3.55)", "tuned", "extended", "true")
+NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
+ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
+TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
+WIDTH = 110  # characters of a table
 TAKEN_AWAY: dict[str, dict[str, dict[str, Any]]] = {
     "nothing": {},
-    "noise of torque and sensor": NOISELESS,
-    "lag of the current loop": PROMPT,
-    "elasticity: reversals at once": STIFF,
-    "motor inertia: ringing after reversals": LIGHT,
+    "noise of torque and sensor": {"drive": {"torque_noise": 0.0}, "torque_sensor": {"noise": 0.0}},
+    "lag of the current loop": {"drive": {"torque_time_constant": 1e-5}},
+    "elasticity: reversals at once": {"perturbation": {"axial_stiffness": 10.0}},
+    "motor inertia: ringing after reversals": {"motor": {"inertia": 2e-6}},
 }
 
 
-def extended() -> TendonSheath:
-    """The model whose parameters are given: the plant's own friction, pretension and curvature."""
-    truth = rig.NOMINAL.recalibrated(
-        rig.NOMINAL.friction_angle * rig.TRUTH["friction_coefficient"], rig.NOMINAL.pretension * rig.TRUTH["pretension"]
+def true_model(shape: str) -> TendonSheath:
+    """The plant's own friction, pretension, stiffness and shape, and the encoder's lag."""
+    factors = rig.TRUTH
+    x = rig.NOMINAL.friction_angle * factors["friction_coefficient"]
+    effects: dict[str, dict[str, Any]] = {"velocity_lag": {"time_constant": ENCODER_LAG}}
+    if shape != "joint_end":  # there (3.55) is exact
+        effects["elongation_coupling"] = {"curvature_profile": shape}
+    return rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * factors["pretension"]).with_effects(effects)
+
+
+def controller(folder: Path, law: str, rate: float) -> rig.Tables:
+    """The controller of one law; what tuning wrote lies in `folder`/LAW."""
+    if law in ("tuned", "extended"):
+        tables = tomlkit.parse((folder / law / "controller-tune.toml").read_text(encoding="utf-8")).unwrap()
+        tables["axis"][0]["model"] = f"{law}/nominal.toml"
+        return dict(tables)
+    shares = {"none": 0.0, "(3.55)": NOMINAL_SHARE, "true": TRUE_SHARE}
+    return rig.controller(VIRTUAL, "run", rate, "true.toml" if law == "true" else "nominal.toml", shares[law])
+
+
+def tune(folder: Path, law: str, axis: dict[str, Any], rate: float) -> str:
+    """Tune the nominal file on an imposed joint in `folder`/LAW; the last line of what went wrong, if anything did."""
+    place = folder / law
+    place.mkdir()
+    tables = {"tune": rig.controller(VIRTUAL, "tune", rate, "nominal.toml", NOMINAL_SHARE)}
+    rig.write(place, gait(), rig.plant(VIRTUAL, "distributed", axis), tables)
+    options = ["--extended"] if law == "extended" else []
+    verb = tsa("tune", "controller-tune.toml", "--virtual", "plant.toml", "--yes", "--json", "--out", "out", *options)
+    run = subprocess.run(verb, cwd=place, capture_output=True, text=True, check=False)
+    return "" if run.returncode == 0 else run.stderr.strip().splitlines()[-1]
+
+
+def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int) -> Measures:
+    """One law on one joint: some periods of the set-point, then none."""
+    played = play_for(joint)
+    seconds = played.seconds if joint == "wearer" else rig.FADE_IN + cycles * float(played.t[-1])
+    tables = controller(folder, law, rate)
+    tables["axis"][0]["setpoint"] = {"kind": "file", "file": "setpoint.csv", "loop": True}
+    rig.write(folder, played, rig.plant(VIRTUAL, "distributed", axis, joint), {"run": tables})
+    end = seconds + 0.2  # the first cycles have no torque yet
+    result = simulate_loop(
+        folder / "controller-run.toml",
+        folder / "plant.toml",
+        seconds + TO_REST + REST,
+        changes=[Change("setpoint_gain", 0.0, end)],
     )
-    return truth.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
+    return measure(result.axes[0], end, end + TO_REST)
+
+
+def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """One row for each joint, shape and law."""
+    drive = {"delay_periods": arguments.delay - 1}
+    for shape in arguments.shapes:
+        axis = {"tendon": {"curvature": shape}, "motor": {"inertia": arguments.inertia}, "drive": drive}
+        with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
+            folder = Path(name)
+            save_model(true_model(shape), folder / "true.toml")
+            wanted = [law for law in ("tuned", "extended") if law in arguments.laws]
+            failed = {law: tune(folder, law, axis, arguments.rate) for law in wanted}
+            for law, reason in failed.items():
+                if reason:
+                    yield {"shape": shape, "law": law, "failed": reason}
+            for joint in arguments.joints:
+                for law in arguments.laws:
+                    if not failed.get(law):
+                        found = play(folder, joint, axis, law, arguments.rate, arguments.cycles)
+                        yield {"shape": shape, "joint": joint, "law": law, **asdict(found)}
+
+
+def limits(rate: float, cycles: int) -> None:
+    """What limits (3.55) and the true parameters on an imposed, evenly bent joint."""
+    table = Table("taken away in the plant", *(f"{law}: RMS (mN·m)" for law in ("none", "(3.55)", "true")))
+    with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
+        folder = Path(name)
+        save_model(true_model("uniform"), folder / "true.toml")
+        for label, change in TAKEN_AWAY.items():
+            found = [play(folder, "imposed", change, law, rate, cycles).rms for law in ("none", "(3.55)", "true")]
+            table.add_row(label, *(f"{1e3 * rms:.1f}" for rms in found))
+    Console().print(table)
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--seconds", type=float, default=8.0, help="of torque per run (default 8)")
+    parser.add_argument("--joints", nargs="+", choices=JOINTS, default=JOINTS)
+    parser.add_argument(
+        "--shapes", nargs="+", choices=(*SHAPES, "s_bent"), default=SHAPES, help="of the sheath's bending"
+    )
+    parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz (default 1000)")
-    parser.add_argument("--tendon", choices=("distributed", "full"), default="distributed")
-    parser.add_argument("--out", type=Path, default=Path("out/compare_control"))
+    parser.add_argument("--delay", type=int, choices=range(1, 9), default=1, help="periods from measurement to torque")
+    parser.add_argument("--inertia", type=float, default=1e-4, help="of the motor, kg*m^2 (default 1e-4)")
+    parser.add_argument("--cycles", type=int, default=4, help="periods of the set-point (default 4)")
+    parser.add_argument("--limits", action="store_true", help="what limits the compensation of an imposed joint")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of tables")
     arguments = parser.parse_args()
-    bus = choose()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    save_model(extended(), arguments.out / "extended.toml")
-    runs = {
-        "none": ("nominal.toml", 0.0),
-        "(3.55), nominal": ("nominal.toml", 0.95),
-        "extended, given": ("extended.toml", 1.0),
-    }
-    controllers = {
-        f"run{i}": rig.controller(bus, f"run{i}", arguments.rate, *run) for i, run in enumerate(runs.values())
-    }
-    table = Table(
-        "taken away in the plant", *(f"{name}: RMS (mN·m)" for name in runs), "reduction by (3.55)", "by extended"
-    )
-    for label, change in TAKEN_AWAY.items():
-        print(f"{label} ...", flush=True)
-        tables = rig.plant(bus, arguments.tendon, change)
-        courses = compare(arguments.out, bus, gait(), tables, controllers, arguments.seconds, lambda what, share: None)
-        none, simple, full = (course.rms for course in courses.values())
-        errors = (f"{1e3 * value:.1f}" for value in (none, simple, full))
-        table.add_row(label, *errors, f"{100 * (1 - simple / none):.1f} %", f"{100 * (1 - full / none):.1f} %")
-    Console().print(
-        table, f"bus {bus.name}, {arguments.rate:g} Hz, {arguments.tendon} tendons, {arguments.seconds:g} s per run"
-    )
+    if arguments.limits:
+        limits(arguments.rate, arguments.cycles)
+        return 0
+    heads = ("joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
+    tables: dict[str, Table] = {}
+    without: dict[tuple[str, str], float] = {}
+    console = Console(width=WIDTH)
+    for row in rows(arguments):
+        if arguments.json:
+            print(json.dumps(row), flush=True)
+            continue
+        shape = row["shape"]
+        if shape not in tables:
+            for table in list(tables.values())[-1:]:
+                console.print(table)
+            tables[shape] = Table(*heads, title=f"bending: {shape}", title_justify="left")
+        if "failed" in row:
+            console.print(f"{shape}, {row['law']}: {row['failed']}")
+            continue
+        if row["law"] == "none":
+            without[shape, row["joint"]] = row["rms"]
+        none = without.get((shape, row["joint"]))
+        reduction = "-" if none is None else f"{100.0 * (1.0 - row['rms'] / none):.1f} %"
+        errors = (f"{1e3 * row[key]:.1f}" for key in ("rms", "p99", "peak"))
+        jerk = "-" if row["jerk"] is None else f"{row['jerk']:.2f}"
+        rest = "-" if row["joint"] in ("imposed", "held") else f"{row['resting_speed']:.3f}"
+        tables[shape].add_row(row["joint"], row["law"], *errors, jerk, rest, reduction)
+    for table in list(tables.values())[-1:]:
+        console.print(table)
     return 0
