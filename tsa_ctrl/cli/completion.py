@@ -1,4 +1,7 @@
-"""`tsa --install-completion`: the shell's completion script where the shell looks for it."""
+"""`tsa --install-completion`: the shell's completion script where the shell looks for it.
+
+The script and what it completes are click's own; click only has no command that puts the script in its place.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,9 @@
 """The daemon's MCAP logs read back, whole or cut off: everything up to the last whole chunk.
 
-Chunks are decoded as arrays, not message by message: an hour at 1 kHz takes seconds, not minutes.
+The records are those of the mcap library; the way through the file is ours, by measurement. Its reader gives message by
+message, 4.9 s of processor time for ten minutes at 1 kHz; chunks decoded as arrays take 0.63 s. Of a file that was cut
+off it reads nothing ("unknown (opcode 196) record has length 16256141150751413024"), a byte that flipped in a chunk it
+passes on as a value; here the one is read up to its last chunk, the other chunk is left out, and both are said.
 """
 
 from __future__ import annotations
