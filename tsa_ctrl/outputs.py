@@ -61,6 +61,26 @@ def move_into(beside: Path, path: Path) -> Path | None:
     return kept
 
 
+@contextlib.contextmanager
+def beside(path: Path, keeping: bool = True) -> Iterator[Path]:
+    """Where a file is written, in the same folder, before it becomes `path`, whole, when the block ends.
+
+    `keeping`: what was at `path` is kept. Raises UsageError when it cannot be written; then nothing of it is left.
+    """
+    part = path.with_name(f".{path.name}.part")
+    try:
+        yield part
+        if keeping:
+            move_into(part, path)
+        else:
+            part.replace(path)
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from None
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
 def kept_words(path: Path, kept: Path | None) -> str:
     """`written: FILE`, and where the file before is."""
     return f"written: {path}" + ("" if kept is None else f" (the file before is {kept.name})")

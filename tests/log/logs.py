@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
-from tsa_ctrl.log.record import FIELD_NAMES, FIELDS
+from tsa_ctrl.log.record import FIELD_NAMES, FIELDS, Record
+from tsa_ctrl.log.ring import RingWriter
 
 HEADER = LogHeader(
     axes=("hip", "knee"),
@@ -33,6 +34,13 @@ def records(count: int, first: int = 0, **columns: NDArray[np.float64] | float) 
     for name, values in {"t": number * 1e-3, "cycle": number, "state": 3.0, **columns}.items():
         block[:, FIELD_NAMES.index(name)] = values
     return block
+
+
+def push(ring: RingWriter, count: int, first: int = 0) -> None:
+    """`count` cycles of two axes."""
+    for row in records(count, first).tolist():
+        for axis in range(2):
+            ring.push(axis, Record(*row))
 
 
 def motion(count: int) -> dict[str, NDArray[np.float64]]:
@@ -67,14 +75,12 @@ def kill_an_owner(path: Path) -> None:
     code = f"""
         import os
         from pathlib import Path
-        from tests.log.logs import HEADER, records
+        from tests.log.logs import HEADER, push
         from tsa_ctrl.log.process import LogProcess
         from tsa_ctrl.log.ring import RingWriter
         ring = RingWriter(axes=2)
         log = LogProcess(Path({str(path)!r}), ring, HEADER)
-        for row in records(700).tolist():
-            ring.push(0, tuple(row))
-            ring.push(1, tuple(row))
+        push(ring, 700)
         os.kill(os.getpid(), 9)
     """
     owner = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], check=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,32 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from tests.log.logs import HEADER, kill_an_owner, records, wait_for
+from tests.log.logs import HEADER, kill_an_owner, push, wait_for
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import Record
 from tsa_ctrl.log.ring import NOTE_BYTES, RingReader, RingWriter
 from tsa_ctrl.log.writer import DEAD, LogWriter
 
 FAULT = Note(0.25, "knee", "stale PDO: drive node 1: 3 cycles in a row", fault=True)
 LOSS = Note(0.1, "", "log: written again", fault=False)
-
-
-@pytest.fixture
-def ring() -> Iterator[RingWriter]:
-    made = RingWriter(axes=2, slots=1024)
-    yield made
-    made.close()
-
-
-def push(ring: RingWriter, count: int) -> None:
-    for row in records(count).tolist():
-        for axis in range(2):
-            ring.push(axis, Record(*row))
 
 
 def log_with(ring: RingWriter, path: Path, *notes: Note) -> Path:

@@ -6,34 +6,19 @@ import datetime
 import errno
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.log.logs import HEADER, kill_an_owner, records, wait_for
+from tests.log.logs import HEADER, kill_an_owner, push, wait_for
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import writer as writer_module
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import Record
 from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter, WriterState
 from tsa_ctrl.log.writer import LogWriter
 from tsa_ctrl.outputs import untaken
-
-
-@pytest.fixture
-def ring() -> Iterator[RingWriter]:
-    ring = RingWriter(axes=2, slots=1024)
-    yield ring
-    ring.close()
-
-
-def push(ring: RingWriter, count: int, first: int = 0) -> None:
-    for row in records(count, first).tolist():
-        ring.push(0, Record(*row))
-        ring.push(1, Record(*row))
 
 
 def times(path: Path, axis: str = "hip") -> list[int]:

@@ -3,11 +3,11 @@
 Usage: tools/run bench/accounts [--axes 1] [--seconds 30] [--rate 0] [--plant] [--json]
 
 The nodes, the daemon's loop with its log writer and socket server, and the witness are processes on one vcan. The
-nodes answer each SYNC from constant bytes, or are those of the plant (--plant), whose mechanics need most of a
-period. A cycle is sent (its SYNC went out), skipped (an overrun took its period), late (it began after half of its
-period), and it has lost TPDOs or not. The witness wakes twice per period at a higher priority than all others; it is
-late in a cycle when it woke more than a fifth of the period after a deadline in it. TPDOs may be lost only in cycles
-in which the witness was late: exit code 1 when that does not hold.
+nodes are those of `tsa bench`, or those of the plant (--plant), whose mechanics need most of a period. A cycle is sent
+(its SYNC went out), skipped (an overrun took its period), late (it began after half of its period), and it has lost
+TPDOs or not. The witness wakes twice per period at a higher priority than all others; it is late in a cycle when it
+woke more than a fifth of the period after a deadline in it. TPDOs may be lost only in cycles in which the witness was
+late: exit code 1 when that does not hold.
 
 Needs a vcan: is run under tools/vcan where there is none. --rate 0: 1000 Hz, or as much as the bit rate carries.
 """
@@ -15,15 +15,18 @@ Needs a vcan: is run under tools/vcan where there is none. --rate 0: 1000 Hz, or
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import subprocess
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tools import command
-from tools.bench.loop.beside import beside
+from tools.bench.loop.blocks import nodes
 from tools.bench.loop.rig import controller_text, plant_text
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.run import run
@@ -31,7 +34,21 @@ from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.system.processes import plant
 
 PER_PERIOD = 2  # wake-ups of the witness in a cycle
+WRITTEN = 60.0  # s in which the witness writes down what it saw
 LATE = 0.2  # of the period: a wake-up later than this is late
+
+
+@contextlib.contextmanager
+def beside(*arguments: str) -> Iterator[None]:
+    """The witness as a process, from its word that it is ready to its end, which follows that of its stdin."""
+    verb = command.process("tools.bench.loop.witness", *arguments)
+    process = subprocess.Popen(verb, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    try:
+        yield
+    finally:
+        process.communicate(timeout=WRITTEN)
 
 
 def main() -> int:
@@ -60,12 +77,12 @@ def account(folder: Path, interface: str, options: argparse.Namespace) -> dict[s
     (folder / "plant.toml").write_text(plant_text(interface, options.axes), encoding="utf-8")
     configuration = load_configuration(controller)
     rate = configuration.file.controller.rate
-    witness = beside("tools.bench.loop.witness", str(PER_PERIOD * rate), str(folder / "witness.npy"))
+    witness = beside(str(PER_PERIOD * rate), str(folder / "witness.npy"))
     if options.plant:
         with plant(folder), witness:
             summary = run(configuration, options.seconds).as_dict()
     else:
-        with beside("tools.bench.loop.responder", interface, str(options.axes), "walk"), witness:
+        with nodes(configuration), witness:
             summary = run(configuration, options.seconds, configured=True).as_dict()
     log = LogFile(Path(summary["log"]))
     tables = [log.columns(axis, ("cycle", "missed", "lateness")) for axis in log.axes]

@@ -2,7 +2,7 @@
 
 Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [--by axes,effects,...] [--json]
 
-One run, one bus, one responder (a process that answers each SYNC with constant TPDOs); the ways take turns in blocks:
+One run, one bus, one process that answers each SYNC (that of `tsa bench`); the ways take turns in blocks:
 
   raw socket        SYNC out, TPDOs in, RPDOs out, nothing else: the floor
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
@@ -25,7 +25,7 @@ from typing import Any
 
 from tools import command
 from tools.bench.loop import sweeps, ways
-from tools.bench.loop.blocks import measure, responder
+from tools.bench.loop.blocks import measure, nodes
 from tools.bench.loop.rig import RATES, controller_text
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.system import realtime
@@ -52,7 +52,7 @@ def main() -> int:
         path.write_text(controller_text(folder, interface, options.axes, options.rate), encoding="utf-8")
         configuration = load_configuration(path)
         rights = str(realtime.acquire(RealtimeSettings(allow_without=True)))
-        with responder(interface, options.axes):
+        with nodes(configuration):
             table = {
                 "bare sleep": ways.bare_sleep,
                 "raw socket": lambda: ways.raw_socket(configuration),

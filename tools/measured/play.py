@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tools import command
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log
-from tsa_ctrl.log.csv_out import CsvFile
+from tsa_ctrl.log.csv_out import write_columns
 from tsa_ctrl.model.signals import low_pass
 from tsa_ctrl.system.processes import tsa
 
@@ -45,9 +45,7 @@ class Excerpt:
     angle_shift: float
 
     def write(self, path: Path) -> None:
-        file = CsvFile(path, ["t", "tau_j_des", "q_j"])
-        file.write(np.column_stack([self.t, self.tau_j_des, self.q_j]))
-        file.close()
+        write_columns(path, {"t": self.t, "tau_j_des": self.tau_j_des, "q_j": self.q_j}, keeping=False)
 
 
 def excerpt(log: Dataset, period: float) -> Excerpt:
@@ -92,9 +90,9 @@ def run(options: argparse.Namespace, more: list[str]) -> int:
     setpoint = options.out / "setpoint.csv"
     try:
         options.out.mkdir(parents=True, exist_ok=True)
-        play.write(setpoint)
     except OSError as error:
-        raise UsageError(f"{setpoint}: cannot be written ({error.strerror}); choose another --out") from None
+        raise UsageError(f"{options.out}: cannot be written ({error.strerror}); choose another --out") from None
+    play.write(setpoint)
     print(
         f"{setpoint}: {play.t[-1]:.2f} s of {options.trial} in whole periods at {RATE:g} Hz; joint torque times "
         f"{play.torque_scale:.2f} (peak {PEAK:g} N*m), joint angle shifted by {play.angle_shift:+.3f} rad and not "

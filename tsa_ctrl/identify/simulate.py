@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,13 +14,11 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.log.csv_out import CsvFile
+from tsa_ctrl.log.csv_out import write_columns
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import beyond_slack, predict
 
 Array = NDArray[np.float64]
-
-ROWS = 16384  # written at once
 
 
 @dataclass(frozen=True)
@@ -117,14 +114,4 @@ def write_csv(path: Path, dataset: Dataset, simulations: Sequence[Simulation]) -
     for number, simulation in zip(numbers, simulations, strict=True):
         if simulation.residual is not None:
             columns[f"residual{number}"] = simulation.residual
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with contextlib.closing(CsvFile(beside, list(columns), compressed=path.suffix == ".gz")) as file:
-            for start in range(0, len(dataset), ROWS):
-                file.write(np.column_stack([values[start : start + ROWS] for values in columns.values()]))
-        beside.replace(path)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
+    write_columns(path, columns, keeping=False)  # who calls has kept it

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.csv_out import Codes, CsvFile, coded
+from tsa_ctrl.log.csv_out import Codes, CsvFile, coded, in_blocks
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
 
-ROWS = 16384  # written at once
 FORMATS = (".csv", ".csv.gz", ".parquet")
 
 Progress = Callable[[float], None]
@@ -63,20 +62,13 @@ def convert(log: str | Path, out: Path, progress: Progress = lambda share: None)
     for source in sources:
         path = _path(file, out, source.axis if len(sources) > 1 or _is_folder(out) else None)
         outputs.refuse_inputs(path, [file])
-        beside = path.with_name(f".{path.name}.part")
-        try:
+        with outputs.beside(path) as part:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with contextlib.closing(_open(path, beside, source)) as sink:
+            with contextlib.closing(_open(path, part, source)) as sink:
                 for block in source.blocks():
                     sink.write(block)
                     done += len(block)
                     progress(done / total)
-            outputs.move_into(beside, path)
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from None
-        finally:
-            with contextlib.suppress(OSError):
-                beside.unlink(missing_ok=True)
         written.append(Written(path, source.notes))
     return written
 
@@ -114,8 +106,7 @@ def _of_table(table: Table) -> _Source:
     notes = (f"columns that are no numbers are left out: {text}",) if text else ()
 
     def blocks() -> Blocks:
-        for start in range(0, len(table), ROWS):
-            yield np.column_stack([values[start : start + ROWS] for values in table.columns.values()])
+        return in_blocks(table.columns)
 
     return _Source(None, names, {}, len(table), blocks, notes)
 
@@ -136,10 +127,10 @@ def _path(log: Path, out: Path, axis: str | None) -> Path:
     return out.with_name(f"{out.name[: -len(ending)]}_{axis}{out.name[-len(ending) :]}")
 
 
-def _open(path: Path, beside: Path, source: _Source) -> _Sink:
+def _open(path: Path, part: Path, source: _Source) -> _Sink:
     if path.name.lower().endswith(".parquet"):
-        return _Parquet(beside, source)
-    return CsvFile(beside, source.names, source.codes, compressed=path.name.lower().endswith(".gz"))
+        return _Parquet(part, source)
+    return CsvFile(part, source.names, source.codes, compressed=path.name.lower().endswith(".gz"))
 
 
 class _Parquet:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl import outputs
 from tsa_ctrl.log.columns import BY_NAME
+
+ROWS = 16384  # written at once
 
 Codes = Mapping[str, Mapping[int, str]]
 
@@ -40,6 +44,22 @@ class CsvFile:
         if name in BY_NAME and BY_NAME[name].stepped:
             return ["" if v != v else f"{v:.17g}" for v in values.tolist()]
         return ["" if v != v else repr(v) for v in values.tolist()]
+
+
+def in_blocks(columns: Mapping[str, NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
+    """Rows of the columns, each (n,), in blocks of (k, columns)."""
+    for start in range(0, len(next(iter(columns.values()), ())), ROWS):
+        yield np.column_stack([values[start : start + ROWS] for values in columns.values()])
+
+
+def write_columns(path: Path, columns: Mapping[str, NDArray[np.float64]], keeping: bool = True) -> None:
+    """Write a table, compressed where its name ends with .gz; raises UsageError. `keeping`: what was there is kept."""
+    with (
+        outputs.beside(path, keeping) as part,
+        contextlib.closing(CsvFile(part, list(columns), compressed=path.suffix == ".gz")) as file,
+    ):
+        for block in in_blocks(columns):
+            file.write(block)
 
 
 def coded(values: NDArray[np.float64], names: Mapping[int, str]) -> list[str]:

@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Mapping
 
 from tools.bench.loop import ways
-from tools.bench.loop.beside import beside
+from tsa_ctrl.bench.responder import standing_in
+from tsa_ctrl.config import Configuration
 from tsa_ctrl.system import realtime
 
 WARM_UP = 0.2  # share of a block that is not counted
@@ -60,9 +61,9 @@ def block(samples: Samples, cycles: int, period: int, way: ways.Way) -> None:
     samples.worst.append(statistics.quantiles(samples.lateness[first:], n=100)[98])
 
 
-def responder(interface: str, axes: int) -> contextlib.AbstractContextManager[None]:
-    """The nodes of some axes as a process: they answer each SYNC from constant bytes."""
-    return beside("tools.bench.loop.responder", interface, str(axes))
+def nodes(configuration: Configuration) -> contextlib.AbstractContextManager[None]:
+    """The nodes of a configuration as a process that answers each SYNC: those of `tsa bench`."""
+    return standing_in(configuration.file.bus, configuration.file.axes)
 
 
 def measure(table: Mapping[str, Factory], rate: float, rounds: int, cycles: int) -> dict[str, dict[str, float]]:

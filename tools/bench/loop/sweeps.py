@@ -15,7 +15,7 @@ import tomlkit
 
 from tools.bench.effects import EFFECTS, STACK
 from tools.bench.loop import ways
-from tools.bench.loop.blocks import Factory, measure, responder
+from tools.bench.loop.blocks import Factory, measure, nodes
 from tools.bench.loop.rig import controller_text
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration, load_configuration
@@ -35,7 +35,7 @@ def by_axes(interface: str, rounds: int, cycles: int) -> Table:
     """
     rows: Table = []
     for axes in AXES:
-        with _configuration(interface, axes) as configuration, responder(interface, axes):
+        with _configuration(interface, axes) as configuration, nodes(configuration):
             rate = configuration.file.controller.rate
             found = measure(
                 {
@@ -70,7 +70,7 @@ def by_estimator(interface: str, rounds: int, cycles: int) -> Table:
                 each += '\n[axis.bending]\nsource = "command"'
             configuration = stack.enter_context(_configuration(interface, 1, each))
             table[kind] = partial(_whole, configuration)
-        stack.enter_context(responder(interface, 1))
+        stack.enter_context(nodes(configuration))
         return _against_first(measure(table, configuration.file.controller.rate, rounds, cycles), "estimator")
 
 
@@ -85,7 +85,7 @@ def by_effect(interface: str, rounds: int, cycles: int) -> Table:
         for name, effects in stacks.items():
             configuration = stack.enter_context(_configuration(interface, 1, effects=effects))
             table[name] = partial(ways.ours, configuration, prepare=_stamp_law(alone[name]))
-        stack.enter_context(responder(interface, 1))
+        stack.enter_context(nodes(configuration))
         rows = _against_first(measure(table, configuration.file.controller.rate, rounds, cycles), "effect")
     for row in rows:
         row["law alone"] = statistics.median(alone[row["effect"]])
@@ -111,7 +111,7 @@ def _stamp_law(spans: list[float]) -> Callable[[Sequence[ControlAxis]], None]:
 
 def stages(interface: str, cycles: int) -> Table:
     """Where the time of a cycle goes: time stamps around its parts, the clock's own cost taken off; medians."""
-    with _configuration(interface, 1) as configuration, responder(interface, 1):
+    with _configuration(interface, 1) as configuration, nodes(configuration):
         return _stages(configuration, cycles)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +12,10 @@ from numpy.typing import NDArray
 from tsa_ctrl import outputs, settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.columns import BY_NAME
-from tsa_ctrl.log.csv_out import CsvFile
+from tsa_ctrl.log.csv_out import write_columns
 from tsa_ctrl.log.foreign.mapping import Mapped, dump_map
 from tsa_ctrl.log.foreign.text import ForeignTable
 
-ROWS = 16384  # written at once
 POINTS = 4000  # drawn per curve
 Columns = Mapping[str, NDArray[np.float64]]
 
@@ -62,7 +60,7 @@ def write(folder: Path, table: ForeignTable, mapped: list[Mapped], columns: Colu
         raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
     for path in (log, mapping, picture):
         outputs.refuse_inputs(path, [table.path])
-    _write_csv(log, columns)
+    write_columns(log, columns)
     outputs.keep(mapping)
     settings.write_text(mapping, dump_map(table, mapped))
     made = None
@@ -71,21 +69,6 @@ def write(folder: Path, table: ForeignTable, mapped: list[Mapped], columns: Colu
         settings.write_text(model, _skeleton(columns, skeleton))
     _draw(picture, table, columns)
     return Imported(log, mapping, made, picture)
-
-
-def _write_csv(path: Path, columns: Columns) -> None:
-    beside = path.with_name(f".{path.name}.part")
-    length = len(columns["t"])
-    try:
-        with contextlib.closing(CsvFile(beside, list(columns))) as file:
-            for start in range(0, length, ROWS):
-                file.write(np.column_stack([values[start : start + ROWS] for values in columns.values()]))
-        outputs.move_into(beside, path)
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another --out") from None
-    finally:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
 
 
 def _skeleton(columns: Columns, tendon_sheath: Path) -> str:
@@ -113,6 +96,5 @@ def _draw(path: Path, table: ForeignTable, columns: Columns) -> None:
         if i == len(names):
             axes.set_xlabel("t, s")
     figure.suptitle(f"{table.path.name} as it was understood")
-    beside = path.with_name(f".{path.name}")
-    figure.savefig(beside, dpi=110)
-    outputs.move_into(beside, path)
+    with outputs.beside(path) as part:
+        figure.savefig(part, dpi=110, format="png")
