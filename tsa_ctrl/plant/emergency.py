@@ -42,6 +42,7 @@ class ErrorLog:
     """Of one node; `report` says one error, `clear_*` forget."""
 
     def __init__(self, dictionary: ObjectDictionary, send: Callable[[int, bytes], bool]) -> None:
+        self._dictionary = dictionary
         self._values = dictionary.values
         self._send = send
         dictionary.on_write[0x1003, 0] = self._write_history
@@ -58,8 +59,9 @@ class ErrorLog:
             values[0x1003, 0] = min(_HISTORY, values[0x1003, 0] + 1)
         else:
             values[0x1001, 0] = 0
-        if heard and not values[0x1014, 0] & _INVALID:
-            self._send(values[0x1014, 0] & 0x7FF, _FRAME.pack(code, values[0x1001, 0], vendor))
+        identifier = values.get((0x1014, 0), 0x80 + self._dictionary.node_id)
+        if heard and not identifier & _INVALID:
+            self._send(identifier & 0x7FF, _FRAME.pack(code, values[0x1001, 0], vendor))
 
     def clear(self) -> None:
         """Power-on: nothing is remembered."""

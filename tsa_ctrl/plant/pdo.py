@@ -136,13 +136,13 @@ class Pdo:
     def compile(self) -> None:
         """Take over the parameters; the node is told, so that it listens to the right identifier."""
         values = self._dictionary.values
-        self.raw_cob_id = values[self.communication, 1]
+        self.raw_cob_id = values.get((self.communication, 1), INVALID)
         self.cob_id = self.raw_cob_id & 0x7FF
         self.valid = not self.raw_cob_id & INVALID
-        self.transmission = values[self.communication, 2]
+        self.transmission = values.get((self.communication, 2), 255)
         self.synchronous = is_synchronous(self.transmission)
-        self.inhibit = values[self.communication, 3] * 1e-4  # s
-        self.event_timer = values[self.communication, 5] * 1e-3  # s
+        self.inhibit = values.get((self.communication, 3), 0) * 1e-4  # s
+        self.event_timer = values.get((self.communication, 5), 0) * 1e-3  # s
         if self.valid:
             self.keys, code = self._layout(values[self.mapping, 0])
             self.packing = struct.Struct(code)

@@ -42,7 +42,7 @@ class SyncPort:
 
     @property
     def identifier(self) -> int:
-        return self._values[0x1005, 0] & 0x7FF
+        return self._values.get((0x1005, 0), 0x80) & 0x7FF
 
     def restore(self, now: float) -> None:
         self._last, self._due = None, now
@@ -77,7 +77,7 @@ class SyncPort:
 
     @property
     def _produces(self) -> bool:
-        return bool(self._values[0x1005, 0] & PRODUCES)
+        return bool(self._values.get((0x1005, 0), 0) & PRODUCES)
 
     def _write_identifier(self, value: int) -> None:
         if value & ~(PRODUCES | 0x7FF) or is_restricted(value & 0x7FF):

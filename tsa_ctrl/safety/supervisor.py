@@ -13,7 +13,7 @@ from tsa_ctrl.bus.canopen import cia402, emcy
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
-from tsa_ctrl.bus.settings import SupervisionSettings
+from tsa_ctrl.bus.settings import Role, SupervisionSettings
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
@@ -175,7 +175,7 @@ class Supervisor:
         if image.events != self._events:
             self._events = image.events
             for health in image.nodes:
-                self._examine(health, now)
+                self._examine(image, health, now)
         if image.silent is not None:
             silent = image.silent
             self._latch(Cause.HEARTBEAT_LOST, f"{silent}: none for {1e3 * (now - silent.heard):.0f} ms", now)
@@ -184,14 +184,21 @@ class Supervisor:
         if image.drops > self._drops:
             self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
 
-    def _examine(self, health: NodeHealth, now: float) -> None:
+    def _examine(self, image: Image, health: NodeHealth, now: float) -> None:
         if health.boot_ups:
             self._latch(Cause.BOOT_UP, f"{health}: it lost its configuration", now)
         elif health.nmt_state != NmtState.OPERATIONAL:
             self._latch(Cause.NMT_STATE, f"{health}: NMT state 0x{health.nmt_state:02X}", now)
         if health.emcys != self._emcys.get(health.node_id, 0):
             self._emcys[health.node_id] = health.emcys
-            self._latch(Cause.EMERGENCY, f"{health}: {health.emcy}", now)
+            self._latch(Cause.EMERGENCY, f"{health}: {health.emcy}{self._if_a_warning(image, health)}", now)
+
+    def _if_a_warning(self, image: Image, health: NodeHealth) -> str:
+        """How to go on past an emergency of a drive that itself goes on."""
+        faulty = cia402.decode(image.statusword) in (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
+        if health.role is not Role.DRIVE or health.emcy is None or faulty or not image.fresh:
+            return ""
+        return f"; the drive goes on: if it only warns, warnings = [0x{health.emcy.code:04X}] in its profile"
 
     def _check_running(self, image: Image, state: PowerState, now: float) -> None:
         if state is not PowerState.OPERATION_ENABLED:

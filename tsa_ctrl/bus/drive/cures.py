@@ -40,6 +40,8 @@ _SPECIAL = {  # objects for which `absent` alone is not enough
     "torque instead, and the one that holds its value at rated torque",
     objects.MODE.key: "set up its motor and sensors for torque with the maker's tool, or use another drive: this one "
     "takes no cyclic synchronous torque mode (10) as it is",
+    objects.INTERPOLATION_PERIOD.key: "choose a rate in [controller] whose period it takes, or write absent = "
+    '["interpolation period", "interpolation period exponent"] in {profile}, if it needs none for torque',
     objects.INTERPOLATION_EXPONENT.key: "choose a rate in [controller] whose period is whole milliseconds (1000, 500, "
     '250, 200, 125, 100 Hz), or write absent = ["interpolation period", "interpolation period exponent"] in {profile}',
 }

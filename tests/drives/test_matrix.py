@@ -1,0 +1,31 @@
+"""Every variation of the matrix in virtual time: it goes through everything, or is refused with its cure."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from tools.campaign.drive.trial import run_trial
+from tools.campaign.drive.variations import VARIATIONS, Variation
+from tsa_ctrl.plant.quirks import Quirks
+
+
+@pytest.mark.parametrize("variation", VARIATIONS, ids=lambda variation: variation.name)
+def test_variation(variation: Variation) -> None:
+    outcome = run_trial(variation)
+    assert outcome.good, f"{'runs' if outcome.started else 'refused'}: {outcome.message} {list(outcome.wrong)}"
+    assert "\n" not in outcome.message
+
+
+def test_every_quirk_is_in_the_matrix() -> None:
+    used = {key for variation in VARIATIONS for key in variation.quirks}
+    assert {field.name for field in msgspec.structs.fields(Quirks)} <= used
+
+
+def test_a_refusal_that_a_line_mends_has_a_twin_that_runs() -> None:
+    """A key of the profile or the configuration that a message names is tried, too."""
+    keys = {key for variation in VARIATIONS for key in (*variation.profile, *variation.drive, *variation.supervision)}
+    assert {
+        "mode_shows", "produces_sync", "boot_timeout", "enable_timeout", "reports_following", "warnings", "supervision",
+        "require_watchdog", "velocity_source", "absent",
+    } <= keys  # fmt: skip

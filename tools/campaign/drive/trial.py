@@ -1,0 +1,273 @@
+"""One variation in virtual time: start, torque, fault, recovery, power cycle, recovery, stop, and a second start."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from tools.campaign.drive.variations import Variation
+from tools.command import CONFIG
+from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.events import Event, Events
+from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.operation import Operation
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.errors import TsaError
+from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.plant.drive_node import DriveNode
+from tsa_ctrl.plant.machine import AxisNodes, Machine
+from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
+from tsa_ctrl.virtual.lockstep import End, Wire
+
+WANTED = 0.5  # N*m at the joint
+PULLS = 0.1  # N*m at the motor: more is torque
+LATENCY = 0.25  # s, [safety] zero_torque_within: its default
+STEADY = 0.1  # s of torque, or of none
+PATIENCE = 120.0  # s, for the slowest drive to come up
+LATER = 2.0  # s after a stop, in which every watchdog has noticed that nobody is there
+LOOK = 0.01  # s between two looks
+
+Story = Iterator[None]
+_OVER = object()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """`message`: of a refusal, else the first thing that was told; `wrong`: what did not happen as it must."""
+
+    variation: Variation
+    started: bool
+    message: str
+    wrong: tuple[str, ...]
+
+    @property
+    def good(self) -> bool:
+        """As the variation says that it must be."""
+        expected = self.variation.refused or self.variation.told
+        return self.started is not bool(self.variation.refused) and not self.wrong and expected in self.message
+
+
+class _Wire(Wire):
+    """Keeps what the host sends."""
+
+    def __init__(self) -> None:
+        super().__init__(1_000_000)
+        self.sent: list[tuple[int, bytes]] = []
+
+    def send(self, sender: End, can_id: int, data: bytes) -> bool:
+        if sender is self.host:
+            self.sent.append((can_id, data))
+        return super().send(sender, can_id, data)
+
+
+class Station:
+    """A plant with one quirky drive, and the daemon's loop on it, as often as it is started."""
+
+    def __init__(self, variation: Variation) -> None:
+        self.configuration = _configuration(variation)
+        self.wire = _Wire()
+        self.machine = Machine(_plant(variation), self.wire.plant, self.wire.plant.clock)
+        self.wire.attach(self.machine)
+        self.machine.start()
+        self.wire.pass_until(0.05)  # what a drive does by itself it does before anybody comes
+        self.told: list[str] = []
+        self.history: list[Event] = []
+        self.first_fault = ""
+        self.pulled = self.proved = self.ended = False
+
+    @property
+    def unit(self) -> AxisNodes:
+        return self.machine.axes[0]
+
+    @property
+    def torque(self) -> float:
+        """N*m that the power stage is commanded."""
+        return abs(self.unit.axis.command.torque)
+
+    @property
+    def node(self) -> DriveNode:
+        node = self.unit.by_kind["drive"]
+        assert isinstance(node, DriveNode)
+        return node
+
+    def run(self, story: Story) -> list[str]:
+        """One run of the daemon, until the story is over; returns what was not confirmed."""
+        configuration = self.configuration
+        file = configuration.file
+        rig = Rig(self.wire.host, file.bus, file.axes, configuration.profiles)
+        axes = control_axes(configuration, rig)
+        tuners = tuners_of(axes, configuration.period)
+        self.mailbox = Mailbox(len(axes), len(tuners[0].parameters))
+        events = Events()
+        telemetry = Telemetry(rig, axes, tuners, self.mailbox, None, None, events)
+        loop = Loop(
+            rig, axes, tuners, self.mailbox, telemetry, events, file.controller, file.bus.supervision,
+            lambda: round(self.wire.now * 1e9),
+        )  # fmt: skip
+        self.proved = self.ended = False
+
+        def look(now: float) -> None:
+            self.pulled = self.pulled or self.torque > PULLS
+            refused = loop.phase is LoopPhase.FAULTED and not self.pulled
+            self.ended = refused or loop.cause is not None
+            if next(story, _OVER) is _OVER:
+                loop.stop("the story is over")
+            else:
+                self.wire.at(now + LOOK, look)
+
+        def begin() -> None:
+            self.proved = True
+            self.wire.at(self.wire.now + LOOK, look)
+
+        operation = Operation(configuration, rig, axes, loop, self.told.append)
+        try:
+            operation.run(math.inf, ready=begin)
+            telemetry.check_bus(0.0)
+        finally:
+            self.mailbox.close()
+            self.history += events.all
+            self.first_fault = "" if events.first_fault is None else events.first_fault.text
+        return operation.unconfirmed
+
+    def recover(self) -> None:
+        self.mailbox.put(Command(0, RECOVER, 1.0))
+
+    def begin(self, fault: str, duration: float = 0.0) -> None:
+        self.machine.begin_fault(None, FaultSettings(name=fault, duration=duration), self.wire.now)
+
+
+def _configuration(variation: Variation) -> Configuration:
+    """The example's, on one axis without sensors, with the lines that the variation gives."""
+    base = load_configuration(CONFIG / "controller.toml")
+    replace = msgspec.structs.replace
+    file = base.file
+    axis = file.axes[0]
+    profile = (
+        load_profile(variation.kind, CONFIG) if variation.kind else msgspec.convert(variation.profile, DriveProfile)
+    )
+    drive = msgspec.convert(
+        {"node_id": 1, "max_torque": 3.0, "rpdo_timeout": 0.05, "profile": variation.kind or "mine", **variation.drive},
+        type(axis.drive),
+    )
+    axis = replace(
+        axis,
+        drive=drive,
+        encoder=None,
+        torque_sensor=None,
+        setpoint=SetPointSettings(kind="constant", offset=WANTED),
+        law=replace(axis.law, fade_in=0.05),
+    )
+    controller = replace(file.controller, rate=variation.rate, settle_cycles=10, stop_time=0.1)
+    supervision = msgspec.convert(variation.supervision, type(file.bus.supervision))
+    bus = replace(file.bus, supervision=supervision)
+    file = replace(file, axes=(axis,), controller=controller, bus=bus, log=replace(file.log, enabled=False))
+    return Configuration(base.path, file, base.text, base.models, (profile,), base.load)
+
+
+def _plant(variation: Variation) -> PlantSettings:
+    """The example's, standing still, with the variation's drive and no sensors."""
+    plant = load_plant(CONFIG / "plant.toml")
+    replace = msgspec.structs.replace
+    axis = plant.axis[0]
+    keys: dict[str, Any] = {"node_id": 1, "torque_noise": 0.0, **variation.quirks}
+    axis = replace(
+        axis,
+        drive=msgspec.convert(keys, DriveSettings),
+        encoder=replace(axis.encoder, present=False),
+        torque_sensor=replace(axis.torque_sensor, present=False),
+        motion=replace(axis.motion, kind="still"),
+    )
+    return replace(plant, axis=[axis])
+
+
+def run_trial(variation: Variation) -> Outcome:
+    """Everything that a drive goes through, once."""
+    station = Station(variation)
+    wrong: list[str] = []
+    try:
+        wrong += station.run(_story(station, wrong))
+    except TsaError as error:
+        return Outcome(variation, False, str(error), tuple(wrong + _commanded(station)))
+    refusal = station.first_fault
+    if refusal and not station.pulled:
+        return Outcome(variation, False, refusal, ())
+    wrong += _afterwards(station)
+    return Outcome(variation, True, _told(station, variation), tuple(wrong))
+
+
+def _story(station: Station, wrong: list[str]) -> Story:
+    """What is done to a running loop, and what must follow; each `yield` lets a few cycles pass."""
+
+    def pulls() -> bool:
+        return station.torque > PULLS
+
+    def rests() -> bool:
+        return station.torque == 0.0
+
+    yield from _until(station, pulls, "no torque after the start", wrong)
+    for fault, duration in (("fault", 0.0), ("power_cycle", 0.02)):
+        yield from _until(station, lambda: False, "", [], STEADY)
+        station.begin(fault, duration)
+        yield from _until(station, rests, f"torque {LATENCY:g} s after {fault}", wrong, LATENCY)
+        yield from _until(station, lambda: False, "", [], STEADY)
+        if not rests():
+            wrong.append(f"torque came back by itself after {fault}")
+        station.recover()
+        yield from _until(station, pulls, f"no torque after the recovery from {fault}", wrong)
+    yield from _until(station, lambda: False, "", [], STEADY)
+
+
+def _until(
+    station: Station, reached: Callable[[], bool], otherwise: str, wrong: list[str], patience: float = PATIENCE
+) -> Story:
+    end = station.wire.now + patience
+    while not reached():
+        if station.wire.now >= end or station.ended:
+            if otherwise:
+                wrong.append(otherwise)
+            return
+        yield
+
+
+def _afterwards(station: Station) -> list[str]:
+    """Nobody is there: the drive is off and without a fault; then it starts again as if nothing had been."""
+    wrong = []
+    if station.torque:
+        wrong.append("torque after the stop")
+    station.wire.pass_until(station.wire.now + LATER)
+    state = station.unit.drive.machine.state.name
+    if state not in ("SWITCH_ON_DISABLED", "NOT_READY_TO_SWITCH_ON", "READY_TO_SWITCH_ON"):
+        wrong.append(f"{state.lower()} after the stop")
+    again: list[str] = []
+
+    def story() -> Story:
+        yield from _until(station, lambda: station.torque > PULLS, "no torque at the second start", again)
+
+    try:
+        wrong += station.run(story())
+    except TsaError as error:
+        again.append(f"the second start: {error}")
+    if station.node.storage.saves:
+        wrong.append("its parameters were stored")
+    return wrong + again
+
+
+def _commanded(station: Station) -> list[str]:
+    """A start that was refused must not have commanded a drive."""
+    rpdos = [data for can_id, data in station.wire.sent if can_id == 0x201]
+    return ["RPDOs were sent"] if rpdos and not station.proved else []
+
+
+def _told(station: Station, variation: Variation) -> str:
+    """The line that the variation speaks of, or nothing."""
+    texts = [*station.told, *(event.text for event in station.history)]
+    return next((text.strip() for text in texts if variation.told and variation.told in text), "")
