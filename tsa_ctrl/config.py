@@ -14,7 +14,7 @@ from tsa_ctrl import settings
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.budget import Load
 from tsa_ctrl.bus.drive.layout import check_node_ids
-from tsa_ctrl.bus.drive.plan import drive_plan
+from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
@@ -149,13 +149,13 @@ def load_configuration(path: str | Path) -> Configuration:
 
 
 def check_drives(configuration: Configuration) -> None:
-    """Whether all of it can be written to the drives, the period above all; raises UsageError."""
+    """Whether all of it can be written to the drives, by their EDS if there is one; raises UsageError."""
     file = configuration.file
     try:
         for axis, profile in zip(file.axes, configuration.profiles, strict=True):
-            drive_plan(
-                axis, profile, drive_scale(axis.drive, profile, f"axis '{axis.name}'"), file.bus, configuration.period
-            )
+            scale = drive_scale(axis.drive, profile, f"axis '{axis.name}'")
+            plan = drive_plan(axis, profile, scale, file.bus, configuration.period)
+            check_against_eds(profile, plan)
     except UsageError as error:
         raise UsageError(f"{configuration.path}: {error}") from None
 

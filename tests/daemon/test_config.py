@@ -61,7 +61,8 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
     for line in path.read_text(encoding="utf-8").splitlines():
         default = re.match(r"# (\w+ = .+|\[bus\.supervision\])", line)
         keep = default is None or re.match(
-            r"# (cpu|options|group|eds|vendor_id|product_code|distance|travel|offset = 2|gains|components|file"
+            r"# (cpu|options|group|eds|vendor_id|product_code|serial_number|pdo_node_id|boot_timeout"
+            r"|answer_timeout|distance|travel|offset = 2|gains|components|file"
             r"|zero_torque_within|torque|joint_torque) ?=?",
             line,
         )
@@ -178,3 +179,17 @@ def test_check_moves_nothing_and_says_the_load(folder: Path) -> None:
     result = CliRunner().invoke(cli, ["run", "--check", str(folder / "controller.toml")])
     assert result.exit_code == 0
     assert "knee at 1000 Hz, bus load" in result.output
+
+
+def test_check_compares_the_plan_with_the_eds(folder: Path) -> None:
+    """`tsa run --check` finds before there is a drive what its EDS does not allow."""
+    (folder / "drives").mkdir(exist_ok=True)
+    (folder / "drives" / "mine.toml").write_text('eds = "mine.eds"\n', encoding="utf-8")
+    (folder / "drives" / "mine.eds").write_text(
+        "[6072]\nParameterName=Max torque\nDataType=0x0006\nAccessType=rw\nLowLimit=0\nHighLimit=500\n",
+        encoding="utf-8",
+    )
+    path = edit(folder, r'^# profile = "generic"', 'profile = "mine"')
+    result = CliRunner().invoke(cli, ["run", "--check", str(path)])
+    assert isinstance(result.exception, UsageError)
+    assert "mine.eds: section [6072]: 0x6072:0 max torque shall be 3000, allowed is 0 to 500" in str(result.exception)

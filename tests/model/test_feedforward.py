@@ -61,6 +61,13 @@ INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
     "gravity_load": st.fixed_dictionaries({"amplitude": numbers(0.0, 1.0), "phase": numbers(-3.0, 3.0)}),
     "joint_stiffness": st.fixed_dictionaries({"stiffness": numbers(0.0, 1.0), "rest_angle": numbers(-0.5, 0.5)}),
     "torque_offset": st.fixed_dictionaries({"offset": numbers(-0.3, 0.3)}),
+    "custom": st.fixed_dictionaries(
+        {
+            "expression": st.sampled_from(["k*sin(3*q_j)", "k*tanh(tau) + k*abs(omega_j)", "k*sign(tau)*0 + k*tau"]),
+            "stage": st.sampled_from(["joint", "motor"]),
+            "k": numbers(-0.4, 0.4),
+        }
+    ),
 }
 NOT_INVERTIBLE = {"transport_delay", "backlash", "velocity_lag"}
 

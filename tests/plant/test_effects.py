@@ -112,3 +112,18 @@ def test_presliding_follows_dahl(tmp_path: Path) -> None:
     joint.advance(0.3)
     values = joint.values()
     assert values["z"] == pytest.approx(1.0 - math.exp(-values["q_j"] / 0.05), abs=1e-6)
+
+
+@pytest.mark.parametrize("stage", ["joint", "motor"])
+def test_the_plant_runs_a_formula_of_its_file(tmp_path: Path, stage: str) -> None:
+    """k sin(3 q) + 0.1 tau tanh(omega) + 0.02 sigma: taken at the joint, or at the motor before the tendons."""
+    custom = {"expression": "k*sin(3*q_j) + 0.1*tau*tanh(omega_j) + 0.02*sigma", "stage": stage, "k": 0.05}
+    for state in STATES[:4]:
+        tau_m, omega, q, *_ = state
+        plain = delivered(tmp_path, {}, state, 0.0)
+        found = delivered(tmp_path, {"custom": custom}, state, 0.0)
+        tau = plain if stage == "joint" else tau_m
+        taken = 0.05 * math.sin(3.0 * q) + 0.1 * tau * math.tanh(omega) + 0.02 * math.copysign(1.0, omega)
+        # At the motor it changes the slope's input: cosh x of these four states' actuator follows from two torques.
+        slope = 1.0 if stage == "joint" else (delivered(tmp_path, {}, (tau_m + 0.1, *state[1:]), 0.0) - plain) / 0.1
+        assert plain - found == pytest.approx(slope * taken, abs=5e-6)

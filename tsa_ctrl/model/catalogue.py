@@ -13,7 +13,9 @@ from typing import Any
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects import EFFECTS
-from tsa_ctrl.model.effects.specification import Setting, Specification
+from tsa_ctrl.model.effects.custom import NAMES
+from tsa_ctrl.model.effects.specification import Parameter, Setting, Specification
+from tsa_ctrl.model.expression import FUNCTIONS
 
 CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
@@ -47,12 +49,14 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
     if not isinstance(given, Mapping):
         raise UsageError(f"{where}: found {given!r}; write a table [effects.{spec.name}]")
     known = [p.name for p in spec.parameters]
+    values: dict[str, Setting] = {}
     for key in given:
-        if key not in known:
+        if key not in known and spec.named:
+            values[key] = _constant(key, given[key], where)
+        elif key not in known:
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
             advice = f"did you mean '{near[0]}'?" if near else f"known keys are {', '.join(known) or 'none'}"
             raise UsageError(f"{where}: unknown key '{key}'; {advice}")
-    values: dict[str, Setting] = {}
     for parameter in spec.parameters:
         value = given.get(parameter.name, parameter.default)
         if value is None:
@@ -62,7 +66,23 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
         if not parameter.accepts(value):
             raise UsageError(f"{where}: {parameter.name} = {value!r}; allowed is {parameter.describe()}")
         values[parameter.name] = parameter.taken(value)
+    if spec.named:
+        _ = spec.build(values).program  # what is no formula is said before it is used
     return values
+
+
+def formula_of(parameters: Mapping[str, Any]) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Operations and numbers of a checked `[effects.custom]`, for a machine of one's own."""
+    program = CATALOGUE["custom"].build(parameters).program
+    return program.operations, program.arguments
+
+
+def _constant(key: str, value: object, where: str) -> float:
+    if key in NAMES or key in FUNCTIONS:
+        raise UsageError(f"{where}: '{key}' is a signal or a function already; give the constant another name")
+    if not Parameter().accepts(value):
+        raise UsageError(f"{where}: {key} = {value!r}; allowed is a number")
+    return float(value)  # type: ignore[arg-type]
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
+from tsa_ctrl.model.effects.custom import Custom
 from tsa_ctrl.model.effects.friction import LoadDependentFriction, TensionDependentFriction
 from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
@@ -79,6 +80,7 @@ class Stack:
     load: LoadDependentFriction | None
     backlash: Backlash | None
     joint: tuple[JointEffect, ...]
+    custom: Custom | None
     delay: TransportDelay | None
 
     @classmethod
@@ -90,7 +92,7 @@ class Stack:
                 raise UsageError(
                     f"{source or 'model'}: [effects.{name}] cannot be combined with [effects.{clash[0]}]; remove one"
                 )
-        present = _Present({name: spec.effect(**effects[name]) for name, spec in CATALOGUE.items() if name in effects})
+        present = _Present({name: spec.build(effects[name]) for name, spec in CATALOGUE.items() if name in effects})
         return cls(
             velocity_lag=present.one(VelocityLag),
             motor_torque=present.at(Stage.MOTOR_TORQUE),
@@ -104,9 +106,14 @@ class Stack:
             elongation=present.one(ElongationCoupling),
             load=present.one(LoadDependentFriction),
             backlash=present.one(Backlash),
-            joint=present.at(Stage.JOINT),
+            joint=tuple(effect for effect in present.at(Stage.JOINT) if not isinstance(effect, Custom)),
+            custom=present.one(Custom),
             delay=present.one(TransportDelay),
         )
+
+    def custom_at(self, stage: str) -> Custom | None:
+        """The formula of the file where it stands at this side, "motor" or "joint"."""
+        return self.custom if self.custom is not None and self.custom.stage == stage else None
 
     def transmission(self, model: TendonSheath) -> Transmission:
         """What stands between the motor's pulley and the joint's."""

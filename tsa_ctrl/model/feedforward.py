@@ -34,6 +34,10 @@ class Feedforward:
         self._model = model
         self._gain = period / (ACCELERATION_TIME + period)
         self._period = period
+        custom = Stack.of(model.effects, model.source).custom
+        if custom is not None:  # up to twice what both tendons carry without slack
+            largest = 4.0 * max(model.pretension, 1.0) * max(model.motor_pulley_radius, model.joint_pulley_radius)
+            custom.check_invertible(largest, model.source or "model")
         self.notes: tuple[str, ...] = tuple(_notes(model, signals))
         self.reset()
 
@@ -80,6 +84,8 @@ class Feedforward:
         It is a bound on the command, in the state of the last update: motor-side effects are accounted for.
         """
         low, high = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
+        if (custom := self._stack.custom_at("motor")) is not None:
+            low, high = custom.invert(low, self._state), custom.invert(high, self._state)
         for effect in reversed(self._stack.motor_torque):
             low = effect.invert(SCALARS, low, self._state)
             high = effect.invert(SCALARS, high, self._state)
@@ -115,12 +121,16 @@ class Feedforward:
         torque = tau_j_des
         for joint_effect in stack.joint:
             torque += joint_effect.torque(SCALARS, state)
+        if (custom := stack.custom_at("joint")) is not None:
+            torque = custom.invert(torque, state)
         if stack.load is not None:
             torque = stack.load.invert(SCALARS, torque, state.sigma)
         transmission = self._transmission
         tau_m = transmission.motor_torque(torque, state.sigma, x, pretension)
         low, high = transmission.limits(state.sigma, x, pretension)
         tau_m = low if tau_m < low else high if tau_m > high else tau_m
+        if (custom := stack.custom_at("motor")) is not None:
+            tau_m = custom.invert(tau_m, state)
         for motor_effect in reversed(stack.motor_torque):
             tau_m = motor_effect.invert(SCALARS, tau_m, state)
         if math.isfinite(tau_m):

@@ -7,7 +7,8 @@ memory load compiled loops when first used.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -54,8 +55,11 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
         torque = _tendon_torque(model, stack, transmission, part, signals.tau_m[block])
         if played_out is not None:
             torque = np.where(played_out[block], 0.0, torque)
+        tendons = torque
         for effect in stack.joint:
             torque = torque - effect.torque(ARRAYS, part)
+        if (custom := stack.custom_at("joint")) is not None:
+            torque = torque - custom.taken(tendons, part)
         tau_j[block] = torque
     return tau_j if stack.delay is None else stack.delay.apply(tau_j, signals.t)
 
@@ -66,6 +70,8 @@ def _tendon_torque(
     """From the reported motor torque to what friction in the joint leaves of it, N*m."""
     for effect in stack.motor_torque:
         tau_m = effect.apply(ARRAYS, tau_m, state)
+    if (custom := stack.custom_at("motor")) is not None:
+        tau_m = tau_m - custom.taken(tau_m, state)
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     x = friction_angle(ARRAYS, model, stack, state, theta)
     torque = transmission.torque(ARRAYS, tau_m, state.sigma, x, pretension)
@@ -85,15 +91,23 @@ def beyond_slack(model: Model, signals: Signals) -> float:
 def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]]:
     """For each effect that this log cannot carry: the columns of which one would be needed."""
     rigid = isinstance(model, RigidDrive)
-    return {name: lack for name in model.effects if (lack := missing_for(name, signals, rigid=rigid))}
+    return {
+        name: lack
+        for name, parameters in model.effects.items()
+        if (lack := missing_for(name, signals, rigid=rigid, parameters=parameters))
+    }
 
 
-def missing_for(effect: str, signals: Signals, *, rigid: bool = False) -> tuple[str, ...]:
+def missing_for(
+    effect: str, signals: Signals, *, rigid: bool = False, parameters: Mapping[str, Any] | None = None
+) -> tuple[str, ...]:
     """The columns of which `effect` needs one and the log has none; empty when it can be computed.
 
-    In a plain drive (`rigid`) the motor's motion takes the place of the joint's, and is there by definition.
+    In a plain drive (`rigid`) the motor's motion takes the place of the joint's, and is there by definition. What a
+    formula needs depends on its `parameters`.
     """
-    for alternatives in CATALOGUE[effect].columns:
+    spec = CATALOGUE[effect]
+    for alternatives in spec.columns if parameters is None or not spec.named else spec.needed_live(parameters):
         if rigid and not {"q_j", "omega_j"}.isdisjoint(alternatives):
             continue
         if all(getattr(signals, name) is None for name in alternatives):
@@ -168,6 +182,8 @@ def _predict_rigid(model: RigidDrive, stack: Stack, signals: Signals) -> Array:
         tau_m = tau_m + model.inertia * state.acceleration
     for joint_effect in stack.joint:
         tau_m = tau_m + joint_effect.torque(ARRAYS, state)
+    if stack.custom is not None:
+        tau_m = tau_m + stack.custom.taken(tau_m, state)
     if stack.load is not None:
         tau_m = stack.load.required(ARRAYS, tau_m, state.sigma)
     for motor_effect in reversed(stack.motor_torque):

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import build_chain, settle
 from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values
+from tsa_ctrl.plant.formula import steps_of
 from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
@@ -77,6 +78,7 @@ class Axis:
             motion=np.ascontiguousarray(np.vstack((motion.angle, motion.speed))),
             bending=_table(settings.environment.bending),
             temperature=_table(settings.environment.temperature),
+            formula=steps_of(settings.effects),
             hand=hand_table(settings.joint),
         )
         self.time = 0.0  # s since the plant's start

@@ -25,6 +25,7 @@ _KERNELS = (
     "interpolation.py",
     "effects.py",
     "lags.py",
+    "formula.py",
     "full.py",
     "chain.py",
     "mechanics.py",

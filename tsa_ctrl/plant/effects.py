@@ -48,6 +48,7 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("spring", _F),  # N*m/rad
     ("spring_rest", _F),  # rad
     ("offset", _F),  # N*m
+    ("formula_at_motor", _I),  # which side the formula of the plant file takes from
     ("load_friction", _F),
     ("backlash", _F),  # rad
     ("backlash_threshold", _F),  # rad: two encoder counts
@@ -129,6 +130,8 @@ def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath)
         values["torque_gain"] = 1.0 + effects["torque_constant_error"]["relative_error"]
     if effects.get("pretension_relaxation", {}).get("law") == "logarithmic":
         values["relaxation_logarithmic"] = 1
+    if "custom" in effects:
+        values["formula_at_motor"] = float(effects["custom"]["stage"] == "motor")
     if "presliding_hysteresis" in effects:
         side = effects["presliding_hysteresis"].get("displacement", "motor")
         values["hysteresis"] = Presliding[str(side).upper()]

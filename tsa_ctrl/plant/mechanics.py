@@ -29,6 +29,7 @@ from tsa_ctrl.plant.effects import (
     tension_factor,
     track_backlash,
 )
+from tsa_ctrl.plant.formula import formula
 from tsa_ctrl.plant.full import commit_full, full_tensions
 from tsa_ctrl.plant.interpolation import hand, imposed_motion, table_value
 from tsa_ctrl.plant.lags import sense, torque_loop
@@ -50,6 +51,7 @@ class Arrays(NamedTuple):
     motion: NDArray[np.float64]  # (2, n): imposed angle and speed on the grid
     bending: NDArray[np.float64]  # (2, n): times in s and factors on the bending angle
     temperature: NDArray[np.float64]  # (2, n): times in s and deg C
+    formula: NDArray[np.float64]  # (2, n): operations and numbers of the plant file's formula
     hand: NDArray[np.float64]  # (4, n): times in s, N*m/rad, N*m*s/rad, rad
 
 
@@ -133,6 +135,7 @@ def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any)
     tendon = p.r_j * (f[3] - f[1])
     share = _share(s, p, tendon)
     taken, slope_j = _load_torque(s, p, q_j, omega)
+    taken += 0.0 if p.formula_at_motor else s.taken
     r[1] = inertia * (q_j - s.q_j - h * s.omega_j) + taken + joint_losses(p, q_j, omega, 0.0) - share * tendon
     r[3] = p.r_m * p.r_j * (f[9] - f[5])
     r[4] = -share * p.r_j * p.r_m * (f[10] - f[6])
@@ -180,6 +183,9 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     time = s.t + h
     since_start = time - s.started if s.started >= 0.0 else -1.0
     torque_loop(s, p, command, enabled, max_speed, h)
+    if p.formula_at_motor:
+        s.taken = formula(s, p, arrays.formula, s.tau_m, s.z, since_start)
+        s.tau_m -= s.taken
     imposed = p.load == _IMPOSED
     q_j = s.q_j + h * s.omega_j
     if imposed:
@@ -210,5 +216,9 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     s.tau_tendon = p.r_j * (s.t4 - s.t2)
     if p.backlash > 0.0:
         track_backlash(s, p)
-    s.tau_j = _share(s, p, s.tau_tendon) * s.tau_tendon - joint_losses(p, q_j, s.omega_j, s.acceleration_j)
+    arrives = _share(s, p, s.tau_tendon) * s.tau_tendon
+    s.tau_j = arrives - joint_losses(p, q_j, s.omega_j, s.acceleration_j)
+    if not p.formula_at_motor:
+        s.taken = formula(s, p, arrays.formula, arrives, s.z, since_start)
+        s.tau_j -= s.taken
     sense(s, p, arrays.ring, h)

@@ -91,6 +91,7 @@ STATE = np.dtype(
         ("hand_damping", _F),  # N*m*s/rad
         ("hand_angle", _F),  # rad
         ("hand_speed", _F),  # rad/s
+        ("taken", _F),  # N*m, by the formula of the plant file
         ("tau_outside", _F),  # N*m, by hand and push on the joint
         ("tau_sensed", _F),  # N*m, the same through the sensor's delay
         ("z", _F),  # state of friction in the sheaths, -1 to 1

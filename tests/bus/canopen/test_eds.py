@@ -8,7 +8,7 @@ import pytest
 
 from tests.bus.local_nodes import bench
 from tests.bus.nodes import axis_nodes
-from tsa_ctrl.bus.canopen.eds import check_plan, load_eds
+from tsa_ctrl.bus.canopen.eds import check_plan, load_eds, read_eds
 from tsa_ctrl.bus.canopen.objects import MAX_TORQUE, Object, Type, Write
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.profile import DriveProfile
@@ -65,18 +65,56 @@ def test_file_in_the_encoding_of_a_vendors_editor_is_read(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[6072]\nParameterName=Max torque\n", "[6072]\n", r"section \[6072\]: No option 'ParameterName'"),
+        ("DataType=0x0006\n", "", r"section \[6072\]: No option 'DataType'"),
         ("DataType=0x0006", "DataType=u16", r"section \[6072\]: ValueError: .*'u16'"),
-        ("[1018]\nParameterName", "[1018]\nName", r"section \[1018\]: No option 'ParameterName'"),
         ("[1018]\n", "[1017]\n", r"section \[1018sub0\]: KeyError"),
-        ("[6072]\n", "[1000]\n", "section '1000' already exists"),
-        ("[DeviceInfo]\n", "rubbish\n", "no section headers"),
+        (GOOD, "rubbish\n", "describes no object that is used here"),
     ],
 )
 def test_broken_section_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
     with pytest.raises(UsageError, match=message) as error:
         load_eds(write(tmp_path, GOOD.replace(old, new)))
     assert "\n" not in str(error.value)
+
+
+SLIPS = {
+    "empty numbers": ("VendorName=nobody\n", "VendorName=nobody\nVendorNumber=\nProductNumber=\nRevisionNumber=\n", 0),
+    "leading zeros": ("HighLimit=3000", "HighLimit=03000", 0),
+    "comment of C": ("DataType=0x0006", "DataType=0x0006 // UNSIGNED16", 0),
+    "keys in another case": ("HighLimit=3000", "highlimit=3000", 0),
+    "heading in another case": ("[1018sub1]", "[1018SUB1]", 0),
+    "heading with 0x": ("[6072]", "[0x6072]", 0),
+    "no number": ("LowLimit=0\n", "LowLimit=none\n", 1),
+    "stray line": ("[FileInfo]\n", "[FileInfo]\nthis is not an assignment\n", 1),
+    "line before the first section": ("[DeviceInfo]", "created by an editor\n[DeviceInfo]", 1),
+    "section twice": ("[6072]", "[1000]\nDataType=0x0007\n[6072]", 1),
+    "no name": ("ParameterName=Max torque\n", "", 0),
+    "no access type": ("DataType=0x0006\nAccessType=rw\n", "DataType=0x0006\n", 1),
+    "miscounted comments": ("[FileInfo]", "[Comments]\nLines=3\nLine1=one\n[FileInfo]", 0),
+    "broken object of the vendor": ("[6072]", "[2031]\nParameterName=x\nDataType=float\nAccessType=rw\n[6072]", 2),
+    "sub-index of nothing": ("[6072]", "[2031sub1]\nParameterName=x\nDataType=5\nAccessType=rw\n[6072]", 1),
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_a_slip_of_a_vendor_is_mended_and_told(tmp_path: Path, slip: str) -> None:
+    """The limits of 0x6072 are read all the same; what may matter is told."""
+    old, new, told = SLIPS[slip]
+    assert old in GOOD
+    dictionary, notes = read_eds(write(tmp_path, GOOD.replace(old, new)))
+    assert (dictionary[0x6072].max, dictionary[0x1018][1].data_type, len(notes)) == (3000, 7, told)
+
+
+def test_a_read_only_object_that_is_as_wanted_is_no_contradiction(tmp_path: Path) -> None:
+    path = write(tmp_path, GOOD.replace("AccessType=rw\n", "AccessType=const\nDefaultValue=1000\n"))
+    assert check_plan(load_eds(path), path, [Write(MAX_TORQUE, 1000)]) == [
+        "its EDS says that 0x6072:0 max torque cannot be written"
+    ]
+
+
+def test_limits_of_nothing_are_no_limits(tmp_path: Path) -> None:
+    path = write(tmp_path, GOOD.replace("LowLimit=0", "LowLimit=5000"))
+    assert check_plan(load_eds(path), path, [Write(MAX_TORQUE, 1000)]) == []
 
 
 def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> None:
@@ -89,7 +127,7 @@ def test_plan_that_fits_has_no_notes_but_for_what_is_lacking(tmp_path: Path) -> 
     ("old", "new", "message"),
     [
         ("DataType=0x0006", "DataType=0x0007", r"section \[6072\]: DataType is 0x0007, .* has 0x0006 \(u16\)"),
-        ("AccessType=rw", "AccessType=const", r"section \[6072\]: .* is 'const', but must be written"),
+        ("AccessType=rw", "AccessType=const\nDefaultValue=500", r"\[6072\]: .* is 'const' with 500, but must be 1000"),
         ("HighLimit=3000", "HighLimit=500", r"section \[6072\]: .* shall be 1000, allowed is 0 to 500"),
     ],
 )

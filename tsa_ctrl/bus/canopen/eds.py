@@ -1,6 +1,7 @@
 """A vendor's EDS file, where there is one: what it says of the objects that we write is compared before they are.
 
-EDS files are often broken. canopen judges them; when it cannot read one, the section that it stumbles over is named.
+EDS files are often broken. Slips are mended (`eds_mending`), and canopen judges the rest; when it cannot read one, the
+section that it stumbles over is named.
 """
 
 from __future__ import annotations
@@ -15,14 +16,26 @@ from typing import Any
 from canopen.objectdictionary import ObjectDictionary, ODVariable
 from canopen.objectdictionary.eds import import_eds
 
-from tsa_ctrl.bus.canopen.objects import Write
+from tsa_ctrl.bus.canopen import eds_mending
+from tsa_ctrl.bus.canopen.objects import Type, Write
 from tsa_ctrl.errors import UsageError
+
+_BYTES = {kind.number: kind.size for kind in Type}
+_MOST_NOTES = 200  # a file with more slips is another kind of file
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # its remarks on an EDS are not the user's concern
 
 
 def load_eds(path: str | Path) -> ObjectDictionary:
-    """Read an EDS file; raises UsageError that names the broken section or line."""
+    """Read an EDS file; raises UsageError that names the broken section."""
+    return read_eds(path)[0]
+
+
+def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
+    """An EDS file, and what had to be mended or left out of it; raises UsageError that names the broken section.
+
+    A section is left out when it cannot be read and this controller has no use for its object.
+    """
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -32,17 +45,18 @@ def load_eds(path: str | Path) -> ObjectDictionary:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")  # what the vendors' editors write
-    parser = configparser.RawConfigParser(inline_comment_prefixes=(";",))
-    parser.optionxform = str  # type: ignore[assignment, method-assign]  # keys are case sensitive, as canopen has them
-    try:
-        parser.read_string(text, source=path.name)
-    except configparser.Error as error:
-        raise UsageError(f"{path}: EDS file: {_one_line(error)}; repair it, or work without an EDS") from None
-    dictionary, error_text = _try(parser, parser.sections())
-    if dictionary is not None:
-        return dictionary
-    section = _first_broken(parser)
-    raise UsageError(f"{path}: EDS file: section [{section}]: {error_text}; repair it, or work without an EDS")
+    parser, notes = eds_mending.read(text)
+    if not any(eds_mending.is_used(section) for section in parser.sections()):
+        raise UsageError(f"{path}: EDS file: it describes no object that is used here; repair it, or work without one")
+    while True:
+        dictionary, error_text = _try(parser, parser.sections())
+        if dictionary is not None:
+            return dictionary, notes
+        section = _first_broken(parser)
+        if eds_mending.is_used(section) or len(notes) > _MOST_NOTES:
+            raise UsageError(f"{path}: EDS file: section [{section}]: {error_text}; repair it, or work without an EDS")
+        notes.append(f"its EDS cannot be read in section [{section}] ({error_text}), which is left out")
+        parser.remove_section(section)
 
 
 def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Write]) -> list[str]:
@@ -57,13 +71,23 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
                 notes[f"its EDS lacks {entry}"] = None
             continue
         if variable.data_type != entry.type.number:
-            raise UsageError(
-                f"{path}: section {section}: DataType is 0x{variable.data_type:04X}, {entry} has "
-                f"0x{entry.type.number:04X} ({entry.type.name.lower()}); repair the EDS, or work without one"
-            )
+            if _BYTES.get(variable.data_type) != entry.type.size:
+                raise UsageError(
+                    f"{path}: section {section}: DataType is 0x{variable.data_type:04X}, {entry} has "
+                    f"0x{entry.type.number:04X} ({entry.type.name.lower()}); repair the EDS, or work without one"
+                )
+            notes[f"its EDS has {entry} with another sign (DataType 0x{variable.data_type:04X})"] = None
         if not variable.writable:
-            raise UsageError(f"{path}: section {section}: {entry} is '{variable.access_type}', but must be written")
+            if variable.default is not None and variable.default not in (write.value, *write.fine) and not write.kept:
+                raise UsageError(
+                    f"{path}: section {section}: {entry} is '{variable.access_type}' with {variable.default}, but must "
+                    f"be {write.value}; repair the EDS, or work without one"
+                )
+            notes[f"its EDS says that {entry} cannot be written"] = None
+            continue
         low, high = variable.min, variable.max
+        if low is not None and high is not None and low > high:
+            continue  # limits of nothing are no limits
         if write.rated is None and not write.kept and not (_above(write.value, low) and _above(high, write.value)):
             raise UsageError(
                 f"{path}: section {section}: {entry} shall be {write.value}, allowed is {low} to {high}; "

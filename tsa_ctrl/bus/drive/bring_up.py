@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Sequence
 
 from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
-from tsa_ctrl.bus.canopen.eds import check_plan, load_eds
 from tsa_ctrl.bus.canopen.objects import Write
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.checks import (
@@ -29,7 +28,7 @@ from tsa_ctrl.bus.drive.checks import (
 )
 from tsa_ctrl.bus.drive.disarm import disarm
 from tsa_ctrl.bus.drive.layout import check_node_ids, layout_of
-from tsa_ctrl.bus.drive.plan import drive_plan, encoder_plan, torque_sensor_plan
+from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan, encoder_plan, torque_sensor_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import NodeReport, Report
 from tsa_ctrl.bus.drive.scale import drive_scale
@@ -66,7 +65,10 @@ def bring_up(
     check_node_ids(settings, axes)
     nodes = list(_nodes(axes, profiles))
     plans = [_plan(node, settings, period) for node in nodes]
-    notes = [_notes_of_eds(node, plan) for node, plan in zip(nodes, plans, strict=True)]
+    notes = [
+        check_against_eds(node.profile, plan) if node.role is Role.DRIVE else []
+        for node, plan in zip(nodes, plans, strict=True)
+    ]
     with Session(bus, settings) as session:
         for node in nodes:
             session.be_patient(node.node_id, node.answer_timeout)
@@ -111,12 +113,6 @@ def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:
     if isinstance(node.settings, EncoderSettings):
         return encoder_plan(node.settings, period)
     return torque_sensor_plan(node.settings, period)
-
-
-def _notes_of_eds(node: Node, plan: Sequence[Write]) -> list[str]:
-    if node.role is not Role.DRIVE or node.profile.eds is None:
-        return []
-    return check_plan(load_eds(node.profile.eds), node.profile.eds, plan)
 
 
 def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from tsa_ctrl.bus.canopen import objects, pdo
@@ -217,3 +218,13 @@ def _check_timeouts(drive: DriveSettings, settings: BusSettings, period: float, 
             f"{where}: drive host_timeout {drive.host_timeout:g} s is less than two of our heartbeats "
             f"({settings.host_heartbeat_period:g} s); give at least {2.0 * settings.host_heartbeat_period:g} s"
         )
+
+
+def check_against_eds(profile: DriveProfile, plan: Iterable[Write]) -> list[str]:
+    """What a drive's EDS says of a plan, where its profile names one; raises UsageError when they contradict."""
+    if profile.eds is None:
+        return []
+    from tsa_ctrl.bus.canopen.eds import check_plan, read_eds  # canopen is slow to import
+
+    dictionary, notes = read_eds(profile.eds)
+    return [*notes, *check_plan(dictionary, profile.eds, plan)]

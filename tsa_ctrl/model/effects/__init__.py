@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tsa_ctrl.model.effects.custom import Custom
 from tsa_ctrl.model.effects.friction import (
     LoadDependentFriction,
     StribeckFriction,
@@ -53,5 +54,6 @@ EFFECTS: tuple[type[Any], ...] = (
     GravityLoad,
     JointStiffness,
     TorqueOffset,
+    Custom,
     TransportDelay,
 )

@@ -78,11 +78,14 @@ class Parameter:
     points: bool = False  # beside the choices, a course of the bending by points
     integer: bool = False
     fitted: bool = True  # False: given, never estimated from a log
+    text: bool = False  # a formula
     name: str = ""
     default: Setting | None = None
 
     def describe(self) -> str:
         """Allowed values in words, for error messages."""
+        if self.text:
+            return 'a formula in quotes, such as "k*sin(2*q_j)"'
         if self.choices:
             return " or ".join([*(f'"{choice}"' for choice in self.choices), *([curvature.POINTS] * self.points)])
         kind = "a whole number" if self.integer else "a number"
@@ -94,6 +97,8 @@ class Parameter:
         return " ".join([kind, " and ".join(bounds)]).strip() + (f" ({self.unit})" if self.unit != "1" else "")
 
     def accepts(self, value: object) -> bool:
+        if self.text:
+            return isinstance(value, str)
         if self.choices:
             chosen = isinstance(value, str) and value in self.choices
             return chosen or (self.points and curvature.as_points(value) is not None)
@@ -107,6 +112,8 @@ class Parameter:
 
     def taken(self, value: Any) -> Setting:
         """An accepted value as the effect's class takes it."""
+        if self.text:
+            return str(value)
         if self.choices:
             return value if isinstance(value, str) else curvature.as_points(value) or ()
         return int(value) if self.integer else float(value)
@@ -179,6 +186,7 @@ class Specification:
     columns: Columns = ()
     live_columns: Callable[[Mapping[str, Setting]], Columns] | None = None
     excludes: tuple[str, ...] = ()
+    named: bool = False  # further parameters of any name, numbers, are its constants
     rigid_drive: bool = True  # has a meaning for a plain drive (kind = "rigid_drive")
     feedforward: str = ""
     demo: Mapping[str, Draw | Setting] | None = None
@@ -192,7 +200,17 @@ class Specification:
         return dataclasses.replace(own, parameters=_parameters(effect), effect=effect)
 
     def parameter(self, name: str) -> Parameter:
-        return next(p for p in self.parameters if p.name == name)
+        """That of the class; a constant that the file names is a plain number."""
+        return next((p for p in self.parameters if p.name == name), Parameter(name=name))
+
+    def build(self, parameters: Mapping[str, Setting]) -> Any:
+        """The effect with checked parameters; those that its class does not know are its `constants`."""
+        if not self.named:
+            return self.effect(**parameters)
+        known = {p.name for p in self.parameters}
+        own = {name: value for name, value in parameters.items() if name in known}
+        rest = tuple((name, value) for name, value in parameters.items() if name not in known)
+        return self.effect(**own, constants=rest)
 
     def parted_from(self, other: str) -> tuple[Motion, ...]:
         """The motions that part this effect from another, as written here."""
@@ -207,6 +225,8 @@ def _parameters(effect: type[Any]) -> tuple[Parameter, ...]:
     hints = get_type_hints(effect, include_extras=True)
     found = []
     for entry in dataclasses.fields(effect):
+        if not hasattr(hints[entry.name], "__metadata__"):
+            continue  # not a parameter of the file
         parameter: Parameter = hints[entry.name].__metadata__[0]
         default = None if entry.default is dataclasses.MISSING else entry.default
         found.append(dataclasses.replace(parameter, name=entry.name, default=default))

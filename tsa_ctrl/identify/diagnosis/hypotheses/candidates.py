@@ -33,6 +33,8 @@ def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
     found: dict[str, tuple[Variant, ...]] = {}
     refused: dict[str, str] = {}
     for name, spec in CATALOGUE.items():
+        if spec.named:
+            continue  # the user's own formula is no hypothesis
         reason = _untestable(spec, frame, model, scales)
         variants = () if reason else tuple(variant for variant in spec.search(name, scales) if variant.starts)
         if variants:

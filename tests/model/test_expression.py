@@ -1,0 +1,100 @@
+"""A formula is read, bounded, and has the same value on each machine; what is no formula is refused by name."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.expression import LONGEST, parse
+
+NAMES = ("omega_j", "q_j", "tau")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0.1*sin(2*q_j) + k*abs(omega_j)", 0.1 * math.sin(1.0) + 0.3 * 2.0),
+        ("-q_j**2", -0.25),
+        ("tau/(1 + exp(-omega_j))", 1.5 / (1.0 + math.exp(2.0))),
+        ("sign(omega_j)*sqrt(abs(tau))*tanh(q_j)", -math.sqrt(1.5) * math.tanh(0.5)),
+        ("cos(0) - +1", 0.0),
+    ],
+)
+def test_a_formula_has_its_value(text: str, value: float) -> None:
+    program = parse(text, NAMES, {"k": 0.3}, "x")
+    assert program.value((-2.0, 0.5, 1.5)) == pytest.approx(value, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("__import__('os').system('true')", "is not allowed"),
+        ("q_j.real", "is not allowed"),
+        ("[q_j][0]", "is not allowed"),
+        ("(lambda: 1)()", "is not allowed"),
+        ("sin(q_j, 1)", "is not allowed"),
+        ("sin(x=q_j)", "is not allowed"),
+        ("q_j if q_j else 1", "is not allowed"),
+        ("q_j // 2", "is not allowed"),
+        ("True", "is not allowed"),
+        ("1j", "is not allowed"),
+        ("'a'", "is not allowed"),
+        ("q_i", "did you mean 'q_j'"),
+        ("q_j +", "is no formula"),
+        ("", "is no formula"),
+        ("1e999", "no finite number"),
+        ("9" * 400, "too large"),
+        ("1+" * LONGEST + "1", "characters"),
+        ("(" * 300, "is no formula"),
+        ("+".join(["q_j"] * 100), "steps|levels"),
+        ("-" * 200 + "1", "levels"),
+    ],
+)
+def test_what_is_no_formula_is_refused_in_one_line(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=said) as caught:
+        parse(text, NAMES, {}, "x.toml: [effects.custom]")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["1/q_j", "sqrt(0 - 1 - abs(q_j))", "q_j**(0-1)", "(0-1)**0.5"])
+def test_where_a_formula_has_no_value_it_is_nan_on_both_machines(text: str) -> None:
+    program = parse(text, NAMES, {}, "x")
+    assert math.isnan(program.value((0.0, 0.0, 0.0)))
+    assert np.isnan(program.array([np.zeros(2)] * 3)).all()
+
+
+def test_exp_saturates_instead_of_overflowing() -> None:
+    program = parse("exp(q_j)", NAMES, {}, "x")
+    assert program.value((0.0, 1e9, 0.0)) == math.exp(700.0)
+
+
+FORMULAS = st.recursive(
+    st.sampled_from(["q_j", "omega_j", "tau", "0.5", "2", "k"]),
+    lambda inner: st.one_of(
+        st.tuples(inner, st.sampled_from("+-*/"), inner).map(lambda part: f"({part[0]}{part[1]}{part[2]})"),
+        st.tuples(st.sampled_from(["sin", "cos", "tanh", "abs", "sign", "sqrt", "exp"]), inner).map(
+            lambda part: f"{part[0]}({part[1]})"
+        ),
+    ),
+    max_leaves=8,
+)
+SIZES = st.floats(-3.0, 3.0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(FORMULAS, st.tuples(SIZES, SIZES, SIZES))
+def test_both_machines_agree(text: str, values: tuple[float, float, float]) -> None:
+    program = parse(text, NAMES, {"k": -0.7}, "x")
+    one = program.value(values)
+    many = program.array([np.full(2, value) for value in values]) * np.ones(2)
+    np.testing.assert_allclose(many, [one, one], rtol=1e-12, atol=1e-300)
+
+
+def test_a_program_knows_what_it_depends_on() -> None:
+    program = parse("sin(q_j) + k", NAMES, {"k": 1.0}, "x")
+    assert (program.uses("q_j"), program.uses("tau")) == (True, False)

@@ -1,0 +1,59 @@
+"""`tsa help`: the manual's pages in the terminal, from the package itself."""
+
+from __future__ import annotations
+
+import difflib
+import sys
+from pathlib import Path
+
+import click
+
+from tsa_ctrl.errors import UsageError
+
+PACKAGE = Path(__file__).parents[1]
+TOPICS = {
+    "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
+    "safety": ("safety/README.md", "hazards, what detects them, what the condition against a runaway is"),
+    "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
+    "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
+    "code": ("README.md", "a map of the code, and how to add to it"),
+}
+
+
+@click.command("help", epilog="Example: tsa help rig", context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("topic", required=False)
+@click.pass_context
+def command(ctx: click.Context, topic: str | None) -> None:
+    """The manual: TOPIC's page, or that of a verb; without one, what there is."""
+    if topic is None:
+        for name in TOPICS:
+            click.echo(f"{name:10s}{TOPICS[name][1]}")
+        click.echo("and every verb: tsa help diagnose is tsa diagnose --help")
+        return
+    if topic in TOPICS:
+        _page((PACKAGE / TOPICS[topic][0]).read_text(encoding="utf-8"))
+        return
+    root = ctx.find_root()
+    group = root.command
+    assert isinstance(group, click.Group)
+    verb = group.get_command(root, topic)
+    if verb is None:
+        known = [*TOPICS, *group.list_commands(root)]
+        near = difflib.get_close_matches(topic, known, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"topics are {', '.join(TOPICS)}, and every verb"
+        raise UsageError(f"help: no page '{topic}'; {advice}")
+    with click.Context(verb, info_name=topic, parent=root) as inner:
+        click.echo(verb.get_help(inner))
+
+
+def _page(text: str) -> None:
+    """Rendered on a terminal, by a pager where it is longer than the screen; else as it is written."""
+    if not sys.stdout.isatty():
+        click.echo(text)
+        return
+    from rich.console import Console
+    from rich.markdown import Markdown
+
+    console = Console()
+    with console.pager(styles=True):
+        console.print(Markdown(text))

@@ -1,0 +1,232 @@
+"""A formula as text, read into a short program for a stack machine: parsed and bounded, never run as Python.
+
+    expression:  numbers, names, + - * / **, parentheses, and sin cos tanh exp abs sign sqrt of one argument
+
+Python's own grammar reads the text into a tree; only the nodes above are taken from it, everything else is refused. The
+program is data: whoever runs it (model, controller, plant) has a machine of a dozen operations and nothing else.
+"""
+
+from __future__ import annotations
+
+import ast
+import difflib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.functions import Array
+
+LONGEST = 500  # characters: a formula that a person can still read
+MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
+DEEPEST = 24  # values on the stack; the plant's machine has just so many places
+LARGEST = 700.0  # exp(709.8) is the largest double; beyond it a formula saturates instead of overflowing
+
+
+class Op(IntEnum):
+    """What one step does; those up to NEGATE take no argument from the table."""
+
+    CONSTANT = 0  # push the step's number
+    NAME = 1  # push the value of the step's name
+    ADD = 2
+    SUBTRACT = 3
+    MULTIPLY = 4
+    DIVIDE = 5
+    POWER = 6
+    NEGATE = 7
+    SIN = 8
+    COS = 9
+    TANH = 10
+    EXP = 11
+    ABS = 12
+    SIGN = 13
+    SQRT = 14
+
+
+FUNCTIONS = {op.name.lower(): op for op in (Op.SIN, Op.COS, Op.TANH, Op.EXP, Op.ABS, Op.SIGN, Op.SQRT)}
+_BINARY: dict[type[ast.operator], Op] = {
+    ast.Add: Op.ADD,
+    ast.Sub: Op.SUBTRACT,
+    ast.Mult: Op.MULTIPLY,
+    ast.Div: Op.DIVIDE,
+    ast.Pow: Op.POWER,
+}
+
+
+@dataclass(frozen=True)
+class Program:
+    """Steps in reverse Polish order: `operations` (k) and `arguments` (k), a constant or an index into `names`."""
+
+    text: str
+    names: tuple[str, ...]
+    operations: tuple[int, ...]
+    arguments: tuple[float, ...]
+
+    def uses(self, name: str) -> bool:
+        """Whether the formula's value may depend on `name`."""
+        return any(
+            op == Op.NAME and self.names[int(index)] == name
+            for op, index in zip(self.operations, self.arguments, strict=True)
+        )
+
+    def value(self, values: Sequence[float]) -> float:
+        """The formula at one instant, `values` in the order of `names`; nan where it has no value."""
+        stack: list[float] = []
+        for op, argument in zip(self.operations, self.arguments, strict=True):
+            if op == Op.CONSTANT:
+                stack.append(argument)
+            elif op == Op.NAME:
+                stack.append(values[int(argument)])
+            elif op <= Op.POWER:
+                right = stack.pop()
+                stack.append(_binary(op, stack.pop(), right))
+            else:
+                stack.append(_unary(op, stack.pop()))
+        return stack[0]
+
+    def array(self, values: Sequence[Array]) -> Array:
+        """The formula over a log, `values` in the order of `names`, each (n) or 0-dimensional."""
+        stack: list[Array] = []
+        with np.errstate(all="ignore"):
+            for op, argument in zip(self.operations, self.arguments, strict=True):
+                if op == Op.CONSTANT:
+                    stack.append(np.asarray(argument))
+                elif op == Op.NAME:
+                    stack.append(values[int(argument)])
+                elif op <= Op.POWER:
+                    right = stack.pop()
+                    stack.append(np.asarray(_ARRAY_BINARY[op](stack.pop(), right)))
+                else:
+                    stack.append(np.asarray(_ARRAY_UNARY[op](stack.pop())))
+        return stack[0]
+
+
+def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where: str) -> Program:
+    """Read a formula in `names` and `constants` (parameters, put in as numbers); raises UsageError in one line."""
+    if len(text) > LONGEST:
+        raise UsageError(f"{where}: {len(text)} characters; allowed are {LONGEST}: a shorter formula")
+    try:
+        tree = ast.parse(text.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        reason = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
+        raise UsageError(f"{where}: '{text}' is no formula ({reason}); write for example k*sin(2*q_j)") from None
+    operations: list[int] = []
+    arguments: list[float] = []
+
+    def add(op: Op, argument: float = 0.0) -> None:
+        operations.append(int(op))
+        arguments.append(argument)
+
+    def read(node: ast.expr, depth: int) -> None:
+        if depth > DEEPEST or len(operations) >= MOST_STEPS:
+            raise UsageError(f"{where}: more than {MOST_STEPS} steps or {DEEPEST} levels; a shorter formula")
+        match node:
+            case ast.Constant(value=bool()):
+                raise _refused(text, node, where)
+            case ast.Constant(value=int() | float() as value):
+                if not math.isfinite(float(value)):
+                    raise UsageError(f"{where}: {value} is no finite number")
+                add(Op.CONSTANT, float(value))
+            case ast.Name(id=name) if name in constants:
+                add(Op.CONSTANT, constants[name])
+            case ast.Name(id=name) if name in names:
+                add(Op.NAME, float(names.index(name)))
+            case ast.Name(id=name):
+                known = [*names, *constants, *FUNCTIONS]
+                near = difflib.get_close_matches(name, known, n=1)
+                advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
+                raise UsageError(f"{where}: '{name}' is neither a signal nor a parameter; {advice}")
+            case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _BINARY:
+                read(left, depth + 1)
+                read(right, depth + 1)
+                add(_BINARY[type(operator)])
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                read(operand, depth + 1)
+                add(Op.NEGATE)
+            case ast.UnaryOp(op=ast.UAdd(), operand=operand):
+                read(operand, depth + 1)
+            case ast.Call(func=ast.Name(id=function), args=[argument], keywords=[]) if function in FUNCTIONS:
+                read(argument, depth + 1)
+                add(FUNCTIONS[function])
+            case _:
+                raise _refused(text, node, where)
+
+    try:
+        read(tree, 0)
+    except OverflowError:
+        raise UsageError(f"{where}: '{text}' has a number that is too large") from None
+    return Program(text, tuple(names), tuple(operations), tuple(arguments))
+
+
+def _refused(text: str, node: ast.expr, where: str) -> UsageError:
+    part = ast.get_source_segment(text.strip(), node) or text
+    return UsageError(
+        f"{where}: '{part}' is not allowed; allowed are numbers, names, + - * / ** and {' '.join(FUNCTIONS)} of one "
+        "argument"
+    )
+
+
+def _binary(op: int, left: float, right: float) -> float:
+    if op == Op.ADD:
+        return left + right
+    if op == Op.SUBTRACT:
+        return left - right
+    if op == Op.MULTIPLY:
+        return left * right
+    try:
+        if op == Op.DIVIDE:
+            return left / right
+        power = left**right
+        return power if isinstance(power, float) else math.nan
+    except ZeroDivisionError:
+        return math.nan
+    except OverflowError:
+        return math.inf
+
+
+def _unary(op: int, x: float) -> float:
+    if op == Op.NEGATE:
+        return -x
+    if op == Op.ABS:
+        return abs(x)
+    if op == Op.SIGN:
+        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x  # nan stays nan
+    if op == Op.SQRT:
+        return math.sqrt(x) if x >= 0.0 else math.nan
+    if op == Op.TANH:
+        return math.tanh(x)
+    if op == Op.EXP:
+        return math.exp(x if x < LARGEST else LARGEST) if x == x else x
+    if not math.isfinite(x):
+        return math.nan
+    return math.sin(x) if op == Op.SIN else math.cos(x)
+
+
+def _quotient(left: Array, right: Array) -> Array:
+    return np.where(right == 0.0, np.nan, np.divide(left, right))
+
+
+def _power(left: Array, right: Array) -> Array:
+    return np.where((left == 0.0) & (right < 0.0), np.nan, np.power(left, right))
+
+
+_ARRAY_BINARY: dict[int, Callable[[Array, Array], Array]] = {
+    Op.ADD: np.add,
+    Op.SUBTRACT: np.subtract,
+    Op.MULTIPLY: np.multiply,
+    Op.DIVIDE: _quotient,
+    Op.POWER: _power,
+}
+_ARRAY_UNARY: dict[int, Callable[[Array], Array]] = {
+    Op.NEGATE: np.negative,
+    Op.SIN: np.sin,
+    Op.COS: np.cos,
+    Op.TANH: np.tanh,
+    Op.EXP: lambda x: np.exp(np.minimum(x, LARGEST)),
+    Op.ABS: np.abs,
+    Op.SIGN: np.sign,
+    Op.SQRT: np.sqrt,
+}

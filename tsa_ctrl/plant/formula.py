@@ -1,0 +1,100 @@
+"""A formula of the plant file (effect `custom`), run by a stack machine of the plant's own once per sub-step.
+
+The text is read by the parameter files' parser; a step is an operation and a number: a constant, or which of the
+signals omega_j, q_j, q_m, tau, sigma, t, temperature it pushes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.model.catalogue import formula_of
+from tsa_ctrl.plant.compiled import compiled
+
+_DEEPEST = 32  # values on the stack; the parser allows fewer
+_SATURATED = 700.0  # exp(709.8) is the largest double
+
+
+def steps_of(effects: Mapping[str, Mapping[str, Any]]) -> NDArray[np.float64]:
+    """(2, n) operations and numbers of the plant file's formula; n = 0 without one."""
+    if "custom" not in effects:
+        return np.zeros((2, 0))
+    return np.ascontiguousarray(np.array(formula_of(effects["custom"]), dtype=np.float64).reshape(2, -1))
+
+
+@compiled
+def formula(s: Any, p: Any, steps: Any, tau: float, sigma: float, since: float) -> float:
+    """The formula's value now, N*m; 0 where it has none, and without one."""
+    count = steps.shape[1]
+    if count == 0:
+        return 0.0
+    stack = np.zeros(_DEEPEST)
+    top = -1
+    for i in range(count):
+        op, number = int(steps[0, i]), steps[1, i]
+        if op == 0:
+            top += 1
+            stack[top] = number
+        elif op == 1:
+            top += 1
+            stack[top] = _signal(s, int(number), tau, sigma, since)
+        elif op <= 6:
+            top -= 1
+            stack[top] = _two(op, stack[top], stack[top + 1])
+        else:
+            stack[top] = _one(op, stack[top])
+    return float(stack[0]) if math.isfinite(stack[0]) else 0.0
+
+
+@compiled
+def _signal(s: Any, number: int, tau: float, sigma: float, since: float) -> float:
+    if number == 0:
+        return float(s.omega_j)
+    if number == 1:
+        return float(s.q_j)
+    if number == 2:
+        return float(s.q_m)
+    if number == 3:
+        return tau
+    if number == 4:
+        return sigma
+    if number == 5:
+        return since
+    return float(s.temperature)
+
+
+@compiled
+def _two(op: int, left: float, right: float) -> float:
+    if op == 2:
+        return left + right
+    if op == 3:
+        return left - right
+    if op == 4:
+        return left * right
+    if op == 5:
+        return left / right if right != 0.0 else math.nan
+    return math.nan if left == 0.0 and right < 0.0 else float(left**right)
+
+
+@compiled
+def _one(op: int, x: float) -> float:
+    if op == 7:
+        return -x
+    if op == 8:
+        return math.sin(x)
+    if op == 9:
+        return math.cos(x)
+    if op == 10:
+        return math.tanh(x)
+    if op == 11:
+        return math.exp(min(x, _SATURATED))
+    if op == 12:
+        return abs(x)
+    if op == 13:
+        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else x
+    return math.sqrt(x) if x >= 0.0 else math.nan
