@@ -141,8 +141,9 @@ def overview(folder: Path, effects: dict[str, Signature]) -> None:
         axis.set_title(f"{name}\n{entry.equation}", fontsize=8.5)
         axis.xaxis.label.set_fontsize(8)
         axis.tick_params(labelsize=7.5)
+    for cell in cells[len(effects) :]:
+        cell.axis("off")
     last = cells[len(effects)]
-    last.axis("off")
     last.text(0.0, 0.62, "residual = with the effect − (3.55), N·m", fontsize=9)
     last.plot([0.02], [0.45], "o", color=pictures.FORWARD)
     last.text(0.06, 0.43, "ω > 0", fontsize=9)
