@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.data.admission import Logs, admitted, target_of
 from tsa_ctrl.identify.diagnosis.data.audit import audit
-from tsa_ctrl.identify.diagnosis.data.prepare import prepare
+from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
 from tsa_ctrl.identify.diagnosis.fitting.fit import fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
@@ -26,7 +25,7 @@ from tsa_ctrl.identify.diagnosis.refusals import (
     refuse_without_friction,
 )
 from tsa_ctrl.identify.diagnosis.report.conclude import conclude, insufficient
-from tsa_ctrl.identify.diagnosis.report.outcome import Outcome
+from tsa_ctrl.identify.diagnosis.report.details import Outcome
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
 from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
@@ -52,9 +51,9 @@ def diagnose(
     """
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
-    datasets = admitted(logs, model)
+    runs = prepare(logs, model)
     say("audit")
-    parts = split(prepare(datasets, target_of(model)), hold_out)
+    parts = split(runs, hold_out)
     found = audit(parts.frame)
     testable = Candidates({}, {})
     try:

@@ -10,9 +10,8 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
-from tsa_ctrl.identify.diagnosis.report.details import details
+from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
 from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
-from tsa_ctrl.identify.diagnosis.report.outcome import Outcome
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, what_is_left
 from tsa_ctrl.model.parameters import Model, RigidDrive

@@ -1,4 +1,4 @@
-"""The curves and tables behind a diagnosis, at the score rate, as the pictures and the page show them."""
+"""All that the stages of a diagnosis found, and of it the curves and tables that the pictures and the page show."""
 
 from __future__ import annotations
 
@@ -9,16 +9,39 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Run
-from tsa_ctrl.identify.diagnosis.report.outcome import Outcome
+from tsa_ctrl.identify.diagnosis.data.split import Split
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates
+from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
+from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.rivals.groups import Group
+from tsa_ctrl.identify.diagnosis.selection.detection_limits import DetectionLimits
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
+from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import hold_direction
 
 LAGS = 60  # of the autocorrelation
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One field for each stage."""
+
+    parts: Split
+    audit: Audit
+    scales: Scales
+    testable: Candidates
+    base: Fit  # recalibrated, without effects
+    chosen: Selection
+    findings: tuple[Finding, ...]  # what is left
+    groups: tuple[Group, ...]  # one for each cause
+    reported: Refit
+    errors: HeldOut
+    limits: DetectionLimits
 
 
 @dataclass(frozen=True)
