@@ -165,10 +165,8 @@ def longest_timeout(file: ControllerFile) -> tuple[float, str]:
     found = []
     for axis in file.axes:
         found.append((axis.drive.host_timeout, f"axis '{axis.name}' drive.host_timeout"))
-        for role in ("drive", "encoder", "torque_sensor"):
-            node = getattr(axis, role)
-            if node is not None:
-                found.append((node.heartbeat_timeout, f"axis '{axis.name}' {role}.heartbeat_timeout"))
+        for role, node in axis.nodes():
+            found.append((node.heartbeat_timeout, f"axis '{axis.name}' {role.key}.heartbeat_timeout"))
     return max(found)
 
 

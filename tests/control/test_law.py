@@ -58,9 +58,8 @@ def test_fades_in_after_the_enable() -> None:
     law = Law(Friction(0.5), RATIO, LawSettings(compensation=1.0, fade_in=0.1, slew=1e4), PERIOD)
     terms = [step(law, 0.0, 1.0) for _ in range(100)]
     assert terms[49] == pytest.approx(0.25)
-    assert law.faded_in
+    assert terms[99] == step(law, 0.0, 1.0) == pytest.approx(0.5)
     law.reset()
-    assert not law.faded_in
     assert step(law, 0.0, 1.0) == pytest.approx(0.005)
 
 

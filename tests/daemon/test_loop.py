@@ -270,8 +270,7 @@ def test_disable_resets_everything(build: Build) -> None:
     machine.run(seconds=1.0)
     axis: ControlAxis = machine.axis
     assert axis.set_point.value == 0.0
-    assert axis.law.friction_term == 0.0
-    assert not axis.law.faded_in
+    assert axis.law.friction_term == axis.law.ideal == 0.0
 
 
 def test_second_master_is_a_fault(build: Build) -> None:

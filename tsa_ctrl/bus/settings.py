@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import Enum
 from typing import Annotated, Literal
 
@@ -25,6 +26,11 @@ class Role(Enum):
     DRIVE = "drive"
     ENCODER = "joint encoder"
     TORQUE_SENSOR = "torque sensor"
+
+    @property
+    def key(self) -> str:
+        """Of its section in the file."""
+        return self.name.lower()
 
 
 class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -111,3 +117,11 @@ class AxisNodes(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
     drive: DriveSettings
     encoder: EncoderSettings | None = None
     torque_sensor: TorqueSensorSettings | None = None
+
+    def nodes(self) -> Iterator[tuple[Role, NodeSettings]]:
+        """Those that there are, the drive first."""
+        yield Role.DRIVE, self.drive
+        if self.encoder is not None:
+            yield Role.ENCODER, self.encoder
+        if self.torque_sensor is not None:
+            yield Role.TORQUE_SENSOR, self.torque_sensor

@@ -59,11 +59,6 @@ class Law:
         self._fade = 0.0
         self._fade_step = period / settings.fade_in if settings.fade_in > 0.0 else 1.0
 
-    @property
-    def faded_in(self) -> bool:
-        """Whether the fade-in after the last enable is over."""
-        return self._fade >= 1.0
-
     def reset(self) -> None:
         """Forget everything; the next enable starts uncompensated and fades in."""
         self.ideal = self.friction_term = self._fade = 0.0

@@ -39,7 +39,6 @@ class _Word(IntEnum):
     WRITTEN = 9
     LOST = 10
     TROUBLE = 11  # errno of what kept the writer from writing, 0: none
-    BYTES = 12
     COUNT = 64  # of axis 0: records written; one word per axis from here
 
 
@@ -139,12 +138,11 @@ class RingReader(Ring):
         """True once the owner has said that no more records come."""
         return bool(self._words[_Word.CLOSED])
 
-    def report(self, state: WriterState, written: int, lost: int, trouble: int, size: int) -> None:
-        """Leave word for the owner: records written and lost, errno of a trouble (0: none), bytes of the file."""
+    def report(self, state: WriterState, written: int, lost: int, trouble: int) -> None:
+        """Leave word for the owner: records written and lost, errno of a trouble (0: none)."""
         self._words[_Word.WRITTEN] = written
         self._words[_Word.LOST] = lost
         self._words[_Word.TROUBLE] = trouble
-        self._words[_Word.BYTES] = size
         self._words[_Word.WRITER_STATE] = state
 
 
@@ -167,7 +165,6 @@ class LogHealth:
         self.state = WriterState(ring.word(_Word.WRITER_STATE))
         self.written = ring.word(_Word.WRITTEN)
         self.lost = ring.word(_Word.LOST)
-        self.bytes = ring.word(_Word.BYTES)
         trouble = ring.word(_Word.TROUBLE)
         self.trouble = os.strerror(trouble) if trouble else ""
 

@@ -113,7 +113,6 @@ class LogWriter:
             written=file.written if file else 0,
             lost=self._ring.lost + self._dropped,
             trouble=self._trouble,
-            size=file.size if file else 0,
         )
 
 

@@ -388,7 +388,8 @@ def test_boot_up_emergency_and_nmt_change_are_events() -> None:
     bus.waiting.extend([(0x701, b"\x00"), (0x0A0, b"\x00\x81\x11" + bytes(5)), (0x740, b"\x7f")])
     cycle(rig, bus)
     assert image.events == 4  # boot-up counts as a change of NMT state too
-    assert (image.boot_up, image.nodes[1].emcys, image.nodes[2].nmt_state) == (True, 1, 0x7F)
+    assert [node.boot_ups for node in image.nodes] == [1, 0, 0]
+    assert (image.nodes[1].emcys, image.nodes[2].nmt_state) == (1, 0x7F)
     assert str(image.emcy).startswith("EMCY 0x8100 (communication monitoring")
 
 
@@ -428,7 +429,7 @@ def test_start_forgets_what_was_latched() -> None:
     rig.start()
     cycle(rig, bus)
     image = rig.axes[0].image
-    assert (image.events, image.boot_up, image.emcy, image.intruder, image.missed) == (0, False, None, None, 0)
+    assert (image.events, image.nodes[0].boot_ups, image.emcy, image.intruder, image.missed) == (0, 0, None, None, 0)
 
 
 def test_wait_takes_what_comes_until_its_time() -> None:

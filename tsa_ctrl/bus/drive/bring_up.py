@@ -99,11 +99,8 @@ def bring_up(
 
 def _nodes(axes: Sequence[AxisNodes], profiles: Sequence[DriveProfile]) -> Iterable[Node]:
     for axis, profile in zip(axes, profiles, strict=True):
-        yield Node(axis, profile, Role.DRIVE, axis.drive)
-        if axis.encoder is not None:
-            yield Node(axis, profile, Role.ENCODER, axis.encoder)
-        if axis.torque_sensor is not None:
-            yield Node(axis, profile, Role.TORQUE_SENSOR, axis.torque_sensor)
+        for role, node in axis.nodes():
+            yield Node(axis, profile, role, node)
 
 
 def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:

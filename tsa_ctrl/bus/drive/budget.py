@@ -53,8 +53,8 @@ def load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
             lengths += [entry.length for entry in pdo.ENCODER_PLAN]
         if axis.torque_sensor is not None:
             lengths += [entry.length for entry in pdo.TORQUE_SENSOR_PLAN]
-        for node in (axis.drive, axis.encoder, axis.torque_sensor):
-            if node is not None and node.node_id not in counted:
+        for _, node in axis.nodes():
+            if node.node_id not in counted:
                 counted.add(node.node_id)
                 background += frame_bits(1)[1] / node.heartbeat_period
     bits = [frame_bits(length) for length in lengths]

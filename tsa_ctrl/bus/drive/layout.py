@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 from tsa_ctrl.bus.canopen.pdo import DriveLayout, drive_layout
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
@@ -16,23 +16,14 @@ def layout_of(drive: DriveSettings) -> DriveLayout:
     return drive_layout(drive.node_id, drive.slot, drive.pdo_node_id)
 
 
-def roles(axis: AxisNodes) -> Iterator[tuple[str, NodeSettings]]:
-    """The nodes that an axis has, each with its key in the file."""
-    yield "drive", axis.drive
-    if axis.encoder is not None:
-        yield "encoder", axis.encoder
-    if axis.torque_sensor is not None:
-        yield "torque_sensor", axis.torque_sensor
-
-
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
     """Every node has an id of its own, but for axes of one device and for an encoder of two axes; else UsageError."""
     owners: dict[int, tuple[str, NodeSettings | None]] = {
         settings.host_node_id: ("[bus] host_node_id", None),
     }
     for axis in axes:
-        for role, node in roles(axis):
-            name = f"axis '{axis.name}' {role}"
+        for role, node in axis.nodes():
+            name = f"axis '{axis.name}' {role.key}"
             owner, other = owners.setdefault(node.node_id, (name, node))
             if owner != name and not (other is not None and _may_share(node, other)):
                 raise UsageError(

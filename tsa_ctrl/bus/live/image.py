@@ -105,16 +105,6 @@ class Image:
         self.bus_fault: BusFault | None = None
 
     @property
-    def heartbeat_age(self) -> float:
-        """Seconds since the drive's last heartbeat."""
-        return self.now - self.nodes[0].heard
-
-    @property
-    def boot_up(self) -> bool:
-        """Whether any node booted while we were running."""
-        return any(node.boot_ups for node in self.nodes)
-
-    @property
     def emcy(self) -> Emcy | None:
         """The last emergency of any node, the drive's first."""
         return next((node.emcy for node in self.nodes if node.emcy is not None), None)
