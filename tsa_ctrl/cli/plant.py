@@ -18,9 +18,15 @@ from tsa_ctrl import outputs
 @click.option("--check", is_flag=True, help="Validate the configuration and end; nothing goes on the bus.")
 @click.option("--record", metavar="FILE", help="Write the plant's own truth (torques, angles, tensions) as CSV.")
 @click.option("--control", metavar="SOCKET", help="Local socket that takes faults at run time.")
+@click.option("--eds", metavar="FILE", help="Write the EDS of each simulated node and end; several: FILE-NODE.eds.")
 @click.option("--ask", "line", metavar="LINE", help="Send LINE to the plant at --control: a fault, clear, state, list.")
 def command(
-    configuration: str | None, check: bool, record: str | None, control: str | None, line: str | None
+    configuration: str | None,
+    check: bool,
+    record: str | None,
+    control: str | None,
+    eds: str | None,
+    line: str | None,
 ) -> int | None:
     """Simulated drives, joints and sensors as CANopen nodes on a bus, until Ctrl-C or SIGTERM."""
     if line is not None:
@@ -33,13 +39,20 @@ def command(
         return 2 if answer.startswith("error") else 0
     if configuration is None:
         raise click.UsageError("Missing argument 'PLANT.toml'.")
-    if not check:
+    if not check and eds is None:
         click.echo("plant: starting", err=True)
     from tsa_ctrl.plant import process  # compiled code, not loaded for a question
 
     if check:
         plant = process.check(configuration)
         click.echo(f"{configuration}: valid, {len(plant.axis)} axis" + ("" if len(plant.axis) == 1 else "es"))
+        return None
+    if eds is not None:
+        outputs.refuse_inputs(Path(eds), [Path(configuration)], "--eds")
+        for path, text in process.eds_files(configuration, Path(eds)):
+            with outputs.beside(path) as part:
+                part.write_bytes(text.encode("latin-1", "replace"))
+            click.echo(str(path))
         return None
     if record is not None:
         outputs.refuse_inputs(Path(record), [Path(configuration)], "--record")

@@ -16,8 +16,10 @@ from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.channel import ControlSocket
 from tsa_ctrl.plant.console import Console
+from tsa_ctrl.plant.eds import eds, file_names
 from tsa_ctrl.plant.faults import check_fault
-from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.machine import Machine, build_axes
+from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.record import Recorder
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
 
@@ -30,6 +32,19 @@ def check(path: str | Path) -> PlantSettings:
         for fault in settings.fault:
             check_fault(fault, f"{path}: axis '{settings.name}'")
     return plant
+
+
+def eds_files(configuration: str | Path, path: Path) -> list[tuple[Path, str]]:
+    """The EDS of each node of a plant file, and where it goes; raises UsageError."""
+    nodes = nodes_of(check(configuration))
+    places = file_names(path, [node.node_id for node in nodes])
+    return [(places[node.node_id], eds(node.dictionary, places[node.node_id].name)) for node in nodes]
+
+
+def nodes_of(plant: PlantSettings) -> list[Node]:
+    """Every node once, on no bus."""
+    units = build_axes(plant, lambda can_id, data: True, lambda: 0.0)
+    return list({id(node): node for unit in units for node in unit.nodes}.values())
 
 
 def open_bus(settings: BusSettings) -> Bus:
