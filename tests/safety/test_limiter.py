@@ -136,14 +136,39 @@ def test_rate_limit() -> None:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_rate_limit_holds_in_either_direction(sign: float) -> None:
-    """From a torque that was reached, the opposite one is reached by the same ramp, and each step names the rate."""
+    """From a torque that was reached, the opposite one grows from 0 by the same ramp, and each step names the rate."""
     limiter = Limiter(LimiterSettings(torque=2.0, rate=100.0), PERIOD)
     for _ in range(10):
         limiter.update(sign, **CALM)
-    ramp = [limiter.update(-sign, **CALM) for _ in range(21)]
-    assert [torque for torque, _ in ramp] == pytest.approx([sign * (0.9 - 0.1 * n) for n in range(20)] + [-sign])
-    assert {reason for _, reason in ramp[:19]} == {Reason.RATE}
-    assert ramp[20][1] is Reason.NONE
+    ramp = [limiter.update(-sign, **CALM) for _ in range(11)]
+    assert [torque for torque, _ in ramp] == pytest.approx([-sign * 0.1 * n for n in range(1, 11)] + [-sign])
+    assert {reason for _, reason in ramp[:9]} == {Reason.RATE}
+    assert ramp[10][1] is Reason.NONE
+
+
+@pytest.mark.parametrize(
+    ("change", "torque"),
+    [({"q_j": 2.0}, 0.0), ({"omega_j": 10.0}, 0.0), ({"q_j": 1.45}, 0.5), ({"tau_m": -1.7}, 0.3)],
+    ids=["beyond the travel", "at the speed limit", "within the travel's margin", "far from the measured torque"],
+)
+@pytest.mark.parametrize("rate", [1.0, 100.0])
+def test_what_a_limit_demands_comes_at_once_however_slow_the_rate(
+    rate: float, change: dict[str, Any], torque: float
+) -> None:
+    """After `set rate_limit 1` outward torque must not go on for seconds beyond the travel."""
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5, distance=2.0, travel=(-1.0, 1.5)), PERIOD)
+    limiter.update(1.0, **CALM)
+    limiter.rate = rate
+    assert limiter.update(1.0, **{**CALM, **change})[0] == pytest.approx(torque)
+
+
+@pytest.mark.parametrize("wanted", [0.0, 0.4, 0.999])
+def test_a_torque_falls_as_fast_as_it_is_wanted_to(wanted: float) -> None:
+    """The rate bounds growth alone."""
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=1e5), PERIOD)
+    limiter.update(1.0, **CALM)
+    limiter.rate = 0.1
+    assert limiter.update(wanted, **CALM) == (wanted, Reason.NONE)
 
 
 @pytest.mark.parametrize(("q_j", "wanted", "torque"), [(1.45, 1.0, 0.5), (-0.95, -1.0, -0.5)])
@@ -184,18 +209,19 @@ cycles = st.tuples(values, st.booleans(), st.booleans(), values, values, values,
 
 @given(st.lists(cycles, min_size=1, max_size=40))
 def test_invariants_over_any_sequence(sequence: list[tuple[float, bool, bool, float, float, float, float]]) -> None:
-    """Always: finite, within the limit, at most one step from before unless 0, and 0 unless enabled and fresh."""
+    """Always finite, no larger than wanted and than the limit, grown by one step at most, 0 unless enabled and fresh."""
     limiter = Limiter(SETTINGS, PERIOD)
     before = 0.0
     for wanted, enabled, fresh, tau_m, omega_m, q_j, omega_j in sequence:
         torque, reason = limiter.update(wanted, enabled, fresh, tau_m, omega_m, q_j, omega_j)
         assert math.isfinite(torque)
         assert abs(torque) <= SETTINGS.torque
-        assert torque == 0.0 or abs(torque - before) <= SETTINGS.rate * PERIOD + 1e-12
+        grown = abs(torque) - (abs(before) if torque * before > 0.0 else 0.0)
+        assert grown <= SETTINGS.rate * PERIOD + 1e-12
         if not (enabled and fresh) or limiter.over_speed:
             assert torque == 0.0
         assert (reason is Reason.NONE) == (torque == wanted and reason.value == 0)
-        assert abs(torque) <= max(abs(wanted), abs(before)) or math.isnan(wanted)
+        assert abs(torque) <= abs(wanted) or math.isnan(wanted)
         before = torque
 
 

@@ -1,8 +1,9 @@
 """The last station before the bus: separate, dumb, and suspicious of everything.
 
-Order: enabled? fresh? finite? over-speed? then joint speed, joint travel, distance of command to measured, rate, and
-absolute. Faults give exactly 0 in the same cycle; limits bend the torque. But for the rate, no limit takes a torque
-further from 0 than was asked: a lying measurement can only weaken the motor. The absolute limit has the last word.
+Order: enabled? fresh? finite? over-speed? then rate, joint speed, joint travel, distance of command to measured, and
+absolute. Faults give exactly 0 in the same cycle; limits bend the torque. The rate bounds how fast the torque's size
+may grow, never how fast it may fall: what a limit demands comes at once. No limit takes a torque further from 0 than
+was asked: a lying measurement can only weaken the motor. The absolute limit has the last word.
 """
 
 from __future__ import annotations
@@ -101,6 +102,15 @@ class Limiter:
             self.over_speed = True
             return self._zero(Reason.OVER_SPEED)
         torque, reason = wanted, Reason.NONE
+        step = self.rate * self._period
+        if torque > 0.0:
+            bound = step + (self._last if self._last > 0.0 else 0.0)
+            if torque > bound:
+                torque, reason = bound, Reason.RATE
+        elif torque < 0.0:
+            bound = (self._last if self._last < 0.0 else 0.0) - step
+            if torque < bound:
+                torque, reason = bound, Reason.RATE
         if torque * omega_j > 0.0 and abs(omega_j) > self._speed_onset:
             share = (self._speed - abs(omega_j)) / (self._speed - self._speed_onset)
             torque, reason = (torque * share if share > 0.0 else 0.0), Reason.SPEED
@@ -115,11 +125,6 @@ class Limiter:
             bound = tau_m - self._distance
             if torque < bound:
                 torque, reason = (bound if bound < 0.0 else 0.0), Reason.DISTANCE
-        step = self.rate * self._period
-        if torque > self._last + step:
-            torque, reason = self._last + step, Reason.RATE
-        elif torque < self._last - step:
-            torque, reason = self._last - step, Reason.RATE
         if torque > self.torque:
             torque, reason = self.torque, Reason.ABSOLUTE
         elif torque < -self.torque:
