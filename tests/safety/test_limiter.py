@@ -209,7 +209,7 @@ cycles = st.tuples(values, st.booleans(), st.booleans(), values, values, values,
 
 @given(st.lists(cycles, min_size=1, max_size=40))
 def test_invariants_over_any_sequence(sequence: list[tuple[float, bool, bool, float, float, float, float]]) -> None:
-    """Always finite, no larger than wanted and than the limit, grown by one step at most, 0 unless enabled and fresh."""
+    """Always finite, no larger than wanted and the limit, grown by one step at most, 0 unless enabled and fresh."""
     limiter = Limiter(SETTINGS, PERIOD)
     before = 0.0
     for wanted, enabled, fresh, tau_m, omega_m, q_j, omega_j in sequence:
