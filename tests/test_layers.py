@@ -196,12 +196,35 @@ def test_no_module_is_too_long_to_be_read() -> None:
     assert {name for name, path in sources().items() if len(path.read_text("utf-8").splitlines()) > MOST_LINES} == LONG
 
 
+def imports_of(folder: str) -> Iterator[tuple[str, str]]:
+    """Path of a file below a folder of the project, and each dotted name that it imports."""
+    for path in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.level == 0:
+                yield from ((str(path.relative_to(ROOT)), f"{node.module}.{alias.name}") for alias in node.names)
+            elif isinstance(node, ast.Import):
+                yield from ((str(path.relative_to(ROOT)), alias.name) for alias in node.names)
+
+
 def test_the_package_imports_neither_tests_nor_tools() -> None:
-    for name, tree in trees().items():
-        for node in ast.walk(tree):
-            whole = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            whole += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            assert not {other.split(".")[0] for other in whole} & {"tests", "tools"}, name
+    assert not [found for found in imports_of("tsa_ctrl") if found[1].split(".")[0] in ("tests", "tools")]
+
+
+def test_tests_import_tools_only_to_test_them() -> None:
+    """Tools stand on what tests know (tests/blind above all), not the other way round."""
+    wrong = [(path, name) for path, name in imports_of("tests") if name.split(".")[0] == "tools"]
+    assert not [found for found in wrong if not found[0].startswith("tests/tools/")]
+
+
+def test_tools_import_no_test() -> None:
+    """But what tests are made of: hidden effects, nodes, a browser."""
+    parts = [(path, name.split(".")) for path, name in imports_of("tools")]
+    assert not [found for found in parts if found[1][0] == "tests" and any(p.startswith("test_") for p in found[1])]
+
+
+def test_no_file_of_the_tools_is_too_long_to_be_read() -> None:
+    for path in (ROOT / "tools").rglob("*.py"):
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES, path
 
 
 @pytest.mark.parametrize(
