@@ -8,7 +8,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from tests.identify import tendon_logs
+from tests.blind import tendon_logs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.admission import admit

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.identify import tendon_logs
+from tests.blind import tendon_logs
 from tsa_ctrl.cli import main
 from tsa_ctrl.log.table import sha256_of
 from tsa_ctrl.model.parameters import load_tendon_sheath

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.identify import tendon_logs
+from tests.blind import tendon_logs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset, load_log

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.identify import tendon_logs
+from tests.blind import tendon_logs
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.setpoint import SetPointSettings, waveform

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.identify import tendon_logs
+from tests.blind import tendon_logs
 from tsa_ctrl.identify import diagnosis
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from

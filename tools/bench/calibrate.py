@@ -2,7 +2,7 @@
 
 Usage: tools/run bench/calibrate [--logs 1000] [--seed 1] [--jobs 2] [--results FILE]
 Each log's result is appended to FILE as it comes; a run that was interrupted goes on from there.
-The logs come from the elongation equilibrium of two tendons (tests/identify/tendon_logs.py), not from the package.
+The logs come from the elongation equilibrium of two tendons (tests/blind/tendon_logs.py), not from the package.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import beta
 
-from tests.identify import tendon_logs
+from tests.blind import tendon_logs
 from tools import command
 from tools.bench.results import Results, Row
 from tsa_ctrl.errors import UsageError

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.blind.soft_tendons import record
 from tests.identify.diagnosis.test_pipeline import MODEL
-from tests.identify.soft_tendons import record
 from tsa_ctrl.cli import main
 
 Columns = dict[str, np.ndarray]

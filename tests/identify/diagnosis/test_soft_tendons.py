@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.blind.soft_tendons import record
 from tests.identify.diagnosis.test_pipeline import model
-from tests.identify.soft_tendons import record
 from tsa_ctrl.identify import diagnose
 
 
