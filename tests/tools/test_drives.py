@@ -1,4 +1,4 @@
-"""Every variation of the matrix in virtual time: it goes through everything, or is refused with its cure."""
+"""campaign/drives: every variation in virtual time goes through everything, or is refused with its cure."""
 
 from __future__ import annotations
 
