@@ -17,7 +17,14 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.model.sliding import bending_centre, joint_side_compliance, motor_stiffness, shape_factor, sliding
+from tsa_ctrl.model.sliding import (
+    bending_centre,
+    joint_side_compliance,
+    motor_stiffness,
+    pretension_level,
+    shape_factor,
+    sliding,
+)
 
 X, T_P, R_M, R_J = 0.26, 45.0, 0.020, 0.025
 PROFILES: tuple[str | Points, ...] = (*NAMED, S_BENT)
@@ -68,6 +75,11 @@ class TestAgainstIntegration:
         """h: the motor torque at which nothing arrives at the joint."""
         h = sliding(model_of(profile, spring)).motor_half_loop
         assert pair_of(profile, spring).joint_torque(h, 1.0) == pytest.approx(0.0, abs=1e-10)
+
+    def test_pretension_while_sliding(self, profile: str | Points, spring: str) -> None:
+        """(T1 + T3)/2 without motor torque, over T_p0."""
+        t1, t3 = pair_of(profile, spring).motor_tensions(0.0, 1.0)
+        assert pretension_level(model_of(profile, spring)) == pytest.approx(0.5 * (t1 + t3) / T_P, rel=1e-10)
 
     def test_domain_ends_where_a_tendon_is_slack(self, profile: str | Points, spring: str) -> None:
         """At the largest command one motor-side tension is 0."""

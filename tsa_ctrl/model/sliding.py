@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.transmission import Elongating
+from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
 
@@ -50,6 +51,13 @@ def sliding(
 def shape_factor(model: TendonSheath, friction_angle: float | None = None) -> float:
     """f(x) = h / (2 T_p0 r_M): tanh x, x, sinh x, or what lies between, by where the sheath bends."""
     return sliding(model, 1.0, friction_angle, 1.0).motor_half_loop / (2.0 * model.motor_pulley_radius)
+
+
+def pretension_level(model: TendonSheath, friction_angle: float | None = None) -> float:
+    """T_p / T_p0 while sliding without motor torque, (3.54): 1 for (3.55), else 2 (l_us + EA/k_s) / (alpha + beta)."""
+    x = model.friction_angle if friction_angle is None else friction_angle
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+    return transmission.line(SCALARS, x, 1.0).level if isinstance(transmission, Elongating) else 1.0
 
 
 def motor_stiffness(model: TendonSheath) -> float:

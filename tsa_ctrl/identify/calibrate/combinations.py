@@ -14,6 +14,7 @@ from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.sliding import pretension_level
 
 FloatArray = NDArray[np.float64]
 
@@ -57,11 +58,18 @@ def combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tupl
 def from_tensions(
     logs: list[PreparedLog], model: TendonSheath, lag: int
 ) -> tuple[tuple[Quantity, Quantity], float] | None:
-    """With motor-side tensions T1, T3: T_p is measured (3.40), so the half loop gives sinh x alone."""
+    """With motor-side tensions T1, T3: T_p is measured (3.40), so the half loop gives sinh x alone.
+
+    (3.37) holds for the measured tensions wherever the sheath bends, so `elongation_coupling` is not taken out; it only
+    says how far the tension while sliding lies from T_p0 (3.54).
+    """
     if any(log.tensions is None for log in logs):
         return None
     weight = [2.0 * model.joint_pulley_radius * log.tensions for log in logs if log.tensions is not None]
-    estimate = _linear(logs, model, lag, weight)
+    measured = dataclasses.replace(
+        model, effects={k: v for k, v in model.effects.items() if k != "elongation_coupling"}
+    )
+    estimate = _linear(logs, measured, lag, weight)
     low, high = estimate.interval(1)
     x = Quantity(math.asinh(float(estimate.value[1])), math.asinh(low), math.asinh(high), "1")
     ones = [np.column_stack([np.ones(log.tau_j.size), log.admission.direction * log.signals.tau_m]) for log in logs]
@@ -69,5 +77,7 @@ def from_tensions(
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     rows = np.concatenate([o[log.mask] for o, log in zip(ones, logs, strict=True)])
     tension = solve(rows, rows, stack(pretension, logs), labels)
+    level = pretension_level(model, x.value)
     condition = float(np.sqrt(estimate.covariance[1, 1])) / max(abs(float(estimate.value[1])), 1e-12)
-    return (x, Quantity(float(tension.value[0]), *tension.interval(0), "N")), 1.0 + condition
+    value, (low, high) = float(tension.value[0]), tension.interval(0)
+    return (x, Quantity(value / level, low / level, high / level, "N")), 1.0 + condition

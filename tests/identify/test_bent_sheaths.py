@@ -1,0 +1,89 @@
+"""A model file with any course of the bending: simulated, calibrated and diagnosed on logs of such a sheath."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.identify.bent_logs import record
+from tests.model.actuator import ACTUATOR
+from tests.model.capstan import Pair
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify.calibrate import calibrate
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.curvature import Points
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import predict
+
+SERIES = 2e4  # N/m
+S_BENT: Points = ((0.0, 0.0), (0.3, 0.5), (0.7, 0.5), (1.0, 1.0))
+ONE_BEND: Points = ((0.0, 0.0), (0.1, 0.0), (0.2, 1.0), (1.0, 1.0))
+MOTOR_END: Points = ((0.0, 1.0), (1.0, 1.0))
+RIGS = {
+    "S": (Pair(S_BENT, 0.31), False),
+    "one bend": (Pair(ONE_BEND, 0.31), False),
+    "motor end, much friction": (Pair(MOTOR_END, 1.0), False),
+    "S, spring at the joint": (Pair(S_BENT, 0.6, joint_spring=1.0 / SERIES), True),
+}
+OFF = 1.15  # nominal x and T_p0 are smaller by this factor
+
+
+def nominal(pair: Pair, spring: bool, off: float = OFF) -> TendonSheath:
+    """The model file of a rig: its bends, and a friction angle and pretension that are off."""
+    bent = ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": pair.points}})
+    if spring:
+        bent = dataclasses.replace(bent, series_stiffness=SERIES, series_at_joint=True)
+    return bent.recalibrated(pair.x / off, pair.pretension / off)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+class TestRig:
+    """Known parameters come back."""
+
+    def test_simulated(self, rig: str) -> None:
+        """The true file leaves the noise: 5 mN*m, and the motor's 2 through the slope."""
+        pair, spring = RIGS[rig]
+        log = Dataset.from_arrays(record(pair, 1), "a")
+        error = predict(nominal(pair, spring, 1.0), log.signals()) - log.columns["tau_j"]
+        assert float(np.sqrt(np.mean(error**2))) == pytest.approx(5.5e-3, rel=0.1)
+
+    def test_calibrated_in_one_configuration(self, rig: str) -> None:
+        """The proportion of the file is right here, so that both come back."""
+        pair, spring = RIGS[rig]
+        found = calibrate([Dataset.from_arrays(record(pair, 1), "a")], nominal(pair, spring))
+        assert found.friction_angle.value == pytest.approx(pair.x, rel=3e-3)
+        assert found.pretension.value == pytest.approx(pair.pretension, rel=3e-3)
+        assert found.rms_after < 6e-3
+
+    def test_split_by_the_tensioner(self, rig: str) -> None:
+        """Two known pretensions."""
+        pair, spring = RIGS[rig]
+        logs = [Dataset.from_arrays(record(pair, 1 + k, more_pretension=18.0 * k), f"{k}") for k in range(2)]
+        found = calibrate(logs, nominal(pair, spring), tensioner={"1": 18.0})
+        assert found.split
+        assert found.friction_angle.value == pytest.approx(pair.x, rel=5e-3)
+        assert found.pretension.value == pytest.approx(pair.pretension, rel=5e-3)
+
+    def test_split_by_measured_tensions(self, rig: str) -> None:
+        """T1 and T3 hold what the elongation does to the pretension; T_p0 is what it would be without friction."""
+        pair, spring = RIGS[rig]
+        found = calibrate([Dataset.from_arrays(record(pair, 1, tensions=True), "a")], nominal(pair, spring))
+        assert found.split
+        assert found.friction_angle.value == pytest.approx(pair.x, rel=3e-3)
+        assert found.pretension.value == pytest.approx(pair.pretension, rel=3e-3)
+
+
+def test_diagnosed() -> None:
+    """Friction that nobody knew of is named beside the file's own bends, which stay in the extended model."""
+    pair, spring = RIGS["S, spring at the joint"]
+    logs = [Dataset.from_arrays(record(pair, k, viscous=0.08), f"{k}") for k in range(3)]
+    found = diagnose(logs, nominal(pair, spring, 1.05))
+    assert [cause.effect for cause in found.causes] == ["viscous_friction"]
+    assert found.causes[0].parameters["coefficient"].value == pytest.approx(0.08, rel=0.05)  # type: ignore[union-attr]
+    assert found.model.effects["elongation_coupling"] == {"curvature_profile": S_BENT}
+    assert found.not_testable["elongation_coupling"] == "already in the model file"
+    assert isinstance(found.model, TendonSheath)
+    assert found.model.series_at_joint
+    assert found.to_json()
