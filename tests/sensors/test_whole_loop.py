@@ -16,7 +16,7 @@ from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.outcome import read_course
+from tsa_ctrl.demo.outcome import course_of
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.system.processes import daemon, plant
@@ -82,7 +82,7 @@ def test_torque_is_controlled_and_a_load_cell_is_logged_over_pseudo_terminals(tm
             thread.join()
             cell.unplug()
     assert not summary["failed"]
-    course = read_course(tmp_path, summary, SECONDS)
+    course = course_of(tmp_path, summary, SECONDS)
     columns = read_table(course.log).columns
     ratio = rig.NOMINAL.joint_pulley_radius / rig.NOMINAL.motor_pulley_radius
     friction = ratio * float(np.sqrt(np.nanmean(np.square(columns["friction_term"]))))  # what would be missing without

@@ -11,13 +11,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tsa_ctrl.demo.rig import FADE_IN
-from tsa_ctrl.errors import BusError
-from tsa_ctrl.log.table import read_table
+from tsa_ctrl.log.course import read_course
 
 FloatArray = NDArray[np.float64]
-
-LEAST_CYCLES = 100  # with torque
-STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
 
 
 @dataclass(frozen=True)
@@ -40,23 +36,14 @@ class Course:
         return float(np.sqrt(np.mean(np.square(self.error))))
 
 
-def read_course(folder: Path, summary: dict[str, Any], seconds: float) -> Course:
+def course_of(folder: Path, summary: dict[str, Any], seconds: float) -> Course:
     """A run's log from the end of the fade-in to the begin of the stop, `seconds` s after the enable.
 
-    Raises BusError when it holds too little.
+    Raises BusError when it holds too little torque.
     """
     log = folder / str(summary["log"])
-    columns = read_table(
-        log, ("t", "tau_j_des", "tau_m_cmd", "tau_j", "q_j")
-    ).columns  # cycles that were lost are just not there
-    wanted, t = columns["tau_j_des"], columns["t"]
-    active = np.flatnonzero((wanted != 0.0) | (columns["tau_m_cmd"] != 0.0))
-    if active.size < LEAST_CYCLES:
-        raise BusError(f"demo: {log.name} holds no torque; {summary['cause']}")
-    enabled = t[active[0]]
-    chosen = (t >= enabled + FADE_IN) & (t <= enabled + seconds - STOP_MARGIN) & np.isfinite(columns["tau_j"])
-    torque, angle = columns["tau_j"][chosen], columns["q_j"][chosen]
-    return Course(t[chosen] - enabled, wanted[chosen], torque, log, summary, angle)
+    columns = read_course(log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
+    return Course(columns["t"], columns["tau_j_des"], columns["tau_j"], log, summary, columns["q_j"])
 
 
 @dataclass(frozen=True)

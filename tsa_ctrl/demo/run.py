@@ -9,7 +9,7 @@ from pathlib import Path
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import Play
-from tsa_ctrl.demo.outcome import Course, Outcome, read_course
+from tsa_ctrl.demo.outcome import Course, Outcome, course_of
 from tsa_ctrl.demo.stage import runs_on
 
 COMPENSATION = 0.95
@@ -58,7 +58,7 @@ def compare(
     for number, name in enumerate(controllers):
         say(f"{name} compensation: starting the plant", number / len(controllers))
         summary = run(folder, name, seconds, partial(_tick, say, name, number, len(controllers)))
-        courses[name] = read_course(folder, summary, seconds)
+        courses[name] = course_of(folder, summary, seconds)
     return courses
 
 

@@ -18,7 +18,8 @@ from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.columns import SIGNAL_NAMES
-from tsa_ctrl.log.table import read_table, sha256_of
+from tsa_ctrl.log.course import read_course
+from tsa_ctrl.log.table import sha256_of
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
@@ -26,7 +27,6 @@ FloatArray = NDArray[np.float64]
 Play = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
 
 SHORTEST_PIECE = 1.5  # s between two longer skips, to be learned from
-STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
 
 
 @dataclass(frozen=True)
@@ -135,20 +135,8 @@ class RigRunner:
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float) -> Run:
     """Read a run of `seconds` s of torque; raises BusError when it holds too little."""
-    columns = read_table(f"{log}:{axis}", (*SIGNAL_NAMES, "tau_j_des", "tau_m_cmd")).columns
-    t = columns["t"]
-    active = np.flatnonzero((columns["tau_j_des"] != 0.0) | (columns["tau_m_cmd"] != 0.0))
-    if active.size == 0:
-        raise BusError(f"the run '{name}' held no torque; see {log}")
-    enabled = float(t[active[0]])
-    known = np.isfinite(columns["tau_j"])
-    if not known.any():
-        raise UsageError(f"axis '{axis}': its joint torque sensor sent nothing; check [axis.torque_sensor] or its line")
-    chosen = (t >= enabled + fade_in) & (t <= enabled + seconds - STOP_MARGIN) & known
-    if float(np.sum(chosen)) < 100:
-        raise BusError(f"the run '{name}' is too short; see {log}")
-    part = {key: value[chosen] for key, value in columns.items()}
-    return Run(name, log, part["t"] - enabled, part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
+    part = read_course(f"{log}:{axis}", SIGNAL_NAMES, fade_in, seconds)
+    return Run(name, log, part["t"], part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
 
 
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
