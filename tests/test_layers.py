@@ -9,6 +9,7 @@ of a file, inside a function, under TYPE_CHECKING.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -225,6 +226,15 @@ def test_tools_import_no_test() -> None:
 def test_no_file_of_the_tools_is_too_long_to_be_read() -> None:
     for path in (ROOT / "tools").rglob("*.py"):
         assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES, path
+
+
+def test_the_map_names_what_is_there() -> None:
+    """Every file in the map of the code, but for what is to be added (in capitals)."""
+    text = (PACKAGE / "README.md").read_text(encoding="utf-8")
+    for path in re.findall(r"`([\w/]+\.\w+)`", text):
+        if not re.search(r"[A-Z]{2}", path):
+            module = any(f"/{other}".endswith(f"/{path}") for other in sources().values())
+            assert module or (ROOT / path).is_file(), path
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,19 @@ from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
     from tsa_ctrl.demo.bus_choice import BusChoice
+    from tsa_ctrl.demo.circle import Circle
     from tsa_ctrl.demo.outcome import Outcome
 
 SECONDS = 11.0  # of a gait and of a sine; the hand of a wearer takes longer
 LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
 FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
+STAGE_WORDS = {
+    "none": "without compensation",
+    "nominal": "nominal model",
+    "calibrated": "calibrated on the nominal run",
+    "extended": "extended by the diagnosis of that run",
+    "true": "true parameters: the limit",
+}
 
 
 @click.command("demo", epilog="Example: tsa demo --seconds 10 --out out/demo")
@@ -122,7 +130,6 @@ def _full_circle(
     as_json: bool,
 ) -> None:
     from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
-    from tsa_ctrl.demo.circle_report import show
     from tsa_ctrl.demo.hidden import draw
 
     hidden = draw(seed, names)
@@ -133,7 +140,7 @@ def _full_circle(
     if as_json:
         click.echo(json.dumps({**found.to_dict(), "folder": str(folder)}, allow_nan=False))
     else:
-        show(found, folder)
+        _show_circle(found, folder)
 
 
 def _folder(out: Path | None) -> Path:
@@ -167,3 +174,26 @@ def _show(outcome: Outcome) -> None:
     console.print(f"log: {data['log']}", soft_wrap=True)
     console.print(f"picture: {data['picture']}", soft_wrap=True)
     click.echo(f"reduction: {outcome.reduction:.1f} %")
+
+
+def _show_circle(circle: Circle, folder: Path) -> None:
+    """What was hidden and found, and the error of each stage; `folder` is where everything was left."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from tsa_ctrl.demo.circle import STAGES
+
+    console = Console()
+    table = Table("run", "RMS error (mN·m)", title=f"full circle on {circle.bus}", title_justify="left")
+    for stage in STAGES:
+        table.add_row(STAGE_WORDS[stage], f"{1e3 * circle.rms(stage):.1f}")
+    console.print(table)
+    for line in (
+        f"hidden: {circle.hidden.name}",
+        f"found: {circle.found} ({circle.diagnosis.verdict.value})",
+        circle.diagnosis.sentence,
+        *(f"note: {note}" for note in circle.notes),
+        f"everything: {folder}",
+    ):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+    console.print(f"share of the reachable reduction: {100.0 * circle.share('none'):.1f} %", highlight=False)

@@ -1,8 +1,9 @@
-"""The daemon's status as one JSON object, from the mailbox' snapshot: no NaN, null for unknown."""
+"""What the socket server tells: the status as one JSON object (no NaN, null for unknown), and events as they come."""
 
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import msgspec
@@ -73,3 +74,24 @@ def _histogram(bins: memoryview) -> dict[str, Any]:
 
 def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
+
+
+class EventPrinter:
+    """Tells events on stderr as they come: the loop itself must not wait for a terminal."""
+
+    def __init__(self, mailbox: Mailbox) -> None:
+        self._mailbox = mailbox
+        self._sequence = 0
+        self._last = -1
+
+    def update(self) -> None:
+        """Print what is new."""
+        sequence, text = self._mailbox.text()
+        if sequence == self._sequence:
+            return
+        self._sequence = sequence
+        for event in msgspec.json.decode(text):
+            if event["number"] > self._last:
+                self._last = event["number"]
+                where = f"{event['axis']}: " if event["axis"] else ""
+                print(f"{event['t']:.3f} s: {where}{event['text']}", file=sys.stderr, flush=True)

@@ -21,7 +21,6 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.ipc.event_printer import EventPrinter
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command, Mailbox
 from tsa_ctrl.ipc.protocol import (
     LONGEST_LINE,
@@ -34,7 +33,7 @@ from tsa_ctrl.ipc.protocol import (
     Stop,
     is_socket,
 )
-from tsa_ctrl.ipc.report import status_report
+from tsa_ctrl.ipc.report import EventPrinter, status_report
 from tsa_ctrl.system.signals import ignore
 
 CLIENTS = 16

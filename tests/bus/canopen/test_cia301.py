@@ -7,7 +7,7 @@ import pytest
 from tsa_ctrl.bus.canopen import cia301, emcy
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.canopen.emcy import Emcy
-from tsa_ctrl.bus.wire.error_frames import describe
+from tsa_ctrl.bus.wire.seam import describe
 
 
 @pytest.mark.parametrize(

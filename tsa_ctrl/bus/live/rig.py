@@ -16,8 +16,7 @@ from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.bus.wire.error_frames import ErrorClass, describe
-from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, Frame
+from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.system.sleep import Lead
 
 _MAX_WAITING = 512  # frames taken before a SYNC; more is a flood, in which old answers cannot be told from new ones

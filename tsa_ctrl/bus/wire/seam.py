@@ -1,14 +1,14 @@
 """The one seam to the world: what the rest of the package asks of a CAN bus, whatever carries it.
 
 A frame is `(can_id, data)`: an 11-bit identifier and 0 to 8 bytes. An error frame has `ERROR_FLAG` set in its
-identifier, its class in the bits below and its details in the data (Linux `can/error.h`, see `error_frames`).
+identifier, its class in the bits below and its details in the data (Linux `can/error.h`, see `ErrorClass`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntFlag
 from typing import Protocol
 
 ERROR_FLAG = 0x20000000  # CAN_ERR_FLAG
@@ -96,3 +96,48 @@ class Bus(Protocol):
     def close(self) -> None:
         """Release the bus; may be called twice."""
         ...
+
+
+class ErrorClass(IntFlag):
+    """Class bits in the identifier of an error frame of a CAN controller."""
+
+    TX_TIMEOUT = 0x001
+    LOST_ARBITRATION = 0x002
+    CONTROLLER = 0x004
+    PROTOCOL = 0x008
+    TRANSCEIVER = 0x010
+    NO_ACKNOWLEDGE = 0x020
+    BUS_OFF = 0x040
+    BUS_ERROR = 0x080
+    RESTARTED = 0x100
+
+
+CONTROLLER_STATES = (  # bits of data[1] with CONTROLLER
+    (0x01, "receive buffer overflow"),
+    (0x02, "transmit buffer overflow"),
+    (0x04, "receive warning level"),
+    (0x08, "transmit warning level"),
+    (0x10, "receive error passive"),
+    (0x20, "transmit error passive"),
+    (0x40, "error active again"),
+)
+
+NAMES = {
+    ErrorClass.TX_TIMEOUT: "transmission timed out",
+    ErrorClass.LOST_ARBITRATION: "arbitration lost",
+    ErrorClass.CONTROLLER: "controller problem",
+    ErrorClass.PROTOCOL: "protocol violation",
+    ErrorClass.TRANSCEIVER: "transceiver problem",
+    ErrorClass.NO_ACKNOWLEDGE: "no acknowledge: nobody else is on the bus",
+    ErrorClass.BUS_OFF: "bus-off",
+    ErrorClass.BUS_ERROR: "bus error",
+    ErrorClass.RESTARTED: "controller restarted",
+}
+
+
+def describe(can_id: int, data: bytes) -> str:
+    """What an error frame says, in words."""
+    words = [name for error_class, name in NAMES.items() if can_id & error_class]
+    if can_id & ErrorClass.CONTROLLER and len(data) > 1:
+        words += [name for bit, name in CONTROLLER_STATES if data[1] & bit]
+    return ", ".join(words) if words else f"error frame 0x{can_id & 0x1FFFFFFF:08X}"
