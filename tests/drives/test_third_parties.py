@@ -1,0 +1,185 @@
+"""Stacks that nobody here wrote: durand as a drive under our master, python-canopen's BaseNode402 over our plant."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import canopen
+import pytest
+from canopen.profiles.p402 import BaseNode402
+
+from tests.conftest import ROOT
+from tests.drives.rig import PERIOD, Foreign, Recording, refused
+from tests.plant.bench import plant_file
+from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.live.prove import prove
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
+from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.process import eds_files
+from tsa_ctrl.plant.settings import load_plant
+from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
+
+durand_drive = pytest.importorskip("tests.drives.durand_drive")
+
+_channels = itertools.count()
+# What such a drive needs to be accepted: nothing watches there, and it has no max motor speed reaction of its own.
+AXIS = AxisNodes(name="knee", drive=DriveSettings(node_id=3, require_watchdog=False))
+
+
+class OnDurand(Foreign):
+    """The master of `Foreign`, its drive on durand."""
+
+    def __init__(self) -> None:
+        self.wire = Recording()
+        self.durand = durand_drive.Durand(self.wire)
+        self.settings = BusSettings(interface="virtual")
+        self.profile = DriveProfile()
+        self.axis = AXIS
+        self.rig: Rig | None = None
+
+    def start_up(self) -> None:
+        bring_up(self.wire.host, self.settings, [self.axis], [self.profile], PERIOD)
+        self.supervisor = Supervisor(SupervisionSettings())
+        self.rig = Rig(self.wire.host, self.settings, [self.axis], [self.profile])
+        self.rig.start()
+        prove(self.rig, PERIOD)
+
+
+def test_a_drive_on_durand_comes_up_pulls_stops_and_comes_up_again() -> None:
+    master = OnDurand()
+    for _ in range(2):
+        master.start_up()
+        drive = master.durand.drive
+        assert drive.get(0x6060) == 10
+        assert [drive.get(0x1600, number) for number in (0, 1, 2)] == [2, 0x60400010, 0x60710010]
+        master.enable(0.3)
+        assert drive.get(0x6077) == 300
+        assert master.rig is not None
+        assert master.rig.axes[0].image.tau_m == pytest.approx(0.3)
+        assert master.stop() == []
+        assert (drive.get(0x6041), drive.get(0x6077)) == (0x0250, 0)
+
+
+def test_a_drive_on_durand_has_no_watchdog_and_that_is_said() -> None:
+    master = OnDurand()
+    master.axis = AxisNodes(name="knee", drive=DriveSettings(node_id=3))
+    with refused("neither a heartbeat consumer", "require_watchdog = false"):
+        master.start_up()
+    assert not [frame for frame in master.wire.sent if frame[1] == 0x203]
+
+
+def test_a_drive_on_durand_that_falls_silent_is_a_fault() -> None:
+    master = OnDurand()
+    master.start_up()
+    master.enable(0.2)
+    master.durand.remove_subscription(0x80)
+    master.run(Request.ENABLE, Phase.FAULT)
+    assert "stale PDO: drive node 3" in str(master.supervisor.fault)
+
+
+@pytest.mark.vcan
+def test_a_drive_on_durand_in_a_process_of_its_own_on_a_vcan(vcan: str) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.drives.durand_drive", vcan], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    settings = BusSettings(channel=vcan)
+    bus = open_bus(settings)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        period = 0.01  # s; a Python stack on a busy machine
+        supervisor = Supervisor(SupervisionSettings(tolerated_misses=50, enable_timeout=10.0))
+        bring_up(bus, settings, [AXIS], [DriveProfile()], period)
+        rig = Rig(bus, settings, [AXIS], [DriveProfile()])
+        rig.start()
+        begin = time.monotonic()
+        reached, image = 0, rig.axes[0].image
+        for cycle in range(1000):
+            begin = rig.wait(max(begin + period, time.monotonic()))
+            rig.sync(begin)
+            rig.collect(begin + 0.8 * period)
+            request = Request.ENABLE if cycle > 3 else Request.DISABLE
+            controlword, permitted, _ = supervisor.update(image, begin, request)
+            rig.axes[0].command(controlword, 0.2 if permitted else 0.0)
+            rig.heartbeat(begin)
+            reached += abs(image.tau_m - 0.2) < 1e-6
+            if reached > 10:
+                break
+        assert reached > 10, str(supervisor.fault)
+        assert shut_down(rig, period) == []
+    finally:
+        process.kill()
+        process.wait()
+        bus.close()
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> Iterator[tuple[str, Machine, Path]]:
+    """Our plant with one drive in a thread, its channel and the EDS that it writes of itself."""
+    channel = f"third-{next(_channels)}"
+    text = "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"
+    path = plant_file(tmp_path, text)
+    ((eds, content),) = eds_files(path, tmp_path / "drive.eds")
+    eds.write_text(content, encoding="latin-1")
+    bus = PythonCan("virtual", channel, 1_000_000)
+    machine = Machine(load_plant(path), bus)
+    machine.start()
+    stop = threading.Event()
+    thread = threading.Thread(target=machine.run, args=(stop.is_set,))
+    thread.start()
+    yield channel, machine, eds
+    stop.set()
+    thread.join()
+    bus.close()
+
+
+def test_a_master_on_python_canopen_enables_the_plant_and_pulls(plant: tuple[str, Machine, Path]) -> None:
+    """BaseNode402 by the EDS of `tsa plant --eds`: states, mode, target torque by SDO, fault and its reset."""
+    channel, machine, eds = plant
+    network = canopen.Network()
+    network.connect(interface="virtual", channel=channel)
+    try:
+        node = BaseNode402(1, str(eds))
+        network.add_node(node)
+        node.sdo.RESPONSE_TIMEOUT = 2.0
+        assert node.sdo[0x1018][1].raw == 0x0F0F
+        node.nmt.state = "PRE-OPERATIONAL"
+        node.setup_402_state_machine()
+        node.nmt.state = "OPERATIONAL"
+        _eventually(lambda: node.state == "SWITCH ON DISABLED")
+        for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
+            node.state = state
+            assert node.state == state
+        node.sdo[0x6060].raw = 10
+        assert node.sdo[0x6061].raw == 10
+        node.sdo[0x6071].raw = 250
+        drive = machine.axes[0].drive
+        node.state = "OPERATION ENABLED"
+        _eventually(lambda: abs(drive.command.torque - 0.25) < 1e-9)
+        drive.fault(0x2310)
+        _eventually(lambda: node.state == "FAULT")
+        node.sdo[0x6040].raw = 0x00
+        node.sdo[0x6040].raw = 0x80
+        _eventually(lambda: node.state == "SWITCH ON DISABLED")
+        assert drive.command.torque == 0.0
+    finally:
+        network.disconnect()
+
+
+def _eventually(reached: object, seconds: float = 5.0) -> None:
+    assert callable(reached)
+    end = time.monotonic() + seconds
+    while not reached():
+        assert time.monotonic() < end
+        time.sleep(0.01)
