@@ -29,10 +29,11 @@ VERBS: dict[str, str] = {
     "simulate": "predict the joint torque for a log and print the error",
     "diagnose": "what the simulation gets wrong, why, and what it gains to know",
     "doctor": "is this machine fit to run the loop",
-    "log": "look into and convert logs",
-    "drive": "dump, restore or compare a drive's objects",
+    "log": "look into, convert and import logs",
+    "drive": "probe a drive; dump, restore or compare its objects",
     "verify-safety": "hang and kill the loop and measure the drive's reaction",
     "bench": "the highest rate that this machine, adapter and configuration carry",
+    "help": "the manual's pages in the terminal",
     "dashboard": "a local page to watch and tune",
 }
 

@@ -1,0 +1,87 @@
+"""What stands in the manual by name: tables from the catalogue, the verbs, the model's own arithmetic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from tools.manual import measure
+from tsa_ctrl.cli import VERBS
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.curvature import Profile
+from tsa_ctrl.model.effects.specification import Specification
+from tsa_ctrl.model.functions import SCALARS
+
+SHAPES: Mapping[str, Profile] = {
+    "all at the motor end": Profile.of("motor_end"),
+    "evenly": Profile.of("uniform"),
+    "S: halves at 0.3 and 0.7": Profile(((0.0, 0.0), (0.3, 0.0), (0.3, 0.5), (0.7, 0.5), (0.7, 1.0), (1.0, 1.0))),
+    "all at the joint end": Profile.of("joint_end"),
+}
+ANGLES = (0.1, 0.26, 0.5, 0.8, 1.2)
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    """Markdown."""
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def catalogue() -> str:
+    """Every effect: where it enters, its parameters, what a log needs."""
+    rows = [
+        (f"`{spec.name}`", spec.shown.equation, _parameters(spec), _columns(spec), spec.summary)
+        for spec in CATALOGUE.values()
+    ]
+    return table(("name", "how it enters", "parameters (unit)", "needs", "in words"), rows)
+
+
+def _parameters(spec: Specification) -> str:
+    own = ", ".join(f"`{p.name}`" + ("" if p.unit == "1" or p.choices else f" ({p.unit})") for p in spec.parameters)
+    return own + (", and constants by name" if spec.named else "") or "none"
+
+
+def _columns(spec: Specification) -> str:
+    return "; ".join(" or ".join(f"`{name}`" for name in names) for names in spec.columns) or "-"
+
+
+def slope_and_half_loop(profile: Profile, x: float) -> tuple[float, float]:
+    """Slope over r_J/r_M, and half loop over 2 T_p0 r_J, of (3.53) for a sheath of this shape; both 1."""
+    alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
+    total = alpha + beta
+    return (alpha * math.exp(-x) + beta * math.exp(x)) / total, 2.0 * math.sinh(x) * 2.0 / total / 2.0
+
+
+def errors() -> str:
+    """What (3.55) says too much of slope and half loop, by shape and friction angle."""
+    rows = []
+    for name, profile in SHAPES.items():
+        cells = []
+        for x in ANGLES:
+            slope, half = slope_and_half_loop(profile, x)
+            cells.append(f"{100 * (math.cosh(x) / slope - 1):+.1f}, {100 * (math.sinh(x) / half - 1):+.1f}")
+        rows.append((name, f"{profile.centre:.2f}", *cells))
+    return table(("bent", "s_c", *(f"x = {x:g}" for x in ANGLES)), rows)
+
+
+def verbs() -> str:
+    """A verb a line."""
+    return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
+
+
+def figures() -> str:
+    """What was measured, from the file that the measuring wrote."""
+    rows = []
+    for row in measure.load().values():
+        spread = "" if row["runs"] == 1 else f" ({row['low']:.3g} to {row['high']:.3g} in {row['runs']})"
+        value = f"{row['value']:.3g} {row['unit']}{spread}"
+        rows.append((row["words"], value, f"`{row['command']}`", f"{row['date']}, {row['commit']}"))
+    return table(("what", "figure", "command", "measured"), rows)
+
+
+SOURCES: Mapping[str, Callable[[], str]] = {
+    "catalogue": catalogue,
+    "errors": errors,
+    "verbs": verbs,
+    "figures": figures,
+}

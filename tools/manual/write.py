@@ -1,0 +1,67 @@
+"""Write the generated parts of the manual's pages, between their markers.
+
+Usage: tools/run manual/write [--check]
+
+A part stands between `<!-- NAME: written by tools/run manual/write -->` and `<!-- end of NAME -->`. With --check
+nothing is written; exit status 1 when a page differs from what its sources say.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from tools import command
+from tools.manual import parts
+
+PAGES = (
+    "README.md",
+    "config/README.md",
+    "tools/README.md",
+    "tsa_ctrl/README.md",
+    "tsa_ctrl/model/README.md",
+    "tsa_ctrl/identify/README.md",
+    "tsa_ctrl/safety/README.md",
+)
+_PART = re.compile(
+    r"(?P<begin><!-- (?P<name>[a-z-]+): written by tools/run manual/write -->\n).*?(?P<end><!-- end of (?P=name) -->)",
+    re.DOTALL,
+)
+
+
+def rewritten(text: str, sources: Mapping[str, Callable[[], str]], where: str) -> str:
+    """The page with each part as its source says; raises KeyError naming page and part where there is no source."""
+
+    def fill(found: re.Match[str]) -> str:
+        name = found["name"]
+        if name not in sources:
+            raise KeyError(f"{where}: no source for the part '{name}'; known are {', '.join(sources)}")
+        return f"{found['begin']}{sources[name]().strip()}\n{found['end']}"
+
+    return _PART.sub(fill, text)
+
+
+def differing(root: Path) -> dict[Path, str]:
+    """Pages that differ from their sources, with what they should be."""
+    found = {}
+    for name in PAGES:
+        path = root / name
+        if path.is_file():
+            text = path.read_text(encoding="utf-8")
+            wanted = rewritten(text, parts.SOURCES, name)
+            if wanted != text:
+                found[path] = wanted
+    return found
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; exit status 1 when a page differs")
+    check = parser.parse_args().check
+    pages = differing(command.ROOT)
+    for path, text in pages.items():
+        print(f"{path.relative_to(command.ROOT)}: {'differs from its sources' if check else 'written'}")
+        if not check:
+            path.write_text(text, encoding="utf-8")
+    return int(check and bool(pages))
