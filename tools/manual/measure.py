@@ -2,8 +2,8 @@
 
 Usage: tools/run manual/measure [NAME ...] [--runs N] [--list]
 
-Writes `tools/manual/figures.json`; the tables of tools/README.md follow from it by `tools/run manual/write`. Without names
-all are run. What is deterministic is run once, the rest `--runs` times (default 3): median, lowest and highest.
+Writes `tools/manual/figures.json`; the tables of tools/README.md follow from it by `tools/run manual/write`. Without
+names all are run. What is deterministic is run once, the rest `--runs` times (default 3): median, lowest and highest.
 """
 
 from __future__ import annotations
@@ -125,14 +125,11 @@ def measured(measure: Measure, runs: int, out: Path) -> Row:
 
 
 def _spoken(line: tuple[str, ...]) -> str:
-    words = ["tsa" if word == TSA else word for word in line]
-    return (
-        " ".join(words)
-        .replace(" --out {out}", "")
-        .replace(" --json", "")
-        .replace("{root}/", "")
-        .replace("{config}", "config")
-    )
+    """The command as a reader types it."""
+    text = " ".join("tsa" if word == TSA else word for word in line)
+    for placed, said in ((" --out {out}", ""), (" --json", ""), ("{root}/", ""), ("{config}", "config")):
+        text = text.replace(placed, said)
+    return text
 
 
 def _commit() -> str:

@@ -71,7 +71,7 @@ def verbs() -> str:
 
 def figures() -> str:
     """What was measured, from the file that the measuring wrote."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for row in measure.load().values():
         spread = "" if row["runs"] == 1 else f" ({row['low']:.3g} to {row['high']:.3g} in {row['runs']})"
         value = f"{row['value']:.3g} {row['unit']}{spread}"
