@@ -7,16 +7,15 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pytest
 import tomlkit
 
 from tests.tune import rig as busy
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import save_model
-from tsa_ctrl.system.processes import daemon, plant
+from tsa_ctrl.virtual.simulation import simulate_loop
 
 RATE = 400.0  # Hz, of two axes
 SECONDS = 16.0
@@ -24,16 +23,14 @@ BENDING = [[0.0, 1.0], [3.0, 1.0], [5.0, 1.4]]  # s since the enable, factor
 JUDGED = 11.0  # s: from here the estimate has had its time
 AXIAL_STIFFNESS = 20e3  # N: the pretension rises by a quarter with the longer path
 
-pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 
-
-def write(folder: Path, bus: BusChoice) -> None:
+def write(folder: Path) -> None:
     """Two axes alike, but for the estimator of the second."""
-    busy.write(folder, bus, RATE)  # a controller that bears a shared machine
+    busy.write(folder, VIRTUAL, RATE)
     save_model(dataclasses.replace(rig.NOMINAL, axial_stiffness=AXIAL_STIFFNESS), folder / "nominal.toml")
     exact = {"friction_coefficient": 1.0, "pretension": 1.0, "axial_stiffness": 1.0}
     changes = {"environment": {"bending": BENDING}, "perturbation": exact, "motor": {"inertia": 2e-5}}
-    tables = rig.plant(bus, "full", changes)
+    tables = rig.plant(VIRTUAL, "full", changes)
     tables["axis"].append({**copy.deepcopy(tables["axis"][0]), "name": "followed"})
     controller = tomlkit.parse((folder / busy.CONTROLLER).read_text()).unwrap()
     second = copy.deepcopy(controller["axis"][0])
@@ -55,14 +52,11 @@ def error(log: Path, axis: str, begin: float, end: float) -> float:
     return float(np.sqrt(np.mean(np.square((columns["tau_j"] - columns["tau_j_des"])[part]))))
 
 
-def test_the_estimator_follows_and_the_torque_error_stays_small(tmp_path: Path, vcan: str) -> None:
+def test_the_estimator_follows_and_the_torque_error_stays_small(tmp_path: Path) -> None:
     """Before the change both are alike; after it the fixed parameters are far off, and the estimated ones are not."""
-    write(tmp_path, BusChoice("socketcan", vcan))
-    with plant(tmp_path):
-        summary = daemon(tmp_path, "tune", SECONDS, lambda share: None)
-    log = tmp_path / str(summary["log"])
-    end = SECONDS - 0.5
+    write(tmp_path)
+    simulate_loop(tmp_path / busy.CONTROLLER, tmp_path / "plant.toml", SECONDS, out=tmp_path)
+    log, end = tmp_path / "tsa.mcap", SECONDS - 0.5
     fixed, followed = (error(log, axis, JUDGED, end) for axis in ("joint", "followed"))
-    print(f"RMS error after the change: fixed {1e3 * fixed:.1f}, estimated {1e3 * followed:.1f} mN*m")
     assert error(log, "joint", 1.2, 3.0) < 0.5 * fixed
     assert followed < 0.5 * fixed

@@ -149,23 +149,6 @@ def test_delivers_the_wanted_torque(rig: Rig) -> None:
     assert np.abs(direction[during]).mean() > 0.8
 
 
-@pytest.mark.parametrize("kind", ["epos4", "elmo_gold"])
-def test_runs_a_drive_of_another_make(rig: Rig, kind: str) -> None:
-    """With its own profile torque, clamp and velocity have the right units: the speed is that of the angle."""
-    shutil.copytree(CONFIG / "drives", rig.folder / "drives")
-    rig.edit(('# profile = "generic"  ', f'profile = "{kind}"  '))
-    rig.edit_plant(('# kind = "generic"  ', f'kind = "{kind}"  '))
-    rig.plant()
-    summary, err, code = ended(rig.run("--seconds", "3"))
-    assert code == 0, err
-    t, angle, speed, torque, command = columns(summary, "t", "q_m", "omega_m", "tau_m", "tau_m_cmd")
-    moving = t > 1.0
-    difference = np.gradient(angle[moving], t[moving])
-    assert np.dot(difference, speed[moving]) / np.dot(difference, difference) == pytest.approx(1.0, abs=0.15)
-    assert np.abs(command[moving]).max() > 0.2
-    assert np.corrcoef(command[moving][:-2], torque[moving][2:])[0, 1] > 0.95
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_signal_ramps_down_and_disables(rig: Rig, number: signal.Signals) -> None:
     """A signal ends the run in order, even when it comes twice; the torque ramps to 0 and the drive confirms."""
