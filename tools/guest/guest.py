@@ -39,6 +39,8 @@ LIBC = ctypes.CDLL(None)
 
 @dataclass(frozen=True)
 class Limits:
+    """Of a guest: its memory in bytes, and the seconds that a command may take."""
+
     memory: int  # bytes
     seconds: float | None
 
