@@ -22,11 +22,17 @@ def motion(seconds: float) -> tuple[Array, Array, Array]:
 
 
 def record(
-    pair: Pair, seed: int, *, more_pretension: float = 0.0, tensions: bool = False, viscous: float = 0.0
+    pair: Pair,
+    seed: int,
+    *,
+    seconds: float = 60.0,
+    more_pretension: float = 0.0,
+    tensions: bool = False,
+    viscous: float = 0.0,
 ) -> dict[str, Array]:
-    """Columns of a minute with both signs of torque; noise of 2 mN*m on the motor's torque and 5 on the joint's."""
+    """Columns with both signs of torque; noise of 2 mN*m on the motor's torque and 5 on the joint's."""
     rng = np.random.default_rng(seed)
-    t, q, omega = motion(60.0)
+    t, q, omega = motion(seconds)
     tau_m = 0.8 * np.sin(2 * np.pi * 0.11 * t) + 0.3 * np.sin(2 * np.pi * 0.27 * t)
     acting = dataclasses.replace(pair, pretension=pair.pretension + more_pretension)
     tau_j, t1 = np.empty_like(t), np.empty_like(t)
