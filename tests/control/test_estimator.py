@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from tests.control.sliding import PERIOD, Sliding, actuator
+from tests.model.capstan import Pair
+from tests.model.test_curvature import S_BENT
 from tsa_ctrl.control.attribution import Attribution, Split
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, EstimatorSettings, Fixed
 from tsa_ctrl.control.recursive import Recursive
+from tsa_ctrl.model.curvature import Points
 
 MODEL = actuator()
 X, PRETENSION = MODEL.friction_angle, MODEL.pretension
@@ -192,6 +195,20 @@ def test_split_inverts_its_half_loop(attribute: Attribution, at_motor: bool, fac
     arm, function = (MODEL.motor_pulley_radius, math.tanh) if at_motor else (MODEL.joint_pulley_radius, math.sinh)
     assert inside
     assert 2.0 * pretension * arm * function(angle) == pytest.approx(wanted, rel=1e-5)
+
+
+@pytest.mark.parametrize("at_motor", [True, False])
+@pytest.mark.parametrize("points", [((0.0, 0.0), (1.0, 1.0)), ((0.0, 1.0), (1.0, 1.0)), S_BENT], ids=str)
+def test_split_knows_where_the_sheath_bends(points: Points, at_motor: bool) -> None:
+    """The half loop of a sheath with much more friction, by the capstan equation, gives back its friction angle."""
+    bent = MODEL.recalibrated(0.8).with_effects({"elongation_coupling": {"curvature_profile": points}})
+    pair = Pair(points, 1.0, axial_stiffness=6e3)
+    at_rest = pair.joint_torque(0.0, 1.0)
+    per_torque = pair.joint_torque(1.0, 1.0) - at_rest
+    seen = -at_rest / per_torque if at_motor else -at_rest
+    angle, pretension, inside = Split(bent, Attribution.FRICTION, at_motor, bounds=0.5).solve(seen)
+    assert inside
+    assert (angle, pretension) == pytest.approx((1.0, PRETENSION), rel=1e-5)
 
 
 @pytest.mark.parametrize("half_loop", [-1.0, 0.0, 1e3])

@@ -5,7 +5,8 @@
 
 A Kalman filter for a random walk of (h, s, c): data enter as means over short blocks of steady sliding, the walk is the
 forgetting, and its covariance never grows beyond the prior, so that it neither winds up nor falls asleep. Nothing moves
-while nothing is admitted. s is a nuisance here: cosh x is too flat to tell x from it.
+while nothing is admitted. s is a nuisance here: cosh x is too flat to tell x from it. With `elongation_coupling` in the
+model h, k and s follow from where its sheath bends.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 from tsa_ctrl.control.attribution import Split
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import sliding
 
 BLOCK = 0.01  # s, length of the means that enter the filter
 SLIDING = 0.999  # 1, |sigma| above which the sheath surely slides
@@ -30,10 +32,9 @@ class Recursive:
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         self.use = settings.use
         self._motor = settings.kind == "motor"
-        ratio = model.motor_pulley_radius / model.joint_pulley_radius
-        cosh = math.cosh(model.friction_angle)
         self._split = Split(model, settings.attribute, self._motor, settings.bounds)
-        half, slope = self._split.nominal, ratio / cosh if self._motor else cosh / ratio
+        per_torque = 0.5 * (sliding(model, 1.0).slope + sliding(model, -1.0).slope)
+        half, slope = self._split.nominal, 1.0 / per_torque if self._motor else per_torque
         self._prior = (half, slope, 0.0)
         torque = 2.0 * model.pretension * model.motor_pulley_radius
         self._variance = ((settings.bounds * half) ** 2, (0.1 * slope) ** 2, (0.1 * half) ** 2)

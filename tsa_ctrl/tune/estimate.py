@@ -15,6 +15,7 @@ from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import prepare
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -27,7 +28,7 @@ CLEARLY_BETTER = 0.9  # of the error of what is there; another form must be belo
 KEPT = 0.95  # of the samples count when forms are compared
 LEAST_GAIN = 0.5  # 1, share of what can be gained on held-out data that an extension must gain
 PERIOD = 1e-3  # s, of the controller that must be able to use an extension; any will do
-EXCLUDES_COUPLING = frozenset({"tendon_slack", "sheath_asymmetry", "tension_dependent_friction", "elongation_coupling"})
+COUPLING = "elongation_coupling"
 
 
 class Form(Enum):
@@ -63,9 +64,9 @@ def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool,
     Raises UsageError when the logs do not show enough.
     """
     candidates = {Form.GIVEN: model}
-    if forms and not EXCLUDES_COUPLING & set(model.effects):
+    if forms and not {COUPLING, *CATALOGUE[COUPLING].excludes} & set(model.effects):
         for form, profile in ((Form.UNIFORM, "uniform"), (Form.MOTOR_END, "motor_end")):
-            effects = {**model.effects, "elongation_coupling": {"curvature_profile": profile}}
+            effects = {**model.effects, COUPLING: {"curvature_profile": profile}}
             candidates[form] = model.with_effects(effects)
     found = {}
     for form, candidate in candidates.items():
