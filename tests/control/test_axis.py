@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import astuple
 from functools import partial
@@ -171,10 +172,11 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     """What was sent, and what was measured."""
     calls = Calls(axis, monkeypatch)
     axis.follow(2.0)
-    model = (axis.model.friction_angle, axis.model.pretension)
+    x, radii = axis.model.friction_angle, (axis.model.motor_pulley_radius, axis.model.joint_pulley_radius)
+    expected = radii[1] * (0.31 / radii[0] * math.cosh(x) - 2.0 * axis.model.pretension * math.sinh(x))
     assert calls == [
         ("law", 0.44),
-        ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 1.0, 0.34, model),
+        ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 0.34, pytest.approx(expected, rel=1e-12)),
         ("estimator", 1.0, 0.42, 1.5, 0.31, 0.34, True),
         ("monitor", 0.42, 0.43),
     ]

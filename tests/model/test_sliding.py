@@ -24,6 +24,7 @@ from tsa_ctrl.model.sliding import (
     pretension_level,
     shape_factor,
     sliding,
+    transmitted_by,
 )
 
 X, T_P, R_M, R_J = 0.26, 45.0, 0.020, 0.025
@@ -70,6 +71,13 @@ class TestAgainstIntegration:
         inverse = Feedforward(model, 1e-3)
         found = [inverse.update(tau, math.copysign(1.0, v), v) for tau, v in zip(expected, omega, strict=True)]
         np.testing.assert_allclose(found, tau_m, rtol=0.0, atol=1e-10)
+
+    def test_transmitted_torque(self, profile: str | Points, spring: str) -> None:
+        """The same, an instant at a time."""
+        transmitted = transmitted_by(model_of(profile, spring))
+        for tau_m, sigma in ((-1.0, 1.0), (0.4, -1.0)):
+            expected = pair_of(profile, spring).joint_torque(tau_m, sigma)
+            assert transmitted(tau_m, sigma, X, T_P) == pytest.approx(expected, abs=1e-10)
 
     def test_half_loop_at_the_motor(self, profile: str | Points, spring: str) -> None:
         """h: the motor torque at which nothing arrives at the joint."""

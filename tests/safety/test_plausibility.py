@@ -38,7 +38,8 @@ class Motion:
         q_j, omega = 0.5 * math.sin(4.0 * self.time), 2.0 * math.cos(4.0 * self.time)
         torque = self.command() if self.torque is None else self.torque
         feedback = self.stuck or (torque, 1.25 * q_j + self.offset, 1.25 * omega)
-        return self.check.update(self.time, self.command(), feedback, q_j, math.copysign(1.0, omega), self.tau_j, MODEL)
+        expected = predicted(torque, math.copysign(1.0, omega))
+        return self.check.update(self.time, self.command(), feedback, q_j, self.tau_j, expected)
 
     def run(self, seconds: float) -> tuple[float, str] | None:
         """When it was noticed, s from now, and the words; None within `seconds`."""
@@ -72,7 +73,7 @@ def test_frozen_feedback_is_noticed_once_the_command_moved_by_a_twentieth() -> N
 def test_a_drive_at_rest_with_a_resting_command_is_not_frozen() -> None:
     check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
     assert all(
-        check.update(n * PERIOD, 0.5 + 0.02 * (n % 2), (0.5, 0.0, 0.0), 0.0, 0.0, NO_SENSOR, MODEL) is None
+        check.update(n * PERIOD, 0.5 + 0.02 * (n % 2), (0.5, 0.0, 0.0), 0.0, NO_SENSOR, 0.0) is None
         for n in range(2000)
     )
 
@@ -147,7 +148,7 @@ def test_no_parameter_error_of_half_is_a_contradiction(x_share: float, t_share: 
     for n in range(200):
         torque = 0.6 + 0.4 * math.sin(0.05 * n)
         tau_j = 0.025 * (torque / 0.020 * math.cosh(x) - 2.0 * t_p * math.sinh(x))
-        assert check.update(n * PERIOD, torque, (torque, 0.0, 0.0), 0.0, 1.0, tau_j, MODEL) is None
+        assert check.update(n * PERIOD, torque, (torque, 0.0, 0.0), 0.0, tau_j, predicted(torque, 1.0)) is None
 
 
 def test_a_reset_forgets_what_was_pending() -> None:
@@ -174,7 +175,7 @@ def look(
 ) -> str:
     """The finding of one cycle with the joint at rest; the torque follows the command where none is given."""
     feedback = (command if tau_m is None else tau_m, q_m, 0.0)
-    return check.update(time, command, feedback, 0.0, sigma, tau_j, MODEL) or ""
+    return check.update(time, command, feedback, 0.0, tau_j, predicted(feedback[0], sigma)) or ""
 
 
 @pytest.mark.parametrize(

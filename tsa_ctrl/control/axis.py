@@ -13,6 +13,7 @@ from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import transmitted_by
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -84,6 +85,7 @@ class ControlAxis:
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
+        self._transmitted = transmitted_by(model)
 
     @property
     def at_rest(self) -> bool:
@@ -141,9 +143,9 @@ class ControlAxis:
             self.supervisor.trip(f"{terms.reason.name.lower().replace('_', '-')} at the limiter", now)
         if image.fresh:
             feedback = (image.tau_m, image.q_m, image.omega_m)
-            wrong = self.plausibility.update(
-                now, terms.tau_m_cmd, feedback, terms.q_j, terms.sigma, instruments.tau_j, self._used
-            )
+            tau_j = instruments.tau_j
+            expected = self._transmitted(image.tau_m, terms.sigma, *self._used) if tau_j == tau_j else 0.0
+            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
             if wrong is not None:
                 self.supervisor.trip(wrong, now)
         self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)

@@ -14,6 +14,7 @@ the joint is held, friction apart. Of the effects only those of the transmission
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from tsa_ctrl.model.composition import Stack
@@ -46,6 +47,16 @@ def sliding(
     tension = model.pretension if pretension is None else pretension
     slope, loss = Stack.of(model.effects, model.source).transmission(model).tangent(sigma, x, tension)
     return Sliding(slope, sigma * loss)
+
+
+def transmitted_by(model: TendonSheath) -> Callable[[float, float, float, float], float]:
+    """tau_J (N*m) by tau_M (N*m), sigma in [-1, 1], friction angle (1) and pretension (N), an instant at a time."""
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+
+    def transmitted(tau_m: float, sigma: float, friction_angle: float, pretension: float) -> float:
+        return transmission.torque(SCALARS, tau_m, sigma, friction_angle, pretension)
+
+    return transmitted
 
 
 def shape_factor(model: TendonSheath, friction_angle: float | None = None) -> float:

@@ -56,7 +56,6 @@ class Plausibility:
         self._slip = settings.slip
         self._frozen = FROZEN_SHARE * rated
         self._geared = r_j / r_m
-        self._r_j = r_j
         self._has_encoder = has_encoder
         self.reset()
 
@@ -74,14 +73,13 @@ class Plausibility:
         command: float,
         feedback: tuple[float, float, float],
         q_j: float,
-        sigma: float,
         tau_j: float,
-        model: tuple[float, float],
+        expected: float,
     ) -> str | None:
         """What is wrong, in words; None while everything agrees.
 
         `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
-        sensor; `model`: friction angle (1) and pretension (N) in use.
+        sensor; `expected`: the joint torque that the model makes of the reported motor torque.
         """
         tau_m, q_m, _ = feedback
         if feedback != self._last:
@@ -102,7 +100,7 @@ class Plausibility:
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
         else:
             self._torque_since = since
-        return self._apart(now, q_m, q_j) or self._joint(now, tau_m, sigma, tau_j, model)
+        return self._apart(now, q_m, q_j) or self._joint(now, tau_j, expected)
 
     def _apart(self, now: float, q_m: float, q_j: float) -> str | None:
         if not self._has_encoder:
@@ -121,19 +119,17 @@ class Plausibility:
             "torn or loose, or an encoder slipped, or its counts or sign are wrong"
         )
 
-    def _joint(self, now: float, tau_m: float, sigma: float, tau_j: float, model: tuple[float, float]) -> str | None:
+    def _joint(self, now: float, tau_j: float, expected: float) -> str | None:
         if tau_j != tau_j:  # no sensor, or no value of it that is fresh
             self._joint_since = math.inf
             return None
-        x = sigma * model[0]
-        predicted = tau_m * self._geared * math.cosh(x) - 2.0 * model[1] * self._r_j * math.sinh(x)
-        if abs(tau_j - predicted) <= self._joint_torque:
+        if abs(tau_j - expected) <= self._joint_torque:
             self._joint_since = math.inf
             return None
         self._joint_since = min(self._joint_since, now)
         if now - self._joint_since < self._duration:
             return None
         return (
-            f"the joint torque sensor says {tau_j:.2f} N*m, the model {predicted:.2f} N*m, for {self._duration:g} s: "
+            f"the joint torque sensor says {tau_j:.2f} N*m, the model {expected:.2f} N*m, for {self._duration:g} s: "
             "a sign is reversed, or one of the two torques is wrong"
         )
