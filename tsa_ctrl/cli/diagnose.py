@@ -19,13 +19,15 @@ EXAMPLES = """\b
 Examples:
   tsa diagnose a.csv b.csv --model actuator.toml --out out/diagnosis
   tsa diagnose folder-of-logs --model actuator.toml --out out/fleet
+  tsa diagnose --example
 """
 
 
 @click.command("diagnose", epilog=EXAMPLES)
-@click.argument("logs", metavar="LOG...|FOLDER", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--model", required=True, type=click.Path(path_type=Path), help="Actuator model file.")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
+@click.argument("logs", metavar="LOG...|FOLDER", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--model", type=click.Path(path_type=Path), help="Actuator model file.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
+@click.option("--example", is_flag=True, help="On a log made on the spot, with a cause hidden in it; told at the end.")
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on stdout, and nothing else there.")
@@ -33,8 +35,9 @@ Examples:
 @click.option("--scheduler", metavar="ADDRESS", help="A running Dask scheduler for a folder of logs (tcp://host:8786).")
 def command(
     logs: tuple[Path, ...],
-    model: Path,
-    out: Path,
+    model: Path | None,
+    out: Path | None,
+    example: bool,
     hold_out: str | None,
     seed: int,
     as_json: bool,
@@ -46,6 +49,12 @@ def command(
     Several logs are diagnosed together, as one drive. Of a folder each log is diagnosed by itself: the answers go to
     one table, verdicts.csv, and the same command goes on where it was interrupted.
     """
+    if example:
+        _example(logs, model, out, seed, as_json)
+        return
+    if not logs or model is None or out is None:
+        missing = "LOG" if not logs else "--model" if model is None else "--out"
+        raise click.UsageError(f"Missing {missing}; or try --example")
     folders = [path for path in logs if path.is_dir()]
     if folders:
         if len(logs) > 1:
@@ -60,6 +69,37 @@ def command(
         raise UsageError(
             f"{'--jobs' if jobs else '--scheduler'}: is for a folder of logs; leave it out, or give a folder"
         )
+    result = _diagnose(logs, model, out, hold_out, seed)
+    if as_json:
+        click.echo(result.to_json(), nl=False)
+    else:
+        _show(result, out)
+
+
+def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed: int, as_json: bool) -> None:
+    """Make a log, diagnose it, and tell at last what was hidden."""
+    if logs or model is not None:
+        raise UsageError("--example: makes its own log and model; leave LOG and --model out")
+    from tsa_ctrl.demo import example
+
+    folder = outputs.untaken(Path("out"), "example") if out is None else out
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
+    click.echo(f"running the loop on a simulated joint, in virtual time: {folder}", err=True)
+    made = example.make(folder.resolve(), seed)
+    result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed)
+    if as_json:
+        click.echo(result.to_json(), nl=False)
+        return
+    _show(result, folder / "diagnosis")
+    click.echo(f"hidden was: {made.told()}")
+    click.echo(f"the same by hand: tsa diagnose {made.log} --model {made.model} --out DIR")
+
+
+def _diagnose(logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | None, seed: int) -> Diagnosis:
+    """Read, diagnose and write, with what is being done on stderr."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
@@ -85,10 +125,7 @@ def command(
         for name in (JSON, MODEL):
             outputs.keep(out / name)
         write(result, out, model)
-    if as_json:
-        click.echo(result.to_json(), nl=False)
-    else:
-        _show(result, out)
+    return result
 
 
 def _show(result: Diagnosis, out: Path) -> None:

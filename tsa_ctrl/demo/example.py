@@ -1,0 +1,45 @@
+"""A log to try the diagnosis on: the real loop on the simulated plant in virtual time, with a cause hidden in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.hidden import SECONDS, Hidden, draw, motion
+from tsa_ctrl.demo.stage import runs_on
+from tsa_ctrl.errors import BusError
+
+RATE = 500.0  # Hz: what the diagnosis needs of these motions, at half the time of 1 kHz
+
+
+@dataclass(frozen=True)
+class Example:
+    """The log, the model file that does not know what is hidden, and what that is."""
+
+    log: Path
+    model: Path
+    hidden: Hidden
+
+    def told(self) -> str:
+        """What was hidden, for the end."""
+        sizes = "; ".join(
+            f"{name} with " + ", ".join(f"{key} {value:.3g}" for key, value in values.items())
+            for name, values in self.hidden.effects.items()
+        )
+        factors = ", ".join(
+            f"{key.replace('_', ' ')} {100 * (value - 1):+.0f} %" for key, value in self.hidden.factors.items()
+        )
+        return f"{sizes}; and against the model file {factors}"
+
+
+def make(folder: Path, seed: int) -> Example:
+    """Write the files and run them; the same seed hides the same. Raises BusError when the loop ends in a fault."""
+    hidden = draw(seed)
+    controllers = {"example": rig.controller(VIRTUAL, "example", RATE, "nominal.toml", 0.0)}
+    rig.write(folder, motion(), rig.plant(VIRTUAL, "full", hidden.axis()), controllers)
+    summary = runs_on(VIRTUAL)(folder, "example", SECONDS, lambda share: None)
+    if summary["log"] is None or summary["failed"]:
+        raise BusError(f"diagnose --example: the run failed: {summary['cause']}")
+    return Example(folder / str(summary["log"]), folder / "nominal.toml", hidden)
