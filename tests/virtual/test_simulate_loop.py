@@ -164,6 +164,44 @@ def test_a_wrong_option_is_one_line(
     assert out == ""
 
 
+def test_what_is_read_is_not_written_over(tmp_path: Path) -> None:
+    controller_file, plant_file = write(tmp_path)
+    before = plant_file.read_bytes()
+    with pytest.raises(UsageError, match=r"--record .*plant.toml: is .*which is read"):
+        simulate_loop(controller_file, plant_file, 0.3, record=plant_file)
+    assert plant_file.read_bytes() == before
+
+
+def test_a_run_that_fails_leaves_no_file(tmp_path: Path) -> None:
+    files = write(tmp_path, plant_tables=plant(drive={"node_id": 5}))
+    before = set(tmp_path.rglob("*"))
+    with pytest.raises(BusError):
+        simulate_loop(*files, 0.5, out=tmp_path, record=tmp_path / "truth.csv")
+    assert set(tmp_path.rglob("*")) == before
+
+
+def test_faults_and_changes_may_be_written_as_on_the_command_line(tmp_path: Path) -> None:
+    result = simulate_loop(*write(tmp_path), 0.8, faults=["fault@0.7"], changes=["setpoint_gain=0.5@0.3"])
+    assert result.axes[0].faults
+    assert result.summary.events[0].t == pytest.approx(0.7, abs=0.01)
+
+
+def test_an_interface_that_goes_down_latches_and_a_recovery_brings_all_up_anew(tmp_path: Path) -> None:
+    """What is on the bus is lost with it; the torque comes back only when it is asked for."""
+    result = simulate_loop(*write(tmp_path), 5.0, faults=["interface_down duration=0.3@1"], changes=["recover=1@2"])
+    assert result.axes[0].faults[0].startswith("bus fault: the interface is down")
+    t, enabled = result.truth["clock"] - result.axes[0].start, result.truth["enabled"] > 0.0
+    assert enabled[(t > 0.5) & (t < 0.99)].all()
+    assert not enabled[(t > 1.3) & (t < 2.0)].any()
+    assert enabled[(t > 4.0) & (t < 5.0)].all()
+
+
+def test_nothing_of_a_flood_is_believed(tmp_path: Path) -> None:
+    result = simulate_loop(*write(tmp_path), 1.0, faults=["flood value=3000@0.5"])
+    assert not result.summary.failed
+    assert result.summary.missed_pdo == 0  # identifiers of low priority wait until the answers are through
+
+
 def test_options_are_read() -> None:
     assert parse_fault_option("torn_tendon axis=joint@2.5") == Fault("torn_tendon axis=joint", 2.5)
     assert parse_set_option("knee.slew=60@1") == Change("knee.slew", 60.0, 1.0)

@@ -46,14 +46,11 @@ def command(
     T counts from the first cycle, as t in the log. Errors are the delivered joint torque (the plant's truth) less the
     one wanted, from the end of the fade-in on. A fault is a result, too: exit status 0.
     """
-    from tsa_ctrl.virtual.script import parse_fault_option, parse_set_option
     from tsa_ctrl.virtual.simulation import simulate_loop  # the loop and the plant, not loaded for --help
 
-    script = [parse_fault_option(text) for text in faults]
-    settings = [parse_set_option(text) for text in changes]
     with _progress() as tick:
         simulation = simulate_loop(
-            controller, plant, seconds, out=out, record=record, seed=seed, faults=script, changes=settings, tick=tick
+            controller, plant, seconds, out=out, record=record, seed=seed, faults=faults, changes=changes, tick=tick
         )
     if as_json:
         click.echo(json.dumps(simulation.to_dict(), allow_nan=False))

@@ -101,7 +101,15 @@ def _build_axis(
 class Machine:
     """All axes on `bus`. `run` until `stop` says so."""
 
-    def __init__(self, plant: PlantSettings, bus: Bus, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        plant: PlantSettings,
+        bus: Bus,
+        clock: Callable[[], float] = time.monotonic,
+        switch: Callable[[str, bool], None] = set_up,
+    ) -> None:
+        """`switch` takes the interface of a name down or up; raises OSError where that is not allowed."""
+        self._switch = switch
         self.plant = plant
         self.bus = bus
         self.clock = clock
@@ -238,7 +246,7 @@ class Machine:
     def set_interface(self, up: bool) -> None:
         """Take the interface down, or up again; raises UsageError where this user may not."""
         try:
-            set_up(self.bus.name, up)
+            self._switch(self.bus.name, up)
         except OSError as error:
             raise UsageError(
                 f"fault interface_down: {self.bus.name} cannot be switched ({error.strerror or error}); it needs a "

@@ -45,6 +45,7 @@ class Wire:
         self.plant = End(self)
         self._bit = 1.0 / bitrate
         self._queue = queue
+        self._up = True
         self._nodes: Nodes | None = None
         self._waiting: list[tuple[int, int, bytes, End]] = []  # identifier, order of sending, data, sender
         self._sent = 0
@@ -63,6 +64,8 @@ class Wire:
 
     def send(self, sender: End, can_id: int, data: bytes) -> bool:
         """Put a frame on the wire, or in the queue for it; False when that is full or the interface is down."""
+        if not self._up:
+            sender.fault = sender.fault or BusFault.INTERFACE_DOWN
         if sender.fault is not None or sender.queued >= self._queue:
             sender.counters.dropped += 1
             return False
@@ -75,11 +78,15 @@ class Wire:
             heapq.heappush(self._waiting, (can_id, self._sent, data, sender))
         return True
 
-    def flush(self, sender: End) -> None:
-        """Forget what `sender` has queued: its interface is down."""
-        self._waiting = [entry for entry in self._waiting if entry[3] is not sender]
-        heapq.heapify(self._waiting)
-        sender.queued = 0
+    def switch(self, name: str, up: bool) -> None:
+        """Take the interface down, and with it whatever is on its way, or up again; the plant's end forgives it."""
+        self._up = up
+        self.plant.fault = None if up else BusFault.INTERFACE_DOWN
+        if not up:
+            self.host.fault = self.host.fault or BusFault.INTERFACE_DOWN
+            self._waiting.clear()
+            self._frame, self._arrives = None, math.inf
+            self.host.queued = self.plant.queued = 0
 
     def pass_until(self, until: float, wanted: Callable[[], bool] | None = None) -> None:
         """Let time pass to `until`, or to when `wanted` says so after something has happened."""
@@ -116,8 +123,7 @@ class Wire:
         else:
             self._frame, self._arrives = None, math.inf
         if sender is self.host:
-            if self.plant.fault is None:
-                nodes.step((can_id, data), now)
+            nodes.step((can_id, data), now)
         else:
             self.host.arrived(can_id, data)
 

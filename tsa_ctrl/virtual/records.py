@@ -61,8 +61,6 @@ class Records:
                 raise OSError(0, health.trouble)
             move_into(self._beside, self.path)
         except OSError as error:
-            with contextlib.suppress(OSError):
-                self._beside.unlink(missing_ok=True)
             raise UsageError(f"{self.path}: cannot be written ({error.strerror}); choose another --out") from None
 
     @property
@@ -76,5 +74,9 @@ class Records:
         return {name: table[:, i].copy() for i, name in enumerate(FIELD_NAMES)}
 
     def close(self) -> None:
+        """Give the memory back, and leave no file behind that was not ended."""
+        if self.path is not None:
+            with contextlib.suppress(OSError):
+                self._beside.unlink(missing_ok=True)
         self._reader.close()
         self.ring.close()

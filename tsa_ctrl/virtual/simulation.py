@@ -18,13 +18,14 @@ from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
+from tsa_ctrl.outputs import keep, refuse_inputs
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
 from tsa_ctrl.virtual.lockstep import Wire
 from tsa_ctrl.virtual.records import EVERY, Records
 from tsa_ctrl.virtual.result import AxisResult, Simulation
-from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, put
+from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
 from tsa_ctrl.virtual.truth import Truth
 
 RIGHTS = "none needed"
@@ -41,16 +42,17 @@ def simulate_loop(
     out: str | Path | None = None,
     record: str | Path | None = None,
     seed: int | None = None,
-    faults: Sequence[Fault] = (),
-    changes: Sequence[Change] = (),
+    faults: Sequence[Fault | str] = (),
+    changes: Sequence[Change | str] = (),
     tick: Progress = lambda share: None,
 ) -> Simulation:
     """Run a controller file on a plant file for `seconds` of torque, without a bus and without waiting.
 
     `out`: folder for the daemon's own log; `record`: file for the plant's truth as CSV; `seed`: of all noise, instead
-    of the plant file's; `faults` and `changes`: what happens meanwhile; `tick` is told the share of the time that has
-    gone. The same arguments give the same result, to the last bit. Raises UsageError for what is wrong with the files
-    or the script, BusError when the nodes cannot be brought up.
+    of the plant file's; `faults` and `changes`: what happens meanwhile, as objects or as the verb's --fault and --set
+    take it ("torn_tendon@5", "compensation=0.5@3"); `tick` is told the share of the time that has gone. The same
+    arguments give the same result, to the last bit. Raises UsageError for what is wrong with the files or the script,
+    BusError when the nodes cannot be brought up.
     """
     if not 0.0 < seconds <= LONGEST:
         raise UsageError(f"seconds {seconds:g}: allowed is above 0 to {LONGEST:g}")
@@ -58,7 +60,21 @@ def simulate_loop(
     settings = plant if isinstance(plant, PlantSettings) else check(plant)
     if seed is not None:
         settings = msgspec.structs.replace(settings, physics=msgspec.structs.replace(settings.physics, seed=seed))
-    return _Run(configuration, settings, seconds, out, record).play(faults, changes, tick)
+    inputs = [configuration.path, *(configuration.folder / axis.model for axis in configuration.file.axes)]
+    inputs += [Path(axis.actuator) for axis in settings.axis] + (
+        [] if isinstance(plant, PlantSettings) else [Path(plant)]
+    )
+    if record is not None:
+        refuse_inputs(Path(record), inputs, "--record")
+    run = _Run(configuration, settings, seconds, out, record)
+    try:
+        return run.play(
+            [parse_fault_option(each) if isinstance(each, str) else each for each in faults],
+            [parse_set_option(each) if isinstance(each, str) else each for each in changes],
+            tick,
+        )
+    finally:
+        run.close()
 
 
 @contextlib.contextmanager
@@ -90,7 +106,7 @@ class _Run:
         self._seconds = seconds
         self._record = None if record is None else Path(record)
         self._wire = Wire(file.bus.bitrate)
-        self._machine = Machine(plant, self._wire.plant, self._wire.plant.clock)
+        self._machine = Machine(plant, self._wire.plant, self._wire.plant.clock, self._wire.switch)
         self._wire.attach(self._machine)
         self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
         self._machine.recorder = self._truth
@@ -114,26 +130,29 @@ class _Run:
         )
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
-        names = [axis.name for axis in self._axes]
         script = beginnings(self._machine, faults)
-        settings = commands(names, self._tuners, changes)
+        settings = commands([axis.name for axis in self._axes], self._tuners, changes)
         operation = Operation(self._configuration, self._rig, self._axes, self._loop)
-        try:
-            self._machine.start()
-            self._every(EVERY, self._records.drain)
-            self._every(EVERY, lambda now: tick(min(1.0, now / (self._seconds + 1.0))))
-            with _garbage_left():
-                operation.run(self._seconds, ready=lambda: self._schedule(script, settings))
-        finally:
-            self._truth.close()
+        self._machine.start()
+        self._every(EVERY, self._records.drain)
+        self._every(EVERY, lambda now: tick(min(1.0, now / (self._seconds + 1.0))))
+        with _garbage_left():
+            operation.run(self._seconds, ready=lambda: self._schedule(script, settings))
+        self._truth.finish()
         self._records.end(self._wire.now)
-        log = None if self._records.path is None else str(self._records.path.resolve())
-        summary = operation.summary(self._mailbox, RIGHTS, log, self._records.written)
+        log = self._records.path
+        summary = operation.summary(
+            self._mailbox, RIGHTS, None if log is None else str(log.resolve()), self._records.written
+        )
+        if log is not None:
+            keep(log.with_suffix(".json"))
         summary.save()
-        result = Simulation(self._seconds, self._results(), summary, self._record, self._notes())
-        self._mailbox.close()
+        return Simulation(self._seconds, self._results(), summary, self._record, self._notes())
+
+    def close(self) -> None:
+        self._truth.close()
         self._records.close()
-        return result
+        self._mailbox.close()
 
     def _nanoseconds(self) -> int:
         return round(self._wire.now * 1e9)
@@ -166,13 +185,13 @@ class _Run:
         return lambda now: put(self._mailbox, command)
 
     def _results(self) -> tuple[AxisResult, ...]:
-        places = {axis.drive.node_id: place for place, axis in enumerate(self._plant.axis)}
+        places = {(axis.drive.node_id, axis.drive.slot): place for place, axis in enumerate(self._plant.axis)}
         events = self._loop.events.faults
         return tuple(
             AxisResult(
                 name=settings.name,
                 log=self._records.columns(index),
-                truth=self._truth.columns(places[settings.drive.node_id]),
+                truth=self._truth.columns(places[settings.drive.node_id, settings.drive.slot]),
                 start=self._loop.start,
                 fade_in=settings.law.fade_in,
                 until=self._loop.stop_began,
