@@ -7,7 +7,7 @@ sigma in [-1, 1] the direction or the friction state. Source: (3.37)-(3.55) and 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from tsa_ctrl.model import curvature, transmission
@@ -190,6 +190,9 @@ class Elongating:
     profile: Profile
     series: float = 0.0  # EA/(k_s l_us), 1; 0 without a series element
     at_joint: bool = False  # where that stands: there it carries T2 and T4
+    _last: list[tuple[float, float, transmission.FullModel[float]]] = field(
+        default_factory=list, compare=False, repr=False
+    )
 
     def line(self, functions: Functions[F], x: F, pretension: F) -> transmission.FullModel[F]:
         """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
@@ -200,6 +203,13 @@ class Elongating:
             alpha, beta = alpha + self.series, beta + self.series
         return transmission.full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
 
+    def _now(self, x: float, pretension: float) -> transmission.FullModel[float]:
+        """`line` for floats; the last one is kept, since the inverse asks for it three times a cycle."""
+        last = self._last
+        if not last or last[0][0] != x or last[0][1] != pretension:
+            last[:] = [(x, pretension, self.line(SCALARS, x, pretension))]
+        return last[0][2]
+
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
         """B, N*m."""
         line = self.line(functions, sigma * x, pretension)
@@ -207,18 +217,18 @@ class Elongating:
 
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
         """tau_M, N*m, for which `torque` gives B."""
-        line = self.line(SCALARS, sigma * x, pretension)
+        line = self._now(sigma * x, pretension)
         return (torque + line.loss) / line.gain
 
     def limits(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
         """Domain of tau_M, N*m, in which both tendons pull at the pretension of (3.54)."""
-        line = self.line(SCALARS, sigma * x, pretension)
+        line = self._now(sigma * x, pretension)
         level, coupling = 2.0 * self.radii[0] * line.level, 2.0 * self.radii[0] * line.coupling
         return -level / (1.0 + coupling), level / (1.0 - coupling)
 
     def tangent(self, sigma: float, x: float, pretension: float) -> tuple[float, float]:
         """(slope, loss) of B = slope tau_M - loss, for `tsa_ctrl.model.sliding`; exact."""
-        line = self.line(SCALARS, sigma * x, pretension)
+        line = self._now(sigma * x, pretension)
         return line.gain, line.loss
 
 
