@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.drills.samples import Sample, timing
+from tsa_ctrl.drills.samples import Said, Sample, timing, watchdog
 
 ZERO = 0.02
 
@@ -51,3 +51,35 @@ def test_zero_after_is_late_enough(torques: list[float], stopped: float) -> None
     found = timing(samples, 1, stopped, ZERO)
     if found.zero_after is not None:
         assert all(abs(s.torque) <= ZERO for s in samples if s.clock - stopped >= found.zero_after)
+
+
+RPDO, HEARTBEAT = 0x8250, 0x8130
+
+
+@pytest.mark.parametrize(
+    ("said", "armed", "dead", "acted", "warned"),
+    [
+        ([(0.021, RPDO)], {"rpdo": 20, "heartbeat": 100}, True, "rpdo", False),
+        ([(0.021, RPDO), (0.101, HEARTBEAT)], {"rpdo": 20, "heartbeat": 100}, True, "rpdo", False),
+        ([(0.505, HEARTBEAT)], {"rpdo": 300, "heartbeat": 500}, True, "heartbeat", True),
+        ([(0.102, HEARTBEAT)], {"rpdo": 90, "heartbeat": 100}, True, "heartbeat", False),  # who was first is chance
+        ([(0.505, HEARTBEAT)], {"rpdo": 100, "heartbeat": 500}, False, "heartbeat", False),  # the loop commands on
+        ([(0.505, HEARTBEAT)], {"heartbeat": 500}, True, "heartbeat", False),
+        ([(0.505, HEARTBEAT)], {"guarding": 500}, True, "heartbeat", False),
+        ([(0.505, 0x3220)], {"rpdo": 100}, True, None, False),
+        ([], {"rpdo": 100}, True, None, False),
+    ],
+)
+def test_which_watchdog_acted_and_which_did_not(
+    said: list[tuple[float, int]], armed: dict[str, int], dead: bool, acted: str | None, warned: bool
+) -> None:
+    found = watchdog([Said(10.0 + after, 1, code) for after, code in said], 1, 10.0, armed, dead)
+    assert (found.acted, bool(found.warning)) == (acted, warned)
+
+
+def test_the_warning_names_the_watchdog_that_did_not_act() -> None:
+    found = watchdog([Said(10.505, 1, HEARTBEAT)], 1, 10.0, {"rpdo": 20, "heartbeat": 500}, True)
+    assert found.warning == (
+        "the RPDO event timer (0x1400:5) is armed with 20 ms and did not act: the heartbeat consumer (0x1016) did, "
+        "after 505 ms; the torque lasts that long when this computer dies"
+    )

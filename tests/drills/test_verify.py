@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import select
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
+from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.drills import trials
 from tsa_ctrl.drills.loop import under_trial
-from tsa_ctrl.drills.verify import trial_torque
+from tsa_ctrl.drills.verify import trial_torque, verify
 from tsa_ctrl.errors import BusError, UsageError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -196,3 +200,68 @@ def test_a_drive_whose_watchdogs_do_nothing_is_found_and_switched_off(
     assert killed["safe"] is False
     assert killed["zero_after"] is None
     assert found["safe"] is False
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_a_watchdog_that_is_armed_and_does_not_act_is_told(folder: Path, vcan: str, plants: list[Rig]) -> None:
+    """An RPDO timer that is looked at only on SYNC: in time by the heartbeat alone, and that is said."""
+    edit(folder, "plant.toml", ("# rpdo_timer_on_sync = false ", "rpdo_timer_on_sync = true "))
+    plants.append(Rig(folder, vcan))
+    found, code, error = plants[0].verify()
+    assert code == 0, error
+    by_trial = {trial["trial"]: trial for trial in found["trials"]}
+    assert {trial["watchdog"] for trial in by_trial.values()} == {"heartbeat"}
+    assert by_trial["withheld"]["warning"] is None
+    for name in ("hang", "kill"):
+        assert "0x1400:5) is armed with 150 ms and did not act" in by_trial[name]["warning"]
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_beside_a_running_daemon_nothing_is_tried_and_the_daemon_goes_on(
+    folder: Path, vcan: str, plants: list[Rig]
+) -> None:
+    plants.append(Rig(folder, vcan))
+    daemon = subprocess.Popen(
+        ["tsa", "run", "controller.toml", "--seconds", "8", "--json"], cwd=folder, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        _wait_for_torque(vcan)
+        found, code, error = plants[0].verify()
+        assert (found, code) == ({}, 1)
+        assert "another master is active" in error
+        assert "nothing was sent" in error
+        output = daemon.communicate(timeout=60)[0]
+    finally:
+        daemon.kill()
+    assert json.loads(output)["cause"] == "8 s are over"
+
+
+def _wait_for_torque(vcan: str) -> None:
+    with contextlib.closing(SocketCan(vcan)) as bus:
+        end = time.monotonic() + 60.0
+        while time.monotonic() < end:
+            frame = bus.recv(0.1)
+            if frame is not None and frame[0] == 0x201 and frame[1][2:] != b"\0\0":
+                return
+    raise AssertionError("no torque")
+
+
+def test_a_bus_that_somebody_leads_is_left_alone(folder: Path) -> None:
+    edit(folder, "controller.toml", ('interface = "socketcan"', 'interface = "virtual"'), ('"vcan0"', '"led"'))
+    with can.Bus(interface="virtual", channel="led") as other:
+        heard: list[can.Message] = []
+        task = other.send_periodic(can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False), 0.01)
+        try:
+            with pytest.raises(
+                BusError, match=r"another master is active \(heard its frames 0x77F\); nothing was sent"
+            ):
+                verify(load_configuration(folder / "controller.toml"), 0.1, lambda line: None)
+            while (message := other.recv(0.0)) is not None:
+                heard.append(message)
+        finally:
+            task.stop()
+    assert heard == []

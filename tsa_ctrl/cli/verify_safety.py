@@ -13,6 +13,7 @@ from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
+    from tsa_ctrl.drills.trials import Outcome
     from tsa_ctrl.drills.verify import Verification
 
 
@@ -65,7 +66,7 @@ def _show(found: Verification) -> None:
     from tsa_ctrl.drills.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
-    table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "")
+    table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "by", "")
     for outcome in found.outcomes:
         timing = outcome.timing
         before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"
@@ -73,5 +74,17 @@ def _show(found: Verification) -> None:
         verdict = "[green]in time[/green]" if outcome.safe else "[bold red]NOT SAFE[/bold red]"
         allowed = f"{1e3 * outcome.limit:.0f} ms"
         seen = (timing.source or "-").upper()
-        table.add_row(words[outcome.trial], outcome.axis, before, zero, allowed, seen, verdict)
+        table.add_row(words[outcome.trial], outcome.axis, before, zero, allowed, seen, _acted(outcome), verdict)
     Console().print(table)
+    for outcome in found.outcomes:
+        if outcome.watchdog.warning:
+            click.echo(f"warning: {words[outcome.trial]}, axis '{outcome.axis}': {outcome.watchdog.warning}")
+
+
+def _acted(outcome: Outcome) -> str:
+    """The watchdog that took the torque."""
+    found = outcome.watchdog
+    if found.acted is None or found.after is None:
+        return "not told"
+    name = {"rpdo": "RPDO timer", "heartbeat": "heartbeat"}[found.acted]
+    return f"{name}, {1e3 * found.after:.0f} ms"

@@ -1,9 +1,10 @@
 """A process of its own that watches the drives: `python -m tsa_ctrl.drills.listener CONTROLLER.toml`.
 
 It is told one word per line on stdin and answers each with one line of JSON: `torque` (the last of each node), `guard`
-(begin to keep samples), `quiet` (the samples; no longer on guard), `end`. Drives report on SYNC, which ends with the
-loop: on guard it sends the SYNC when the loop does not. A drive that has left the operational state sends no TPDOs:
-then it is asked by SDO. A drive that still has torque when the guard ends is switched off.
+(begin to keep what is seen), `quiet` (what was seen; no longer on guard), `armed` (the time-outs that the drives hold),
+`end`. Drives report on SYNC, which ends with the loop, and it must not be replaced: there are drives whose RPDO timer
+acts on SYNC alone. So a drive that sends no TPDOs is asked by SDO, which changes nothing there. A drive that still has
+torque when the guard ends is switched off.
 """
 
 from __future__ import annotations
@@ -19,38 +20,48 @@ from collections.abc import Callable
 
 import msgspec
 
-from tsa_ctrl.bus.canopen import cia301, objects, pdo
+from tsa_ctrl.bus.canopen import cia301, emcy, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword
+from tsa_ctrl.bus.canopen.pdo import DriveLayout
+from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration, load_configuration
-from tsa_ctrl.drills.samples import Sample
+from tsa_ctrl.drills.samples import Said, Sample
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.system.signals import ignore
 
 READY = b"ready\n"
-TAKE_OVER = 3  # periods without a SYNC after which the loop counts as gone
 SILENT = 0.01  # s without a TPDO after which a drive is asked by SDO
-ASK = 0.004  # s between two questions
+ASK = 0.002  # s between two questions, where the answer to the last has come
+UNANSWERED = 0.5  # s after which a question counts as lost
+PATIENCE = 1.0  # s for the time-outs to be told
 ZERO_SHARE = 0.02  # of rated torque, up to which torque counts as none
 _UPLOAD = struct.Struct("<BHB4x")
-_ANSWER = struct.Struct("<BHBh2x")
-_WORD = 0x4B  # answer to an expedited upload of two bytes
+_ANSWER = struct.Struct("<BHB4s")
+_EXPEDITED = 0x43  # answer to an upload, its size told; bits 2 and 3 are the bytes that are not used
+_CONSUMERS = 4  # entries of 0x1016 that are looked at
 _DOWNLOAD_WORD = struct.Struct("<BHBH2x")
 
 
 class Drive:
     """One drive as the listener knows it."""
 
-    def __init__(self, node: int, torque: float, rated: float) -> None:
+    def __init__(self, node: int, torque: float, rated: float, layout: DriveLayout, slot: int) -> None:
         self.node = node
+        self.layout = layout
+        self.torque_actual = objects.TORQUE_ACTUAL.of(slot)
+        self.controlword = objects.CONTROLWORD.of(slot)
         self.torque_per_digit = torque
         self.zero = ZERO_SHARE * rated
         self.last: float | None = None  # N*m
         self.heard = 0.0
         self.asked = 0.0
+        self.waits = False  # for an answer
+        self.guard_time = 0  # ms
+        self.armed: dict[str, int] = {}  # ms of its watchdogs
 
 
 class Listener:
@@ -59,87 +70,111 @@ class Listener:
     def __init__(self, configuration: Configuration, bus: Bus, clock: Callable[[], float] = time.monotonic) -> None:
         self._bus = bus
         self._clock = clock
-        self._period = configuration.period
-        self._drives: dict[int, Drive] = {}
+        self._drives: dict[str, Drive] = {}  # by axis
         self._tpdo: dict[int, Drive] = {}
-        self._sdo: dict[int, Drive] = {}
+        self._sdo: dict[int, list[Drive]] = {}
+        self._emcy: dict[int, int] = {}
         for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
             settings = axis.drive
             scale = drive_scale(settings, profile, f"axis '{axis.name}'")
-            drive = Drive(settings.node_id, scale.torque, settings.rated_torque * settings.gear_ratio)
-            self._drives[drive.node] = drive
-            self._tpdo[pdo.MOTION.cob_id(drive.node)] = drive
-            self._sdo[cia301.SDO_ANSWER + drive.node] = drive
-        bus.accept([cia301.SYNC, *self._tpdo, *self._sdo])
-        self._synced = -1.0
-        self._own_sync = 0.0
+            rated = settings.rated_torque * settings.gear_ratio
+            drive = Drive(settings.node_id, scale.torque, rated, layout_of(settings), settings.slot)
+            self._drives[axis.name] = drive
+            self._tpdo[drive.layout.tpdo_ids[0]] = drive
+            self._sdo.setdefault(cia301.SDO_ANSWER + drive.node, []).append(drive)
+            self._emcy[cia301.EMCY + drive.node] = drive.node
+        bus.accept([*self._tpdo, *self._sdo, *self._emcy])
         self._guard = False
-        self.took_over = False
         self.samples: list[Sample] = []
+        self.said: list[Said] = []
 
-    def torques(self) -> dict[int, float | None]:
-        return {drive.node: drive.last for drive in self._drives.values()}
+    def torques(self) -> dict[str, float | None]:
+        return {axis: drive.last for axis, drive in self._drives.items()}
 
     def guard(self) -> None:
         self._guard = True
-        self.took_over = False
-        self.samples = []
-        self._synced = self._own_sync = self._clock()
+        self.samples, self.said = [], []
 
-    def quiet(self) -> list[Sample]:
+    def quiet(self) -> tuple[list[Sample], list[Said]]:
         """End the guard; a drive that still has torque is switched off by every means there is."""
         self._guard = False
         for drive in self._drives.values():
             if drive.last is not None and abs(drive.last) > drive.zero:
                 self.switch_off(drive)
-        return self.samples
+        return self.samples, self.said
 
     def switch_off(self, drive: Drive) -> None:
         off = int(Controlword.DISABLE_VOLTAGE)
-        key = objects.CONTROLWORD.key
-        self._bus.send(pdo.COMMAND.cob_id(drive.node), pdo.COMMAND.struct.pack(off, 0))
+        self._bus.send(drive.layout.rpdo_id, drive.layout.command.struct.pack(off, 0))
         self._bus.send(cia301.SYNC, b"")
-        self._bus.send(cia301.SDO_REQUEST + drive.node, _DOWNLOAD_WORD.pack(0x2B, *key, off))
+        self._bus.send(cia301.SDO_REQUEST + drive.node, _DOWNLOAD_WORD.pack(0x2B, *drive.controlword.key, off))
         self._bus.send(cia301.NMT, cia301.nmt(NmtCommand.STOP, drive.node))
 
+    def armed(self) -> dict[str, dict[str, int]]:
+        """Time-outs that the drives hold, ms: `rpdo`, `heartbeat`, `guarding`; what is 0 or not there is not."""
+        for drive in self._drives.values():
+            drive.armed = {}
+            timer = drive.layout.command.communication(5, objects.Type.U16, "")
+            consumers = [(objects.HEARTBEAT_CONSUMER.index, number) for number in range(1, _CONSUMERS + 1)]
+            for key in (timer.key, objects.GUARD_TIME.key, objects.LIFE_TIME_FACTOR.key, *consumers):
+                self._ask(drive, key)
+                end = self._clock() + PATIENCE
+                while drive.waits and self._clock() < end:
+                    self.step(0.01)
+        return {axis: drive.armed for axis, drive in self._drives.items()}
+
     def step(self, timeout: float) -> None:
-        """Take one frame, or wait for it; on guard, do what the loop no longer does."""
+        """Take one frame, or wait for it; on guard, ask the drives that no longer report by themselves."""
         frame = self._bus.recv(timeout)
         now = self._clock()
         if frame is not None:
             self._take(*frame, now)
         if self._guard:
-            self._stand_in(now)
+            for drive in self._drives.values():
+                patience = UNANSWERED if drive.waits else ASK
+                if now - drive.heard > SILENT and now >= drive.asked + patience:
+                    self._ask(drive, drive.torque_actual.key)
+
+    def _ask(self, drive: Drive, key: tuple[int, int]) -> None:
+        drive.asked, drive.waits = self._clock(), True
+        self._bus.send(cia301.SDO_REQUEST + drive.node, _UPLOAD.pack(0x40, *key))
 
     def _take(self, can_id: int, data: bytes, now: float) -> None:
-        if can_id == cia301.SYNC:
-            self._synced = now
-            return
         drive = self._tpdo.get(can_id)
-        if drive is not None and len(data) == pdo.MOTION.length:
-            drive.heard = now
-            self._keep(drive, pdo.MOTION.struct.unpack(data)[1], now, "tpdo")
+        if drive is not None:
+            if len(data) == drive.layout.motion.length:
+                drive.heard = now
+                self._keep(drive, drive.layout.motion.struct.unpack(data)[1], now, "tpdo")
+        elif can_id in self._emcy:
+            found = emcy.decode(data)
+            if self._guard and found is not None and not found.is_reset:
+                self.said.append(Said(now, self._emcy[can_id], found.code))
+        elif can_id in self._sdo and len(data) == _ANSWER.size:
+            for drive in self._sdo[can_id]:
+                self._answer(drive, data, now)
+
+    def _answer(self, drive: Drive, data: bytes, now: float) -> None:
+        drive.waits = False
+        command, index, sub, value = _ANSWER.unpack(data)
+        if command & 0xE3 != _EXPEDITED:
             return
-        drive = self._sdo.get(can_id)
-        if drive is not None and len(data) == _ANSWER.size:
-            command, index, sub, value = _ANSWER.unpack(data)
-            if command == _WORD and (index, sub) == objects.TORQUE_ACTUAL.key:
-                self._keep(drive, value, now, "sdo")
+        size = 4 - (command >> 2 & 0x03)
+        number = int.from_bytes(value[:size], "little")
+        if (index, sub) == drive.torque_actual.key and size == objects.TORQUE_ACTUAL.type.size:
+            self._keep(drive, objects.TORQUE_ACTUAL.decode(value), now, "sdo")
+        elif index == objects.HEARTBEAT_CONSUMER.index and number & 0xFFFF and number >> 16 & 0x7F:
+            drive.armed["heartbeat"] = number & 0xFFFF
+        elif index == drive.layout.command.communication(5, objects.Type.U16, "").index and number:
+            drive.armed["rpdo"] = number
+        elif index == objects.GUARD_TIME.index:
+            drive.guard_time = number
+        elif index == objects.LIFE_TIME_FACTOR.index and number * drive.guard_time:
+            drive.armed["guarding"] = number * drive.guard_time
 
     def _keep(self, drive: Drive, digits: int, now: float, source: str) -> None:
         drive.last = digits * drive.torque_per_digit
         if self._guard:
             self.samples.append(Sample(now, drive.node, drive.last, "tpdo" if source == "tpdo" else "sdo"))
-
-    def _stand_in(self, now: float) -> None:
-        if now - self._synced > TAKE_OVER * self._period and now >= self._own_sync:
-            self.took_over = True
-            self._own_sync = now + self._period
-            self._bus.send(cia301.SYNC, b"")
-        for drive in self._drives.values():
-            if now - drive.heard > SILENT and now >= drive.asked:
-                drive.asked = now + ASK
-                self._bus.send(cia301.SDO_REQUEST + drive.node, _UPLOAD.pack(0x40, *objects.TORQUE_ACTUAL.key))
 
 
 def main(argv: list[str]) -> int:
@@ -182,8 +217,11 @@ def _answer(listener: Listener, word: str) -> object:
         listener.guard()
         return True
     if word == "quiet":
-        return {"took_over": listener.took_over, "samples": listener.quiet()}
-    return {str(node): torque for node, torque in listener.torques().items()}
+        samples, said = listener.quiet()
+        return {"samples": samples, "said": said}
+    if word == "armed":
+        return listener.armed()
+    return listener.torques()
 
 
 if __name__ == "__main__":

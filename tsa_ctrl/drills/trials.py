@@ -14,11 +14,13 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.layout import layout_of
+from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.drills.listener import READY, ZERO_SHARE
-from tsa_ctrl.drills.samples import Sample, Timing, timing
+from tsa_ctrl.drills.samples import Said, Sample, Timing, Watchdog, timing, watchdog
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system.parent import child, environment, terminal_blocked
@@ -58,6 +60,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     limit: float  # s
     safe: bool
     timing: Timing
+    watchdog: Watchdog
     samples: list[Sample]
 
 
@@ -127,7 +130,9 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
         stopped = time.monotonic()
         loop.send_signal(_SIGNALS[trial])
         time.sleep(limit + BEYOND)
-        seen = msgspec.convert(listener.ask("quiet")["samples"], list[Sample])
+        quiet = listener.ask("quiet")
+        seen, said = msgspec.convert(quiet["samples"], list[Sample]), msgspec.convert(quiet["said"], list[Said])
+        armed = msgspec.convert(listener.ask("armed"), dict[str, dict[str, int]])
     finally:
         if loop is not None:
             _end(loop)
@@ -147,6 +152,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
                 limit=limit,
                 safe=safe,
                 timing=found,
+                watchdog=watchdog(said, drive.node_id, stopped, armed[axis.name], trial is not Trial.WITHHOLD),
                 samples=[msgspec.structs.replace(sample, clock=sample.clock - stopped) for sample in mine],
             )
         )
@@ -186,6 +192,17 @@ def _end(loop: subprocess.Popen[bytes]) -> bytes:
     except subprocess.TimeoutExpired:
         loop.kill()
         return loop.communicate()[1]
+
+
+def check_alone(configuration: Configuration) -> None:
+    """Nobody else leads the bus, or its drives would be tried in his place; nothing is sent. Raises BusError."""
+    file = configuration.file
+    bus = open_bus(file.bus)
+    try:
+        with Session(bus, file.bus) as session:
+            session.alone([layout_of(axis.drive).rpdo_id for axis in file.axes])
+    finally:
+        bus.close()
 
 
 def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> None:

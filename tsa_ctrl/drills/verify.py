@@ -14,7 +14,7 @@ import msgspec
 
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.drills.listener import ZERO_SHARE
-from tsa_ctrl.drills.trials import Outcome, Trial, leave_in_order, listening, run_trial
+from tsa_ctrl.drills.trials import Outcome, Trial, check_alone, leave_in_order, listening, run_trial
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.settings import write_text
@@ -48,6 +48,8 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
         for outcome in self.outcomes:
             data = msgspec.to_builtins(outcome)
             data |= data.pop("timing")
+            found = data.pop("watchdog")
+            data |= {"watchdog": found["acted"], "watchdog_after": found["after"], "warning": found["warning"] or None}
             kept = data.pop("samples")
             trials.append({**data, "samples": kept} if samples else data)
         head = {name: getattr(self, name) for name in ("date", "version", "configuration", "sha256", "bus", "rate")}
@@ -80,6 +82,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
     """Do all trials; `say` gets a line for each. Raises BusError when the rig does not come up or gives no torque."""
     outcomes: list[Outcome] = []
     wrong = ""
+    check_alone(configuration)
     with listening(configuration) as listener:
         try:
             for trial in Trial:
