@@ -125,11 +125,9 @@ def main() -> int:
         f"{arguments.runs} runs, seed {arguments.seed}, {arguments.rate:g} Hz; "
         "truth as a factor on nominal, J_M in 1e-4 kg*m^2, EA in kN, delay in periods; RMS joint torque error in mN*m"
     )
-    rig_columns = f"{'':3s}  {'mu':4s}  {'T_p':4s}  {'EA':4s}  {'J_M':4s}  {'kN':>4s}  d  {'curvature':10s}"
-    print(
-        f"{rig_columns}  {'without':>7s}  {'given':>6s}  {'new':>6s}  {'given%':>6s}  {'new%':>6s}  {'true%':>6s}  new  form",
-        flush=True,
-    )
+    columns = [f"{'':3s}", f"{'mu':4s}", f"{'T_p':4s}", f"{'EA':4s}", f"{'J_M':4s}", f"{'kN':>4s}", "d"]
+    columns += [f"{'curvature':10s}", f"{'without':>7s}", f"{'given':>6s}", f"{'new':>6s}"]
+    print("  ".join([*columns, "given%", f"{'new%':>6s}", f"{'true%':>6s}", "new", "form"]), flush=True)
     results, made = [], 0
     known = Results(arguments.results, lambda row: row["number"], lambda row: "error" not in row)
     for number in range(1, arguments.runs + 1):
