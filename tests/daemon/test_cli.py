@@ -56,7 +56,7 @@ def test_set_says_from_where_to_where(serving: Serving) -> None:
     """The command prints old and new value with the unit."""
     with loop_taking(serving) as taken:
         result = call(serving, "set", "compensation", "0.5")
-    assert result.output == "knee.compensation: 0.95 -> 0.5 1\n"
+    assert result.output == "knee.compensation: 0.95 -> 0.5\n"
     assert taken == [Command(0, 0, 0.5)]
 
 

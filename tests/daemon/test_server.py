@@ -16,13 +16,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
-from tests.daemon.serving import Serving, until
+from tests.daemon.serving import PATIENCE, Serving, until
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, SLOTS, Command
+from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop
+from tsa_ctrl.ipc.report import EventPrinter
 from tsa_ctrl.ipc.server import CLIENTS, listen
 
 
@@ -100,7 +102,8 @@ def test_set_reaches_the_loop(serving: Serving) -> None:
         (Set("compensation", 0.5), "say of which axis: knee.compensation, hip.compensation"),
         (Set("toe.compensation", 0.5), "no axis 'toe'; known are knee, hip"),
         (Set("knee.gain", 0.5), "no parameter 'gain'; known are compensation, pretension"),
-        (Set("knee.compensation", 1.3), "compensation 1.3 1 is out of bounds; allowed is 0 to 1.2"),
+        (Set("knee.compensatoin", 0.5), "did you mean 'compensation'"),
+        (Set("knee.compensation", 1.3), "compensation 1.3 is out of bounds; allowed is 0 to 1.2$"),
         (Set("knee.compensation", -0.1), "out of bounds"),
         (Set("knee.pretension", 40.0), "cannot be set"),
         (SetPointValue("knee", 2.1), "set-point 2.1 N.m is out of bounds; allowed is -2 to 2"),
@@ -286,3 +289,28 @@ def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="no such group"):
         listen(str(path), "no-such-group-here")
     assert not path.exists()
+
+
+@pytest.mark.parametrize("line", [b"[" * 2000, b'{"verb":' * 500, b"[" * 2000 + b"]" * 2000])
+def test_nesting_of_any_depth_is_refused_and_the_server_goes_on(serving: Serving, line: bytes) -> None:
+    """The decoder's recursion ends in an answer, not in the process that `tsa stop` needs."""
+    with socket.socket(socket.AF_UNIX) as raw:
+        raw.settimeout(PATIENCE)
+        raw.connect(serving.path)
+        raw.sendall(line + b"\n")
+        assert b"not a request" in raw.recv(4096)
+    with Client(serving.path) as client:
+        assert client.ask(Status())["schema"] == 1
+
+
+def test_a_terminal_that_is_stopped_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-S: what is written hangs, what is served goes on."""
+    resumed = threading.Event()
+    monkeypatch.setattr("tsa_ctrl.ipc.report.os.write", lambda descriptor, data: resumed.wait() and len(data))
+    mailbox = Mailbox(1, 1)
+    printer = EventPrinter(mailbox)
+    for number in range(1000):
+        mailbox.publish_text(msgspec.json.encode([{"number": number, "axis": "", "t": 0.0, "text": "x"}]))
+        printer.update()
+    resumed.set()
+    mailbox.close()

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import time
 
 import click
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
+
+RECOVERY = 15.0  # s: a bring-up of a slow drive, and the cycles that settle
 
 
 @click.command(
@@ -61,10 +64,24 @@ def command(
             if value != 1.0:
                 raise UsageError(f"recover {value:g}: only 1 is possible, it asks for a new start after a fault")
             client.ask(protocol.Recover())
-            click.echo("recovery asked for")
+            click.echo(_recovered(client))
             return
         answer = client.ask(protocol.Set(name, value))
-    click.echo(f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g} {answer['unit']}")
+    unit = "" if answer["unit"] == "1" else f" {answer['unit']}"
+    click.echo(f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g}{unit}")
+
+
+def _recovered(client: Client) -> str:
+    """Wait for what comes of a recovery; raises BusError when the rig is not running after RECOVERY seconds."""
+    end = time.monotonic() + RECOVERY
+    status = client.ask(protocol.Status())
+    while time.monotonic() < end:
+        if status["phase"] == "running":
+            return "recovered: running"
+        time.sleep(0.1)
+        status = client.ask(protocol.Status())
+    causes = "; ".join(str(fault["text"]) for fault in status["faults"][-2:]) or "no fault is told"
+    raise BusError(f"not recovered after {RECOVERY:g} s, phase {status['phase']}: {causes}; mend that, then ask again")
 
 
 def _pair(text: str) -> tuple[str, float, float]:

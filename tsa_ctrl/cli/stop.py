@@ -31,3 +31,4 @@ def command(path: str, wait: float) -> None:
                 f"{path}: the daemon was told to stop and is still there after {wait:g} s; look at what it printed"
             )
         time.sleep(POLL)
+    click.echo("stop asked for" if wait == 0.0 else "stopped: the daemon has ended")

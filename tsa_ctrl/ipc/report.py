@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import queue
 import sys
+import threading
+import time
 from typing import Any
 
 import msgspec
@@ -76,11 +81,19 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
+WAITING = 256  # lines that wait for a terminal that is stopped; further ones are lost, the log has them
+
+
 class EventPrinter:
-    """Tells events on stderr as they come: the loop itself must not wait for a terminal."""
+    """Tells events on stderr as they come: neither loop nor socket server waits for a terminal (Ctrl-S, a pager).
+
+    A thread writes; it ends with the process, in whatever write it hangs.
+    """
 
     def __init__(self, mailbox: Mailbox) -> None:
         self._mailbox = mailbox
+        self._lines: queue.Queue[str] = queue.Queue(WAITING)
+        threading.Thread(target=self._write, daemon=True).start()
         self._sequence = 0
         self._last = -1
 
@@ -94,4 +107,19 @@ class EventPrinter:
             if event["number"] > self._last:
                 self._last = event["number"]
                 where = f"{event['axis']}: " if event["axis"] else ""
-                print(f"{event['t']:.3f} s: {where}{event['text']}", file=sys.stderr, flush=True)
+                with contextlib.suppress(queue.Full):
+                    self._lines.put_nowait(f"{event['t']:.3f} s: {where}{event['text']}\n")
+
+    def finish(self, seconds: float) -> None:
+        """Give what was told last `seconds` to be written."""
+        end = time.monotonic() + seconds
+        while self._lines.unfinished_tasks and time.monotonic() < end:
+            time.sleep(0.005)
+
+    def _write(self) -> None:
+        while True:
+            data = self._lines.get().encode(errors="replace")
+            with contextlib.suppress(OSError):  # by the descriptor: no buffer that the interpreter's end would wait for
+                while data:
+                    data = data[os.write(sys.stderr.fileno(), data) :]
+            self._lines.task_done()

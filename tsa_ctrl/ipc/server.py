@@ -8,6 +8,7 @@ closes however the daemon dies.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import grp
 import os
 import selectors
@@ -138,6 +139,8 @@ class Server:
             command, answer = self._handle(request)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             return _line(_error(f"not a request: {error}"))
+        except RecursionError:
+            return _line(_error("not a request: nested too deeply; one flat object per line"))
         except UsageError as error:
             return _line(_error(str(error)))
         if command is None:
@@ -183,7 +186,10 @@ class Server:
                 before = self._mailbox.status()[1][index][1][number]
                 answer = {"ok": True, "axis": description.axes[index], "name": parameter, "unit": known.unit}
                 return Command(index, number, value), {**answer, "before": before, "value": value}
-        raise UsageError(f"no parameter '{parameter}'; known are {', '.join(known.name for known in ranges)}")
+        names = [known.name for known in ranges]
+        near = difflib.get_close_matches(parameter, names, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
+        raise UsageError(f"no parameter '{parameter}'; {advice}")
 
     def _axis(self, name: str) -> int:
         try:
@@ -226,7 +232,8 @@ class Server:
 
 def _inside(name: str, value: float, low: float, high: float, unit: str) -> None:
     if not low <= value <= high:
-        raise UsageError(f"{name} {value:g} {unit} is out of bounds; allowed is {low:g} to {high:g} {unit}")
+        of = "" if unit == "1" else f" {unit}"
+        raise UsageError(f"{name} {value:g}{of} is out of bounds; allowed is {low:g} to {high:g}{of}")
 
 
 def _error(text: str) -> dict[str, Any]:
@@ -300,6 +307,7 @@ def main(argv: list[str]) -> int:
         while daemon not in server.step(0.2):
             watcher.update()
         watcher.update()
+        watcher.finish(0.5)
     finally:
         server.close()
         with contextlib.suppress(OSError):
