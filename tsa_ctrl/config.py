@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -22,6 +24,7 @@ from tsa_ctrl.control.bending import BendingSettings
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
+from tsa_ctrl.control.plan import Plan, plan_of
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
@@ -107,6 +110,14 @@ class Configuration:
     profiles: tuple[DriveProfile, ...]  # one per axis
     load: Load
 
+    @cached_property
+    def plans(self) -> tuple[Plan, ...]:
+        """What follows for each axis' law; raises UsageError for a damping without margin."""
+        return tuple(
+            _plan(f"{self.path}: axis '{axis.name}'", axis, model, self.file)
+            for axis, model in zip(self.file.axes, self.models, strict=True)
+        )
+
     @property
     def period(self) -> float:
         """s"""
@@ -145,7 +156,9 @@ def load_configuration(path: str | Path) -> Configuration:
         load = budget.check(file.bus, file.axes, file.controller.rate)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
-    return Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load)
+    configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load)
+    assert len(configuration.plans) == len(file.axes)  # or it has raised
+    return configuration
 
 
 def check_drives(configuration: Configuration) -> None:
@@ -240,6 +253,27 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     for name in bending.gains:
         if name not in names:
             raise UsageError(f"{where}: bending.gains names axis '{name}'; known are {', '.join(sorted(names))}")
+
+
+def _plan(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:
+    """Times and gains of an axis' law; raises UsageError for a damping without margin."""
+    law, drive, period = axis.law, axis.drive, 1.0 / file.controller.rate
+    return plan_of(
+        model,
+        period=period,
+        transport=period if file.bus.rpdo == "sync" else file.controller.collect * period,
+        late=1.0 / (2.0 * math.pi * drive.velocity_cutoff) if drive.velocity_source == "position" else 0.0,
+        has_encoder=axis.encoder is not None,
+        rate=axis.limits.rate,
+        torque=axis.limits.torque,
+        delay=law.delay,
+        turn=law.turn,
+        lead=law.lead,
+        inertia=law.motor_inertia,
+        ringing=law.ringing,
+        damping=law.damping,
+        where=where,
+    )
 
 
 def _check_serial(where: str, axis: AxisSettings) -> None:

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tests.control.laws import COUNT
+from tests.control.laws import law as make
 from tests.control.sliding import PERIOD, R_J, R_M, actuator
-from tsa_ctrl.control.direction import Direction, DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
-from tsa_ctrl.control.law import Law, LawSettings
 from tsa_ctrl.control.recursive import Recursive
-from tsa_ctrl.model.feedforward import Feedforward
 
 LEVER = 0.4e-3 + 0.3e-3  # m, p + d/2
 STIFFNESS = 6e3 / 1.2  # N/m
@@ -42,21 +41,22 @@ def run(change: Change, seconds: float, use: bool, seed: int = 4) -> tuple[np.nd
     model = actuator()
     settings = EstimatorSettings(kind="sensor", use=use)
     estimator = Recursive(model, settings, PERIOD)
-    direction = Direction(DirectionSettings(), PERIOD)
-    law = Law(Feedforward(model, PERIOD), R_M / R_J, LawSettings(), PERIOD)
+    law = make(model)
     random = np.random.default_rng(seed)
     rows = []
     tau_m = tau_j = 0.0
     for n in range(round(seconds / PERIOD)):
         t = n * PERIOD
         omega = 1.2 * math.sin(2.0 * math.pi * 0.6 * t)
+        angle = -2.0 * math.cos(2.0 * math.pi * 0.6 * t) / math.pi
         wanted = 0.5 * math.sin(2.0 * math.pi * 0.23 * t + 0.4)
-        sigma = direction.update(omega + random.normal(0.0, 0.002))
+        law.observe(angle + random.normal(0.0, COUNT), math.nan, True, wanted, 0.0)
+        sigma = law.sigma
         reported = round((tau_m + random.normal(0.0, 2e-3)) * 1e3) * 1e-3
         estimator.update(sigma, omega, math.nan, reported, tau_j + random.normal(0.0, 5e-3), True)
         if use:
             law.set_parameters(estimator.friction_angle, estimator.pretension)
-        tau_m = law.update(wanted, sigma, omega, math.nan, math.nan, t, 1.0)
+        tau_m = law.update(wanted, math.nan, math.nan, t, 1.0)
         tau_j = _delivered(tau_m, max(-1.0, min(1.0, omega / 0.02)), change.theta(t))
         rows.append((t, tau_j - wanted, estimator.friction_angle))
     t, error, angle = np.array(rows).T

@@ -1,19 +1,30 @@
-"""The feedforward law: ideal plus friction term, compensated, faded in, slew-limited."""
+"""The feedforward law: ideal plus friction term, compensated, faded in, turned as planned, cut where a tendon ends."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
-from tsa_ctrl.control.law import Law, LawSettings
+from tests.control.laws import PERIOD
+from tests.control.laws import law as make
+from tests.control.sliding import actuator
+from tsa_ctrl.control.law import Law
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.sliding import motor_stiffness, sliding
 
-PERIOD = 1e-3
 RATIO = 0.8
+UNIFORM = actuator().with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
 
 
 class Friction:
     """An inverse with constant friction of `size` N*m in the direction of sigma."""
+
+    friction_angle, pretension = 0.26, 45.0
+    notes: tuple[str, ...] = ()
 
     def __init__(self, size: float = 0.5) -> None:
         self.size = size
@@ -32,6 +43,9 @@ class Friction:
     ) -> float:
         return tau_j_des * RATIO + self.size * sigma
 
+    def half_loop(self) -> float:
+        return self.size
+
     def domain_limit(self) -> float:
         return 5.0
 
@@ -42,80 +56,233 @@ class Friction:
         self.size = (friction_angle or 0.0) * (pretension or 0.0)
 
 
-def step(law: Law, tau_j_des: float, sigma: float, back_off: float = 1.0) -> float:
-    return law.update(tau_j_des, sigma, 0.0, 0.0, 0.0, 0.0, back_off)
+def law_of(size: float = 0.5, **settings: Any) -> Law:
+    return make(actuator(), Friction(size), **{"fade_in": 0.0, "settle": 0.0, **settings})
+
+
+class Joint:
+    """Moves at a constant speed and asks the law once a period; the motor follows exactly, or stands."""
+
+    def __init__(self, law: Law, speed: float = 1.0) -> None:
+        self.law = law
+        self.speed = speed
+        self.angle = self.t = 0.0
+
+    def step(self, wanted: float = 0.0, back_off: float = 1.0) -> float:
+        self.t += PERIOD
+        self.angle += self.speed * PERIOD
+        self.law.observe(self.angle, math.nan, True, wanted, 0.0)
+        return self.law.update(wanted, math.nan, math.nan, self.t, back_off)
+
+    def settled(self, wanted: float = 0.0, back_off: float = 1.0) -> float:
+        for _ in range(200):
+            found = self.step(wanted, back_off)
+        return found
 
 
 def test_adds_the_compensated_share() -> None:
     """Settled: tau_J* r_M/r_J plus the factor times the friction term."""
-    law = Law(Friction(0.5), RATIO, LawSettings(compensation=0.9, fade_in=0.0, slew=1e4), PERIOD)
-    assert step(law, 1.0, 1.0) == pytest.approx(0.8 + 0.45)
-    assert (law.ideal, law.friction_term) == pytest.approx((0.8, 0.45))
+    joint = Joint(law_of(compensation=0.9))
+    assert joint.settled(1.0) == pytest.approx(0.8 + 0.45)
+    assert (joint.law.ideal, joint.law.friction_term) == pytest.approx((0.8, 0.45))
+    joint.speed = -1.0
+    assert joint.settled(1.0) == pytest.approx(0.8 - 0.45)
 
 
 def test_fades_in_after_the_enable() -> None:
     """The friction term grows linearly to its share within the fade-in, and starts anew after a reset."""
-    law = Law(Friction(0.5), RATIO, LawSettings(compensation=1.0, fade_in=0.1, slew=1e4), PERIOD)
-    terms = [step(law, 0.0, 1.0) for _ in range(100)]
+    law = law_of(compensation=1.0, fade_in=0.1)
+    joint = Joint(law)
+    for _ in range(100):  # the joint moves before there is torque
+        law.observe(joint.angle, math.nan, True, math.nan, 0.0)
+        joint.angle += PERIOD
+    terms = [joint.step() for _ in range(100)]
     assert terms[49] == pytest.approx(0.25)
-    assert terms[99] == step(law, 0.0, 1.0) == pytest.approx(0.5)
+    assert terms[99] == joint.step() == pytest.approx(0.5)
     law.reset()
-    assert step(law, 0.0, 1.0) == pytest.approx(0.005)
+    assert joint.step() == pytest.approx(0.005)
 
 
-def test_reversal_is_slew_limited() -> None:
-    """At a reversal the friction term moves by at most slew times period."""
-    law = Law(Friction(0.5), RATIO, LawSettings(compensation=1.0, fade_in=0.0, slew=50.0), PERIOD)
+def test_without_a_direction_there_is_no_friction_term() -> None:
+    """Nothing has moved, nothing was wanted to change."""
+    law = law_of()
     for _ in range(100):
-        step(law, 0.0, 1.0)
-    before = law.friction_term
-    for cycle in range(20):
-        step(law, 0.0, -1.0)
-        assert before - law.friction_term == pytest.approx(0.05)
-        before = law.friction_term
-        assert cycle < 20
-    assert law.friction_term == pytest.approx(-0.5)
+        law.observe(0.3, math.nan, True, 0.4, 0.0)
+        assert law.update(0.4, math.nan, math.nan, 1.0, 1.0) == pytest.approx(0.32)
+
+
+def test_a_reversal_turns_the_term_within_the_turn() -> None:
+    """It takes the time of a turn, a little more with what it takes to see it, and never goes back or beyond."""
+    law = law_of(compensation=1.0, turn=0.010)
+    joint = Joint(law)
+    joint.settled()
+    joint.speed = -1.0
+    terms = [joint.step() for _ in range(40)]
+    assert all(after <= before + 1e-12 for before, after in itertools.pairwise(terms))
+    turning = [term for term in terms if -0.499 < term < 0.499]
+    assert len(turning) in (9, 10, 11)
+    assert terms[-1] == pytest.approx(-0.5)
 
 
 def test_ideal_part_is_not_slewed() -> None:
     """The slew limit is for the friction term: a set-point passes at once."""
-    law = Law(Friction(0.0), RATIO, LawSettings(fade_in=0.0, slew=1.0), PERIOD)
-    assert step(law, 2.0, 0.0) == pytest.approx(1.6)
+    law = law_of(0.0, slew=1.0)
+    law.observe(0.0, math.nan, True, 2.0, 0.0)
+    assert law.update(2.0, math.nan, math.nan, 0.0, 1.0) == pytest.approx(1.6)
+
+
+def test_slew_bounds_the_friction_term() -> None:
+    joint = Joint(law_of(compensation=1.0, slew=20.0))
+    terms = [joint.step() for _ in range(60)]
+    assert np.max(np.abs(np.diff(terms))) == pytest.approx(0.02)
 
 
 def test_back_off_scales_the_term() -> None:
-    """The oscillation monitor's back-off multiplies the compensation factor."""
-    law = Law(Friction(0.5), RATIO, LawSettings(compensation=1.0, fade_in=0.0, slew=1e4), PERIOD)
-    assert step(law, 0.0, 1.0, back_off=0.5) == pytest.approx(0.25)
+    """What watches for too much compensation multiplies the compensation factor."""
+    assert Joint(law_of(compensation=1.0)).settled(back_off=0.5) == pytest.approx(0.25)
+
+
+def test_what_stands_is_settled_and_what_moves_is_not() -> None:
+    """The share `settle` is taken back at rest under a constant set-point alone."""
+    law = law_of(compensation=1.0, settle=0.1)
+    joint = Joint(law, 1.0)
+    for _ in range(3000):
+        joint.step(0.3)
+        law.follow(0.0)
+    assert law.friction_term == pytest.approx(0.5)
+    joint.speed = 0.2
+    for _ in range(3000):
+        joint.step(0.3)
+        law.follow(0.0)
+    assert law.friction_term == pytest.approx(0.45, abs=1e-3)
+    for _ in range(1000):
+        joint.step(0.3)
+        law.follow(0.1)
+    assert law.friction_term == pytest.approx(0.5, abs=1e-3)
 
 
 def test_continues_from_what_was_applied() -> None:
     """A term that the limiter cut slews on from what was left, without a jump when the limit goes."""
-    law = Law(Friction(0.5), RATIO, LawSettings(compensation=1.0, fade_in=0.0, slew=50.0), PERIOD)
-    for _ in range(20):
-        step(law, 0.0, 1.0)
-    law.applied(0.2)
-    assert step(law, 0.0, 1.0) == pytest.approx(0.25)
+    joint = Joint(law_of(compensation=1.0, slew=50.0))
+    joint.settled()
+    joint.law.applied(0.2)
+    assert joint.step() == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(("applied", "left"), [(0.5, 0.5), (0.7, 0.5), (-0.1, 0.0), (0.0, 0.0)])
 def test_applied_torque_only_shrinks_the_term(applied: float, left: float) -> None:
     """More than asked, or a torque of the other sign, never turns the term round or makes it larger."""
-    law = Law(Friction(0.5), RATIO, LawSettings(compensation=1.0, fade_in=0.0, slew=1e4), PERIOD)
-    step(law, 0.0, 1.0)
-    law.applied(applied)
-    assert law.friction_term == pytest.approx(left)
+    joint = Joint(law_of(compensation=1.0))
+    joint.settled()
+    joint.law.applied(applied)
+    assert joint.law.friction_term == pytest.approx(left)
 
 
 def test_reset_resets_the_inverse() -> None:
     """Disabled means reset, down to the model's memory."""
     friction = Friction()
-    Law(friction, RATIO, LawSettings(), PERIOD).reset()
-    assert friction.resets == 1
+    law = make(actuator(), friction)
+    before = friction.resets
+    law.reset()
+    assert friction.resets == before + 1
 
 
-def test_stays_where_both_tendons_pull() -> None:
-    """Whatever is asked, the output stays within the inverse's domain."""
-    law = Law(Friction(0.5), RATIO, LawSettings(fade_in=0.0, slew=1e4), PERIOD)
-    assert step(law, 100.0, 1.0) == 5.0
-    assert step(law, -100.0, 1.0) == -5.0
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_stays_where_both_tendons_pull_and_says_so(sign: float) -> None:
+    law = law_of()
+    law.observe(0.0, math.nan, True, math.nan, 0.0)
+    assert law.update(sign * 100.0, math.nan, math.nan, 0.0, 1.0) == sign * 5.0
+    assert (law.beyond, law.cut) == (True, 1)
+    assert law.update(sign * 1.0, math.nan, math.nan, 0.0, 1.0) == pytest.approx(sign * 0.8)
+    assert (law.beyond, law.cut) == (False, 1)
+
+
+def test_a_pretension_that_is_nearly_gone_is_told() -> None:
+    """With the next look at the half loop."""
+    law = make(UNIFORM, Feedforward(UNIFORM, PERIOD))
+    law.set_parameters(UNIFORM.friction_angle, 0.2 * UNIFORM.pretension)
+    law.observe(0.0, math.nan, True, 0.0, 0.0)
+    for n in range(100):
+        law.update(0.0, math.nan, math.nan, n * PERIOD, 1.0)
+        law.follow(0.0)
+    assert law.near_slack
+    assert law.domain == pytest.approx(2.0 * 0.2 * 45.0 * 0.020)
+
+
+def test_what_is_not_finite_reaches_the_limiter() -> None:
+    """The law hides nothing from the last station before the bus."""
+    law = law_of()
+    law.observe(0.0, math.nan, True, math.nan, 0.0)
+    assert math.isnan(law.update(math.nan, 0.0, 0.0, 0.0, 1.0))
+
+
+class TestTheMotorsOwnMotion:
+    """What the motor's inertia needs, where it is known."""
+
+    INERTIA = 1e-4
+
+    def turn(self, **settings: Any) -> tuple[np.ndarray, Law]:
+        """Torques of a turn of a joint that reverses at constant speed."""
+        law = make(UNIFORM, fade_in=0.0, settle=0.0, compensation=1.0, damping=0.0, **settings)
+        joint = Joint(law, 1.0)
+        joint.settled()
+        joint.speed = -1.0
+        planned = []
+        for _ in range(60):
+            joint.step()
+            planned.append(law.planned)
+        return np.array(planned), law
+
+    def test_without_an_inertia_nothing_is_planned(self) -> None:
+        planned, law = self.turn()
+        assert not planned.any()
+        assert any("motor_inertia" in note for note in law.notes)
+
+    def test_a_turn_moves_the_motor_by_its_stretch_and_leaves_it_at_rest(self) -> None:
+        """Of J theta'': the first integral over the turn is 0, the second s_c 2 h/K, evenly bent h/K.
+
+        But for the beginning of a turn that was a part of a period old when it began.
+        """
+        planned, _ = self.turn(motor_inertia=self.INERTIA)
+        carried = self.INERTIA / RATIO * np.array(self.accelerations())
+        speed = np.cumsum(planned - carried) / self.INERTIA * PERIOD
+        angle = np.cumsum(speed) * PERIOD
+        way = -sliding(UNIFORM).motor_half_loop / motor_stiffness(UNIFORM)
+        assert speed[-1] == pytest.approx(0.0, abs=0.05 * np.abs(speed).max())
+        assert angle[-1] == pytest.approx(way, rel=0.08)
+
+    def accelerations(self) -> list[float]:
+        """Of the joint as the law sees it: the same motion without a turn."""
+        law = make(UNIFORM, fade_in=0.0, settle=0.0, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)
+        joint = Joint(law, 1.0)
+        joint.settled()
+        joint.speed = -1.0
+        found = []
+        for _ in range(60):
+            joint.step()
+            found.append(law.planned / self.INERTIA * RATIO)
+        return found
+
+    def test_the_motor_is_carried_with_the_joint(self) -> None:
+        """J_M r_J/r_M alpha_J, also where nothing is compensated."""
+        law = make(UNIFORM, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)
+        for n in range(200):
+            law.observe(20.0 * (n * PERIOD) ** 2, math.nan, True, 0.0, 0.0)
+            torque = law.update(0.0, math.nan, math.nan, n * PERIOD, 1.0)
+        assert torque == pytest.approx(self.INERTIA * 40.0 / RATIO, rel=0.02)
+
+
+def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
+    """What it moves by the turn itself is no motion of the joint: one turn, and no way back."""
+    law = make(UNIFORM, encoder=False, fade_in=0.0, compensation=1.0)
+    stretch = sliding(UNIFORM).motor_half_loop / motor_stiffness(UNIFORM)
+    sigmas = []
+    for n in range(600):
+        joint = 0.3 - abs(0.3 - n * PERIOD)
+        angle = joint / RATIO + 0.5 * stretch * law.turn.stretch
+        law.observe(math.nan, angle, True, 0.0, 0.0)
+        law.update(0.0, angle, math.nan, n * PERIOD, 1.0)
+        sigmas.append(law.direction.sigma)
+    assert np.count_nonzero(np.diff(sigmas)) == 2
+    assert sigmas[250] == 1.0
+    assert sigmas[-1] == -1.0

@@ -53,6 +53,60 @@ def test_gain_scales_the_source() -> None:
     assert set_point.update(0.0) == 0.5
 
 
+class TestTheFuture:
+    """A source is a function of time: what is wanted later is known, and limited as it will be."""
+
+    SINE = SetPointSettings(kind="sine", amplitude=0.5, frequency=2.0, rate=1e4)
+
+    def test_acting_and_ahead_are_what_will_be_wanted(self) -> None:
+        set_point = SetPoint(self.SINE, PERIOD, delay=2.5e-3, lead=6e-3, horizon=10e-3)
+        source = waveform(self.SINE)
+        for n in range(300):
+            t = n * PERIOD
+            assert set_point.update(t) == pytest.approx(source(t), abs=1e-12)
+            assert set_point.acting == pytest.approx(source(t + 2.5e-3), abs=1e-4)
+            assert set_point.ahead == pytest.approx(source(t + 10e-3), abs=1e-9)
+            assert set_point.rate == pytest.approx(source(t + 6e-3) / PERIOD - source(t + 5e-3) / PERIOD, abs=0.2)
+
+    def test_a_step_is_ramped_when_it_comes_and_not_before(self) -> None:
+        step = SetPointSettings(kind="step", amplitude=1.0, at=0.1, rate=50.0)
+        set_point = SetPoint(step, PERIOD, delay=2e-3, lead=6e-3, horizon=10e-3)
+        values = [(set_point.update(n * PERIOD), set_point.acting) for n in range(200)]
+        assert values[99] == pytest.approx((0.0, 0.1))
+        assert values[101] == pytest.approx((0.1, 0.2))
+        assert values[-1] == (1.0, 1.0)
+
+    def test_lost_cycles_are_skipped(self) -> None:
+        """After a gap the set-point is that of the time, also after one longer than what is known."""
+        set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
+        source = waveform(self.SINE)
+        for t in (0.0, 0.001, 0.004, 0.0052, 0.006, 0.05, 0.051):
+            found = set_point.update(t)
+            assert found == pytest.approx(source(t), abs=5e-3)
+
+    def test_late_and_early_cycles_keep_the_pace(self) -> None:
+        """A tenth of a period of jitter neither repeats nor skips a value in the mean."""
+        set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
+        source = waveform(self.SINE)
+        for n in range(2000):
+            t = (n + 0.3 * math.sin(7.0 * n)) * PERIOD
+            assert set_point.update(t) == pytest.approx(source(n * PERIOD), abs=8e-3)
+
+    def test_the_socket_has_no_future(self) -> None:
+        """What came acts at once: known is now."""
+        set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD, delay=2e-3, lead=5e-3, horizon=10e-3)
+        set_point.receive(0.5, 0.0)
+        assert set_point.update(0.001) == 0.5
+        assert (set_point.acting, set_point.ahead) == (0.5, 0.5)
+
+    def test_a_reset_forgets_it(self) -> None:
+        set_point = SetPoint(self.SINE, PERIOD, delay=2e-3, horizon=10e-3)
+        set_point.update(0.2)
+        set_point.reset()
+        assert (set_point.acting, set_point.ahead, set_point.rate) == (0.0, 0.0, 0.0)
+        assert set_point.update(0.0) == 0.0
+
+
 def write(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path

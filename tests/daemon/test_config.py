@@ -63,7 +63,7 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         keep = default is None or re.match(
             r"# (cpu|options|group|eds|vendor_id|product_code|serial_number|pdo_node_id|boot_timeout"
             r"|answer_timeout|distance|travel|offset = 2|gains|components|file"
-            r"|zero_torque_within|torque|joint_torque) ?=?",
+            r"|zero_torque_within|torque|joint_torque|motor_inertia|delay|turn|lead|ringing|damping) ?=?",
             line,
         )
         lines.append(line if keep or default is None else default.group(1))
@@ -90,7 +90,8 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         (r'^kind = "sine"', 'kind = "sinus"', "setpoint.kind"),
         (r'^kind = "sine"', 'kind = "file"', 'kind "file" with file ""'),
         (r'^kind = "sine"', 'kind = "file"\nfile = "none.csv"', "none.csv"),
-        (r"^# hysteresis = 0.01 ", "hysteresis = 0.04 ", "hysteresis 0.04 rad/s does not fit zone 0.05"),
+        (r"^\[axis.law\]", "[axis.law]\nmotor_inertia = 1e-4\ndamping = 0.5\n#", r"law.damping 0.5 .* gain margin of"),
+        (r"^# turn = 8e-3", "turn = 8.0", "law.turn"),
         (r"^# over_speed = 20.0 ", "over_speed = 9.0 ", "over_speed 9 rad/s is not above joint_speed"),
         (
             r"^# motor_over_speed = 40.0 ",

@@ -309,6 +309,7 @@ def test_reasons_are_the_codes_of_the_log() -> None:
         "RATE": 8,
         "ABSOLUTE": 9,
         "OSCILLATION": 10,
+        "DOMAIN": 11,
     }
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
-from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import Estimator
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
@@ -46,7 +45,6 @@ class ControlAxis:
         model: TendonSheath,
         supervisor: Supervisor,
         set_point: SetPoint,
-        direction: Direction,
         bending: Bending,
         estimator: Estimator,
         law: Law,
@@ -65,7 +63,7 @@ class ControlAxis:
         self.model = model
         self.supervisor = supervisor
         self.set_point = set_point
-        self.direction = direction
+        self.direction = law.direction
         self.bending = bending
         self.estimator = estimator
         self.law = law
@@ -151,6 +149,7 @@ class ControlAxis:
         self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
         self.adapt()
         self.monitor.update(terms.omega_j, terms.tau_j_des)
+        self.law.follow(self.set_point.rate, self.set_point.silent)
 
     def release(self) -> None:
         """Torque is not permitted: forget everything, once. Disabled means reset."""

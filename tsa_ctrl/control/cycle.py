@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.safety.limiter import Reason
 
 
 def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float) -> None:
@@ -21,16 +23,21 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
         image, terms = axis.image, axis.terms
         controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
         terms.q_j, terms.omega_j = q_j, omega_j = axis.joint()
-        terms.sigma = sigma = axis.direction.update(omega_j)
+        law, set_point = axis.law, axis.set_point
         wanted = 0.0
         if permitted:
             t = axis.since_enable(now)
-            terms.tau_j_des = tau_j_des = axis.set_point.update(t)
-            back_off = axis.monitor.back_off
-            wanted = axis.ramp * axis.law.update(tau_j_des, sigma, omega_j, q_j, image.q_m, t, back_off)
+            terms.tau_j_des = set_point.update(t)
+            law.observe(q_j, image.q_m, image.fresh, set_point.ahead, set_point.rate)
+            wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.monitor.back_off)
+        else:
+            law.observe(q_j, image.q_m, image.fresh, math.nan, 0.0)
+        terms.sigma = law.sigma
         fresh = image.pdo_age <= axis.most_age
         torque, reason = axis.limiter.update(wanted, permitted, fresh, image.tau_m, image.omega_m, q_j, omega_j)
         axis.io.command(controlword, torque)
+        if reason is Reason.NONE and law.beyond:
+            reason = Reason.DOMAIN
         terms.tau_m_cmd, terms.reason, terms.permitted = torque, reason, permitted
 
 

@@ -1,14 +1,20 @@
-"""Direction of sliding, sigma in [-1, 1], from a measured joint velocity.
+"""Direction of the tendon's slip, sigma in {-1, 0, 1}: friction follows the tendon in its sheath, not the joint.
 
-    sigma = play(omega / (omega_z - omega_h)),  half width omega_h / (omega_z - omega_h),  limited to [-1, 1]
+Where the bending sits at the distance d from the joint end, tendon b slips, to first order in x and with T2 + T4
+constant, with
 
-The play operator (mechanical backlash) makes the hysteresis: sigma follows the velocity only when it leaves a band of
-+-omega_h around where it was last followed, so noise within the band moves nothing. It is +-1 from +-omega_z
-on. Inside the band a slow leak takes sigma to 0, because at standstill friction may act either way.
+    v = r_J omega_J + d/(E A) (d tau_J/dt) / (2 r_J)          (tendon a: -v)          sigma = sign(v)
 
-With a lead L (the model knows the velocity's lag) omega is first taken ahead, omega + L f domega/dt, so that the
-friction term turns with the friction and not after it. f is 1 while sliding fast and leaks to 0 after it: nothing is
-led at standstill, where noise has a derivative and no direction, nor where the joint trembles by the torque itself.
+The first term is what the joint moves, the second what the tendon stretches when the torque changes; a held joint has
+the second alone, and torque must reach it, too. Friction does not depend on rate, so each has a rule of its own:
+
+* the joint's motion by speed, taken ahead by the lead, omega_J + L alpha_J, so that a turn is centred on the reversal.
+  Within `zone` it counts as 0; the zone is never narrower than what one count of the encoder makes of it.
+* the stretch by travel: with the joint at rest sigma turns when the torque wanted has turned back by `play` metres of
+  tendon, however slowly. That torque is known ahead, so the turn is over when it is needed.
+
+Where nothing slips, friction keeps its last direction. Before anything has moved there is none: 0.
+Source: (3.29) with its own xi' instead of omega_J; T2 + T4 moves in the second order alone.
 """
 
 from __future__ import annotations
@@ -19,93 +25,95 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-Speed = Annotated[float, Meta(gt=0.0, le=100.0)]  # rad/s; larger is in deg/s
-Seconds = Annotated[float, Meta(gt=0.0, le=60.0)]
+from tsa_ctrl.control.motion import Motion
 
-
-MOST_LEAD = 0.03  # s; a velocity that is later than that is not predicted but guessed
-SURELY = 4.0  # times the zone: only motion faster than this is led through its reversal; a joint that trembles is not
-ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j
+NOISE = 1.5  # times one count's velocity that the zone is at least: a count and the mechanics' own trembling
+LEAST_ZONE = 0.002  # rad/s, that may be set while running
 
 
 class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[axis.direction]."""
 
-    zone: Speed = 0.05  # omega_z, rad/s: at this joint speed sigma is +-1
-    hysteresis: Speed = 0.01  # omega_h, rad/s: changes of velocity smaller than this move nothing
-    release: Seconds = 0.2  # s: time constant with which sigma leaves for 0 at standstill
-
-    def __post_init__(self) -> None:
-        check_zone(self.zone, self.hysteresis)
-
-
-def check_zone(zone: float, hysteresis: float) -> None:
-    """Raise ValueError unless the band is narrow enough for the zone to have an inside."""
-    if not 0.0 < hysteresis <= zone / 2.0:
-        raise ValueError(
-            f"hysteresis {hysteresis:g} rad/s does not fit zone {zone:g} rad/s; "
-            f"give more than 0 and at most half of the zone"
-        )
+    zone: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.005  # rad/s of the joint that count as 0; more with few counts
+    play: Annotated[float, Meta(gt=0.0, le=1e-3)] = 1e-6  # m of tendon that the torque wanted must turn back
 
 
 class Direction:
-    """sigma with a linear zone and hysteresis; continuous, and still at standstill."""
+    """`sigma`, and how it was found: `age`: periods since the reversal, 0 to 1; `rest`: s since the joint moved."""
 
-    def __init__(self, settings: DirectionSettings, period: float, lead: float = 0.0) -> None:
-        """`period` and `lead` in s; the lead is 0 unless the model file says how late the velocity is."""
-        self.sigma = 0.0
-        self._lead = lead
+    def __init__(
+        self,
+        settings: DirectionSettings,
+        motion: Motion,
+        lead: float,
+        reach: float,
+        joint_radius: float,
+        period: float,
+    ) -> None:
+        """`lead` and `period` in s; `reach`: d/(2 r_J EA), m of tendon per N*m wanted; `joint_radius` r_J in m."""
+        self.lead = lead
+        self._motion = motion
+        self._floor = NOISE * motion.noise
+        self._zone = max(settings.zone, self._floor)
+        self._play = settings.play
+        self._reach = reach
+        self._radius = joint_radius
         self._period = period
-        self._gain_of_change = period / (ACCELERATION_TIME + period)
-        self._acceleration = self._slid = 0.0
-        self._last = math.nan
-        self._zone = settings.zone
-        self._hysteresis = settings.hysteresis
-        self._gain = 1.0 / (self._zone - self._hysteresis)
-        self._keep = math.exp(-period / settings.release)
+        self.reset()
 
     @property
     def zone(self) -> float:
-        """omega_z, rad/s."""
+        """rad/s of the joint that count as standstill."""
         return self._zone
 
     @zone.setter
     def zone(self, value: float) -> None:
-        """Change the zone; the hysteresis keeps its proportion, so the shape stays."""
-        self._hysteresis *= value / self._zone
-        self._zone = value
-        self._gain = 1.0 / (value - self._hysteresis)
+        self._zone = max(value, self._floor)
+
+    @property
+    def moving(self) -> bool:
+        """Whether the joint's motion, and not the stretch, says where the tendon slips."""
+        return self.rest == 0.0
 
     def reset(self) -> None:
-        self.sigma = self._acceleration = self._slid = 0.0
-        self._last = math.nan
+        """Nothing has moved."""
+        self.sigma = 0.0
+        self.age = 0.0
+        self.rest = 0.0
+        self.forget()
 
-    def update(self, omega_j: float) -> float:
-        """sigma for this cycle; `omega_j` in rad/s (nan: as at standstill)."""
-        if self._lead > 0.0:
-            omega_j = self._ahead(omega_j)
-        if omega_j != omega_j:
-            omega_j = 0.0
-        low = (omega_j - self._hysteresis) * self._gain
-        high = (omega_j + self._hysteresis) * self._gain
-        sigma = self.sigma
-        if sigma < low:
-            sigma = low if low < 1.0 else 1.0
-        elif sigma > high:
-            sigma = high if high > -1.0 else -1.0
-        if low < 0.0 < high:
-            sigma = sigma * self._keep if sigma > 1e-6 or sigma < -1e-6 else 0.0
-        self.sigma = sigma
-        return sigma
+    def forget(self) -> None:
+        """There is no torque wanted; the last direction stays."""
+        self._edge = math.nan
 
-    def _ahead(self, omega_j: float) -> float:
-        """The velocity that will be a lead later; at standstill the one that is."""
-        if self._last == self._last and omega_j == omega_j:
-            change = (omega_j - self._last) / self._period
-            self._acceleration += self._gain_of_change * (change - self._acceleration)
-        else:
-            self._acceleration = 0.0
-        self._last = omega_j
-        fast = SURELY * self._zone
-        self._slid = 1.0 if omega_j > fast or omega_j < -fast else self._slid * self._keep
-        return omega_j + self._lead * self._slid * self._acceleration
+    def update(self, ahead: float, rate: float) -> float:
+        """sigma for this cycle.
+
+        `ahead`: the torque wanted at the joint, N*m, when a turn that begins now is over, nan without one; `rate`: how
+        fast it changes in the middle of that turn, N*m/s.
+        """
+        motion = self._motion
+        alpha = motion.acceleration
+        omega = motion.velocity + self.lead * alpha
+        stretch = self._reach * ahead
+        self.age = 0.0
+        if omega > self._zone or omega < -self._zone:
+            self.rest = 0.0
+            self._edge = stretch
+            slip = self._radius * omega + self._reach * rate
+            if slip * self.sigma <= 0.0 and slip != 0.0:
+                self.sigma = 1.0 if slip > 0.0 else -1.0
+                since = abs(omega / alpha) if alpha != 0.0 else 0.0
+                self.age = since / self._period if since < self._period else 1.0
+            return self.sigma
+        self.rest += self._period
+        edge = self._edge
+        if edge != edge:
+            self._edge = stretch
+        elif stretch > edge + self._play:
+            self._edge = stretch - self._play
+            self.sigma = 1.0
+        elif stretch < edge - self._play:
+            self._edge = stretch + self._play
+            self.sigma = -1.0
+        return self.sigma

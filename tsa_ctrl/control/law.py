@@ -1,10 +1,22 @@
-"""The feedforward law: ideal torque plus a compensated share of the friction term.
+"""The feedforward law: ideal torque, the compensated share of the friction term, the motor's own motion, its damping.
 
-    tau_M = tau_J* r_M / r_J  +  c f b (tau_ff - tau_J* r_M / r_J),     |d(second term)/dt| <= slew
+    tau_M = tau_J* r_M/r_J  +  c f b (1 - e) (tau_ff(sigma) - tau_J* r_M/r_J)  +  J_M theta''  +  damping
 
-tau_ff is the model's exact inverse (3.55) with its effects; c the compensation factor (below 1: over-compensation
-oscillates), f the fade-in after every enable, b the oscillation monitor's back-off. The slew limit keeps a reversal
-from being a step. The sum stays where both tendons pull, abs(tau_M) < 2 T_p r_M, unless the model knows slack.
+tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects, at the torque tau_J* that is wanted when the
+command acts, and in the direction sigma of the tendon (`direction`), which turns as the motor can follow (`turn`); a
+turn of a joint at rest stops where the slip fronts do (`slip`). c is the compensation factor, f the fade-in after every
+enable, b the back-off of whatever watches for too much compensation.
+
+Never more than the friction that is there: a term of the size c h f(x) moves a joint by itself where the model's h
+exceeds the truth's, c h_model > h_true, and takes energy out of it at every speed where it does not: the power of term
+and friction together is (c h_model sigma_term - h_true sigma) omega <= 0, whether the term turns early, in time or
+late. So with the true parameters and c = 1 nothing but the joint's own damping ends a swing; there the share e
+(`settle`) is taken back while the set-point stands and the joint hardly moves.
+
+theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the stretch between motor and joint as an angle of
+the motor; J_M theta'' of a turn is planned with it, J_M r_J/r_M alpha_J carries the motor with the joint. The sum of
+ideal and friction term stays where both tendons pull, abs(tau_M) < 2 T_p r_M, unless the model knows slack; `beyond`
+says that it had to be cut.
 """
 
 from __future__ import annotations
@@ -14,17 +26,50 @@ from typing import Annotated, Protocol
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.control.damping import Damping
+from tsa_ctrl.control.direction import Direction
+from tsa_ctrl.control.motion import Motion
+from tsa_ctrl.control.plan import Plan
+from tsa_ctrl.control.slip import Slip
+from tsa_ctrl.control.turn import Turn
+
+STOOD = 0.1  # s at rest, after which the fronts of a joint count as those of a joint at rest
+SLOW = 0.5  # rad/s of the joint, below which a swing may be settled
+STANDS = 0.02  # N*m/s: a set-point that changes slower than that stands
+SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
+BLIND = 2.0  # memories of the motion after a turn in which a motor without a joint encoder says nothing
+NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
+_REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
+
+Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
+
 
 class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.law]."""
+    """[axis.law]; what is left out follows from the model file, the bus and the motor's inertia, see `plan`."""
 
     compensation: Annotated[float, Meta(ge=0.0, le=1.2)] = 0.95  # 1, share of the friction term
-    slew: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 120.0  # N*m/s, of the friction term at the motor
     fade_in: Annotated[float, Meta(ge=0.0, le=60.0)] = 1.0  # s after every enable
+    slew: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 10_000.0  # N*m/s, most of the friction term at the motor
+    settle: Annotated[float, Meta(ge=0.0, le=0.5)] = 0.03  # 1, of the term, taken back while nothing is to move
+    motor_inertia: Annotated[float, Meta(gt=0.0, le=1.0)] | None = None  # kg*m^2 at the motor pulley
+    delay: Time | None = None  # s from a measurement to the torque that acts
+    turn: Time | None = None  # s of a turn of the friction term
+    lead: Annotated[float, Meta(ge=0.0, le=0.03)] | None = None  # s by which the joint's velocity is taken ahead
+    ringing: Annotated[float, Meta(gt=0.0, le=2000.0)] | None = None  # Hz of the motor on its tendons
+    damping: Annotated[float, Meta(ge=0.0, le=100.0)] | None = None  # N*m*s/rad of that ringing
 
 
 class Inverse(Protocol):
     """The live inverse of a model (`tsa_ctrl.model.feedforward`, or `simplified` where there are no effects)."""
+
+    @property
+    def friction_angle(self) -> float: ...
+
+    @property
+    def pretension(self) -> float: ...
+
+    @property
+    def notes(self) -> tuple[str, ...]: ...
 
     def update(
         self,
@@ -37,6 +82,8 @@ class Inverse(Protocol):
         t: float = ...,
     ) -> float: ...
 
+    def half_loop(self) -> float: ...
+
     def domain_limit(self) -> float: ...
 
     def reset(self) -> None: ...
@@ -45,46 +92,125 @@ class Inverse(Protocol):
 
 
 class Law:
-    """One axis' law; `ideal` and `friction_term` are its output's two parts, N*m at the motor."""
+    """One axis' law; `ideal`, `friction_term` and `planned` are its output's parts, N*m at the motor.
 
-    def __init__(self, inverse: Inverse, ratio: float, settings: LawSettings, period: float) -> None:
-        """`ratio` is r_M / r_J; `period` in s."""
+    `observe` belongs to every cycle, `update` to those with torque.
+    """
+
+    def __init__(
+        self,
+        inverse: Inverse,
+        radii: tuple[float, float],
+        settings: LawSettings,
+        plan: Plan,
+        motion: Motion,
+        direction: Direction,
+        period: float,
+        has_encoder: bool = True,
+    ) -> None:
+        """`radii`: r_M, r_J in m; `period` in s."""
+        r_m, r_j = radii
         self.compensation = settings.compensation
         self.slew = settings.slew
-        self.ideal = 0.0
-        self.friction_term = 0.0
+        self.plan = plan
+        self.ideal = self.friction_term = self.planned = 0.0
+        self.beyond = False
+        self.cut = 0  # cycles in which it was
+        self.near_slack = False
+        self.notes = (*plan.notes, *inverse.notes)
+        self.turn = Turn(plan.front, plan.turn, period)
+        self.damping = Damping(plan.damping, plan.ringing, plan.delay, r_j / r_m, period)
         self._inverse = inverse
-        self._ratio = ratio
+        self._motion = motion
+        self.direction = direction
+        self._has_encoder = has_encoder
+        self._nominal = inverse.pretension
+        self._slip = Slip(plan.front, r_m, r_j, period)
+        self._settle = settings.settle
+        self._ratio = r_m / r_j
         self._period = period
-        self._fade = 0.0
+        self._give = 1.0 / plan.stiffness  # rad per N*m at the motor, joint held
         self._fade_step = period / settings.fade_in if settings.fade_in > 0.0 else 1.0
+        self._stretch = self._blind = 0.0
+        self.reset()
+
+    @property
+    def sigma(self) -> float:
+        """The direction as the friction term has it now, -1 to 1."""
+        return self.turn.force
+
+    @property
+    def domain(self) -> float:
+        """N*m at the motor within which both tendons pull, now."""
+        return self._inverse.domain_limit()
+
+    @property
+    def pretension(self) -> float:
+        """T_p0 at the present bending, N."""
+        return self._inverse.pretension
 
     def reset(self) -> None:
-        """Forget everything; the next enable starts uncompensated and fades in."""
-        self.ideal = self.friction_term = self._fade = 0.0
+        """Forget everything but how the joint moves; the next enable starts uncompensated and fades in."""
+        self.ideal = self.friction_term = self.planned = self._fade = self._settled = 0.0
+        self._wanted = 1.0  # 0 when the socket's client is gone
+        self.beyond = False
+        self.direction.forget()
+        self._slip.reset()
+        self.damping.reset()
         self._inverse.reset()
+        self._stretch = 0.0
+        self._half_loop = self._inverse.half_loop()
+        self._until_refresh = _REFRESH
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
         """Use another friction angle (1) and pretension (N) from now on."""
         self._inverse.set(friction_angle, pretension)
+        self._half_loop = self._inverse.half_loop()
 
-    def update(
-        self,
-        tau_j_des: float,
-        sigma: float,
-        omega_j: float,
-        q_j: float,
-        q_m: float,
-        t: float,
-        back_off: float,
-    ) -> float:
-        """Motor torque wanted, N*m; `t` is the time since the enable in s, `back_off` in [0, 1]."""
-        ideal = tau_j_des * self._ratio
+    def observe(self, q_j: float, q_m: float, fresh: bool, ahead: float, rate: float) -> None:
+        """This cycle's angles of joint and motor (rad), and the set-point when a turn from now would be over and how
+        fast it then changes (N*m, N*m/s; nan and 0 without torque)."""
+        direction, turn = self.direction, self.turn
+        if self._has_encoder:
+            self._motion.update(q_j, fresh)
+        else:
+            self._motion.update(self._ratio * (q_m - self._stretch), fresh)
+            self._blind = BLIND * self._motion.memory if turn.turning else self._blind - self._period
+            if self._blind > 0.0:  # what the motor does by the turn itself is no motion of the joint
+                turn.update(direction.sigma)
+                return
+        old = direction.sigma
+        rested = direction.rest
+        sigma = direction.update(ahead, rate)
+        if sigma != old:
+            self._slip.reset()
+            if rested > STOOD and not turn.turning and ahead == ahead:
+                self._slip.begin(old, ahead, self._inverse.friction_angle, self._inverse.pretension)
+        turn.update(sigma, direction.age)
+
+    def update(self, tau_j: float, q_m: float, omega_m: float, t: float, back_off: float) -> float:
+        """Motor torque wanted, N*m.
+
+        `tau_j`: set-point when the command acts, N*m; `q_m`, `omega_m`: of the motor, rad and rad/s; `t` is the time
+        since the enable in s, `back_off` in [0, 1].
+        """
+        inverse, motion, turn, plan = self._inverse, self._motion, self.turn, self.plan
+        ideal = tau_j * self._ratio
         fade = self._fade
         if fade < 1.0:
             self._fade = fade = min(1.0, fade + self._fade_step)
-        full = self._inverse.update(tau_j_des, sigma, omega_j, q_j, q_m, t=t)
-        change = self.compensation * fade * back_off * (full - ideal) - self.friction_term
+        share = self.compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted
+        acceleration = motion.acceleration
+        omega = motion.velocity + plan.delay * acceleration
+        full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, t=t)
+        scale = 1.0
+        slip = self._slip
+        if slip.active:
+            scale = slip.scale
+            direction = self.direction
+            progress = 0.5 * (1.0 + turn.force * direction.sigma)
+            full -= progress * slip.shortfall(tau_j, inverse.friction_angle, inverse.pretension, direction.moving)
+        change = share * (full - ideal) - self.friction_term
         step = self.slew * self._period
         if change > step:
             change = step
@@ -93,12 +219,50 @@ class Law:
         self.ideal = ideal
         self.friction_term += change
         wanted = ideal + self.friction_term
-        limit = self._inverse.domain_limit()
-        return limit if wanted > limit else -limit if wanted < -limit else wanted
+        limit = inverse.domain_limit()
+        self.beyond = False
+        if not -limit <= wanted <= limit and limit == limit:
+            wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
+            self.beyond = True
+            self.cut += 1
+        return wanted + self._move(share, scale, ideal, q_m, omega_m, acceleration)
+
+    def follow(self, rate: float, silent: bool = False) -> None:
+        """After the command: what of the term is taken back from the next one on.
+
+        `rate`: of the set-point, N*m/s; `silent`: whether nobody wants anything any longer. Then all of it.
+        """
+        velocity = self._motion.velocity
+        step = self._period / SETTLING
+        if -STANDS < rate < STANDS and -SLOW < velocity < SLOW:
+            self._settled += step * (1.0 - self._settled)
+        else:
+            self._settled -= min(1.0, 5.0 * step) * self._settled
+        if silent:
+            self._wanted = max(0.0, self._wanted - step)
+        elif self._wanted < 1.0:
+            self._wanted = min(1.0, self._wanted + 5.0 * step)
+        self._until_refresh -= 1
+        if self._until_refresh <= 0:
+            self._until_refresh = _REFRESH
+            self._half_loop = self._inverse.half_loop()
+            self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
     def applied(self, tau_m: float) -> None:
         """Tell the law what was sent; a term that was cut slews on from what was left of it."""
-        left = tau_m - self.ideal
+        left = tau_m - self.ideal - self.planned
         term = self.friction_term
         if (term > 0.0 and left < term) or (term < 0.0 and left > term):
             self.friction_term = 0.0 if left * term < 0.0 else left
+
+    def _move(self, share: float, scale: float, ideal: float, q_m: float, omega_m: float, acceleration: float) -> float:
+        """Torque, N*m, that moves the motor as planned and damps what differs from the plan."""
+        plan, turn, motion = self.plan, self.turn, self._motion
+        turned = scale * share * plan.front.centre * self._half_loop * self._give  # rad per unit of sigma
+        self._stretch = ideal * self._give + turned * turn.stretch
+        self.planned = 0.0
+        if plan.inertia > 0.0:
+            self.planned = plan.inertia * (turned * turn.bend + acceleration / self._ratio)
+            if plan.damping > 0.0:
+                self.planned += self.damping.update(self._stretch, q_m, omega_m, motion.angle, motion.velocity)
+        return self.planned

@@ -46,15 +46,17 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     tensions = (0.0, pretension) if fixed else _NONE
     use = (0.0, 1.0) if isinstance(estimator, Recursive) else _NONE
     bends = (0.0, 100.0) if axis.bending.settable else _NONE
+    damps = (0.0, law.plan.damping) if law.plan.damping > 0.0 else _NONE
     p, inf = Parameter, math.inf
     return (
         p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),
         p("slew", "N*m/s", 1.0, 10_000.0, inf, "fastest change of the friction term", law, "slew"),
+        p("damping", "N*m*s/rad", *damps, inf, "of the motor's swing on its tendons", law.damping, "gain"),
         p("friction_angle", "1", *angles, 0.25 * angle, "x = mu Theta", estimator, "friction_angle"),
         p("pretension", "N", *tensions, 0.25 * pretension, "T_p0", estimator, "pretension"),
         p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
         p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
-        p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed at which sigma is 1", axis.direction, "zone"),
+        p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
         p("back_off", "1", 0.0, 1.0, 0.5, "of the oscillation monitor; 1 restores", axis.monitor, "back_off"),
         p(

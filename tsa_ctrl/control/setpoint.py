@@ -60,17 +60,31 @@ class SetPointSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, 
 
 
 class SetPoint:
-    """One axis' set-point; `gain` scales the source."""
+    """One axis' set-point; `gain` scales the source.
 
-    def __init__(self, settings: SetPointSettings, period: float, folder: str | Path = ".") -> None:
-        """`folder` is where a relative file is looked for; raises UsageError for a file that cannot be played."""
-        self.value = 0.0
+    `value` is wanted now. `acting` and `ahead` are wanted `delay` and `horizon` later, `rate` (N*m/s) is its slope
+    `lead` later: a source is a function of time, so that the future is known. What comes over the socket is not.
+    """
+
+    def __init__(
+        self,
+        settings: SetPointSettings,
+        period: float,
+        folder: str | Path = ".",
+        delay: float = 0.0,
+        lead: float = 0.0,
+        horizon: float = 0.0,
+    ) -> None:
+        """`folder` is where a relative file is looked for; times in s. UsageError for a file that cannot be played."""
         self.gain = 1.0
         self._source = None if settings.kind == "socket" else waveform(settings, folder)
+        self._period = period
         self._step = settings.rate * period
         self._timeout = settings.timeout
-        self._received = 0.0
-        self._received_at = -math.inf
+        self._delay, self._delay_part = _place(delay, period)
+        self._lead = _place(lead, period)[0]
+        self._ahead, self._ahead_part = _place(max(delay, lead, horizon), period)
+        self.reset()
 
     def receive(self, value: float, t: float) -> None:
         """A value (N*m) that came over the local socket at time `t` (s since the enable)."""
@@ -79,21 +93,59 @@ class SetPoint:
 
     def reset(self) -> None:
         """Start from 0 again; what was received is forgotten."""
-        self.value = 0.0
+        self.value = self.acting = self.ahead = self.rate = 0.0
+        self.silent = False  # nobody says over the socket what is wanted
+        self._received = 0.0
         self._received_at = -math.inf
+        self._known: list[float] = []  # from now on, a period between two
+        self._last = 0.0  # the newest of them
+        self._at = 0.0  # s, of the first
 
     def update(self, t: float) -> float:
         """Joint torque wanted, N*m, at `t` s since the enable."""
-        if self._source is not None:
-            target = self.gain * self._source(t)
-        elif t - self._received_at <= self._timeout:
-            target = self.gain * self._received
-        else:
-            target = 0.0
-        change = target - self.value
-        step = self._step
-        self.value += step if change > step else -step if change < -step else change
+        if self._source is None:
+            self.silent = t - self._received_at > self._timeout
+            before = self._last
+            self.value = self.acting = self.ahead = self._limited(self._target(t))
+            self.rate = (self.value - before) / self._period
+            return self.value
+        known, period = self._known, self._period
+        passed = t - self._at
+        if passed > (self._ahead + 2) * period:
+            known.clear()
+        while known and passed > 0.5 * period:
+            del known[0]
+            self._at += period
+            passed -= period
+        if not known:
+            self._at = t
+        while len(known) < self._ahead + 2:
+            known.append(self._limited(self._target(self._at + len(known) * period)))
+        self.value = known[0]
+        i, part = self._delay, self._delay_part
+        self.acting = known[i] + part * (known[i + 1] - known[i])
+        i, part = self._ahead, self._ahead_part
+        self.ahead = known[i] + part * (known[i + 1] - known[i])
+        self.rate = (known[self._lead + 1] - known[self._lead]) / period
         return self.value
+
+    def _target(self, t: float) -> float:
+        if self._source is not None:
+            return self.gain * self._source(t)
+        if t - self._received_at <= self._timeout:
+            return self.gain * self._received
+        return 0.0
+
+    def _limited(self, target: float) -> float:
+        change, step = target - self._last, self._step
+        self._last += step if change > step else -step if change < -step else change
+        return self._last
+
+
+def _place(time: float, period: float) -> tuple[int, float]:
+    """Whole periods in `time`, and the part of the next."""
+    whole, part = divmod(time / period, 1.0)
+    return int(whole), part
 
 
 def waveform(settings: SetPointSettings, folder: str | Path = ".") -> Source:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Sequence
+
+import msgspec
 
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
-from tsa_ctrl.control.direction import MOST_LEAD, Direction
+from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
-from tsa_ctrl.control.law import Inverse, Law, LawSettings
+from tsa_ctrl.control.law import Inverse, Law
 from tsa_ctrl.control.live import Tuner, parameters_of
+from tsa_ctrl.control.motion import LONGEST, Motion
+from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.daemon.phase import LoopPhase
@@ -26,6 +31,7 @@ from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.supervisor import Supervisor
 
+ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint: what is left of the motor's ringing is slower
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
 
@@ -36,21 +42,21 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     supervision = file.bus.supervision
     most_age = (supervision.tolerated_misses + 1.5) * period
     axes = []
-    for settings, io, model, profile in zip(
-        file.axes, rig.axes, configuration.models, configuration.profiles, strict=True
+    for settings, io, model, profile, plan in zip(
+        file.axes, rig.axes, configuration.models, configuration.profiles, configuration.plans, strict=True
     ):
-        signals = {"q_j", "q_m"} if settings.encoder is not None else {"q_m"}
-        ratio = model.motor_pulley_radius / model.joint_pulley_radius
+        law = law_of(settings, model, plan, period)
         axes.append(
             ControlAxis(
                 io=io,
                 model=model,
                 supervisor=Supervisor(supervision, profile.reports_following, profile.mode_shows == "enabled"),
-                set_point=SetPoint(settings.setpoint, period, configuration.folder),
-                direction=Direction(settings.direction, period, lead_of(model, settings.law)),
+                set_point=SetPoint(
+                    settings.setpoint, period, configuration.folder, plan.delay, plan.lead, plan.turn + plan.delay
+                ),
                 bending=Bending(settings.bending, model.bending_angle),
                 estimator=estimator_of(settings, model, period),
-                law=Law(inverse_of(model, period, signals), ratio, settings.law, period),
+                law=law,
                 limiter=Limiter(settings.limits, period),
                 monitor=OscillationMonitor(settings.oscillation, period),
                 plausibility=Plausibility(
@@ -74,16 +80,19 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     return tuple(axes)
 
 
-def lead_of(model: TendonSheath, law: LawSettings) -> float:
-    """By how much the direction leads the velocity, s: the velocity's lag, and half of the friction term's turn.
-
-    0 for a model without the effect `velocity_lag`: nobody measured then that the friction turns at once.
-    """
-    lag = model.effects.get("velocity_lag")
-    if lag is None:
-        return 0.0
-    friction = SimplifiedFeedforward(model).update(0.0, 1.0, 0.0)
-    return min(MOST_LEAD, float(lag["time_constant"]) + law.compensation * friction / law.slew)
+def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: float) -> Law:
+    """One axis' law with what it looks through: the joint's motion and the tendon's direction."""
+    r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+    encoder, drive, direction = settings.encoder, settings.drive, settings.direction
+    if encoder is not None:
+        motion = Motion(period, 2.0 * math.pi / encoder.counts_per_revolution, plan.lead)
+    else:
+        count = 2.0 * math.pi * r_m / (r_j * drive.counts_per_revolution * drive.gear_ratio)
+        motion = Motion(period, count, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
+        direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
+    inverse = inverse_of(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
+    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period)
+    return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
 
 
 def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:

@@ -14,6 +14,7 @@ from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Mailbox
 from tsa_ctrl.safety.supervisor import Phase, Request
@@ -69,6 +70,7 @@ class Loop:
         self._stop: str | None = None
         self._faults = [0] * len(axes)
         self._back_offs = [0] * len(axes)
+        self._remarks = Remarks(axes, events)
 
     @property
     def start(self) -> float:
@@ -109,6 +111,7 @@ class Loop:
         ticker.deadline = clock() + ticker.period
         if self._start == 0:
             self._start = ticker.deadline
+            self._remarks.begin()
         else:  # on the same grid, so that the log has one; the time of a bring-up is a hole
             ticker.deadline += -(ticker.deadline - self._start) % ticker.period
         self.recover = False
@@ -146,6 +149,7 @@ class Loop:
             self._telemetry.check_sensors(self._t(planned))
             self._telemetry.check_bus(self._t(planned))
             self._telemetry.check_server(self._t(planned))
+        self._remarks.update(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
 

@@ -6,6 +6,7 @@ compensation, no log, no socket that others know. SIGUSR1 makes it withhold its 
 
 from __future__ import annotations
 
+import dataclasses
 import signal
 import sys
 import tempfile
@@ -35,10 +36,7 @@ def under_trial(configuration: Configuration, torque: float, socket: str) -> Con
         log=replace(file.log, enabled=False),
         socket=replace(file.socket, path=socket, group=None),
     )
-    return Configuration(
-        configuration.path, changed, configuration.text, configuration.models, configuration.profiles,
-        configuration.load,
-    )  # fmt: skip
+    return dataclasses.replace(configuration, file=changed)
 
 
 def _pulling(axis: AxisSettings, model: TendonSheath, torque: float) -> AxisSettings:

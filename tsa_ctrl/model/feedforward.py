@@ -91,6 +91,12 @@ class Feedforward:
             high = effect.invert(SCALARS, high, self._state)
         return max(0.0, min(-low, high))
 
+    def half_loop(self) -> float:
+        """h, N*m at the motor's pulley: half of what tau_M turns by with the direction, at no torque on the joint."""
+        x, pretension, transmission = self.friction_angle, self.pretension, self._transmission
+        forward = transmission.motor_torque(0.0, 1.0, x, pretension)
+        return 0.5 * (forward - transmission.motor_torque(0.0, -1.0, x, pretension))
+
     def update(
         self,
         tau_j_des: float,

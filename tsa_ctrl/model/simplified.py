@@ -44,6 +44,10 @@ class SimplifiedFeedforward:
         """Largest abs(tau_M), N*m, at which both tendons still pull."""
         return self._limit
 
+    def half_loop(self) -> float:
+        """h = 2 T_p r_M tanh x, N*m: by how much tau_M differs from its mean of both directions at tau_J = 0."""
+        return self._gain * self._friction
+
     def update(
         self,
         tau_j_des: float,

@@ -33,6 +33,7 @@ class Reason(Enum):
     RATE = 8
     ABSOLUTE = 9
     OSCILLATION = 10  # the torque is as wanted, but the oscillation monitor backed the compensation off
+    DOMAIN = 11  # cut by the law before it came here: beyond it a tendon would have to push
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

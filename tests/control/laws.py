@@ -1,0 +1,42 @@
+"""A law on its own: with a motion, a direction and a plan, without a configuration."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from tsa_ctrl.control.direction import Direction, DirectionSettings
+from tsa_ctrl.control.law import Inverse, Law, LawSettings
+from tsa_ctrl.control.motion import Motion
+from tsa_ctrl.control.plan import Plan, plan_of
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.parameters import TendonSheath
+
+PERIOD = 1e-3
+COUNT = 2.0 * math.pi / (1 << 20)  # rad, of a joint encoder
+
+
+def plan(model: TendonSheath, **changes: Any) -> Plan:
+    """At 1 kHz with rpdo = "sync", limits that are out of the way."""
+    given = {"period": PERIOD, "transport": PERIOD, "late": 0.0, "has_encoder": True, "rate": 1e4, "torque": 10.0}
+    return plan_of(model, **{**given, **changes})
+
+
+def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) -> Law:
+    """`settings`: those of [axis.law], and `encoder` (default True)."""
+    has_encoder = settings.pop("encoder", True)
+    chosen = LawSettings(**settings)
+    made = plan(
+        model,
+        has_encoder=has_encoder,
+        delay=chosen.delay,
+        turn=chosen.turn,
+        lead=chosen.lead,
+        inertia=chosen.motor_inertia,
+        ringing=chosen.ringing,
+        damping=chosen.damping,
+    )
+    motion = Motion(PERIOD, COUNT, made.lead)
+    direction = Direction(DirectionSettings(), motion, made.lead, made.reach, model.joint_pulley_radius, PERIOD)
+    radii = (model.motor_pulley_radius, model.joint_pulley_radius)
+    return Law(inverse or Feedforward(model, PERIOD), radii, chosen, made, motion, direction, PERIOD, has_encoder)

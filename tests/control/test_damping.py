@@ -1,0 +1,100 @@
+"""Damping of the motor's swing on its tendons by a torque that acts late, and the margin of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.control.damping import Damping
+from tsa_ctrl.control.margin import LAG, LEAST, SHARE, gain_margin, largest_gain
+
+PERIOD = 1e-3
+K = 40.0  # N*m/rad
+GEARING = 1.25
+
+
+def swing(gain: float, inertia: float, delay: int, foretold: bool = True, stiffness: float = K) -> np.ndarray:
+    """Motor angle (rad) once a period after a push, joint held; its own integration, in steps of 10 us."""
+    total = (delay + 0.5) * PERIOD + LAG
+    damping = Damping(gain, math.sqrt(K / inertia), total if foretold else 0.0, GEARING, PERIOD)
+    q, omega, torque = 0.0, 1.0, 0.0
+    sent = [0.0] * delay
+    step = 1e-5
+    found = []
+    for _ in range(400):
+        sent.append(damping.update(0.0, q, omega, 0.0, 0.0))
+        command = sent.pop(0)
+        found.append(q)
+        for _ in range(round(PERIOD / step)):
+            torque += (command - torque) * step / LAG
+            omega += (torque - stiffness * q) / inertia * step
+            q += omega * step
+    return np.array(found)
+
+
+@pytest.mark.parametrize("delay", [1, 2, 3])
+@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+def test_a_swing_dies(inertia: float, delay: int) -> None:
+    """With the gain that the margin allows a tenth of it is left after eight of its periods, where a free one stays."""
+    gain = largest_gain(inertia, K, (delay + 0.5) * PERIOD + LAG, PERIOD)
+    q = swing(gain, inertia, delay)
+    ringing = 2.0 * math.pi * math.sqrt(inertia / K)
+    late = slice(round(8.0 * ringing / PERIOD), None)
+    damped, free = np.abs(np.diff(q)), np.abs(np.diff(swing(0.0, inertia, delay)))
+    assert damped[late].max() < 0.1 * damped[:20].max()
+    assert free[late].max() > 0.9 * free[:20].max()
+
+
+def test_not_foretold_the_same_gain_drives_it() -> None:
+    """Why it is foretold: 0.05 N*m*s/rad at one period of delay."""
+    plain, foretold = swing(0.05, 1e-4, 1, foretold=False), swing(0.05, 1e-4, 1)
+    assert np.abs(plain[-50:]).max() > 10.0 * np.abs(plain[:20]).max()
+    assert np.abs(foretold[-50:]).max() < 0.05 * np.abs(foretold[:20]).max()
+
+
+@pytest.mark.parametrize("delay", [1, 2, 3])
+@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+def test_margin_is_where_the_swing_begins_to_grow(inertia: float, delay: int) -> None:
+    """Below the margin every stiffness within its range is calm, a tenth above it one of them is not."""
+    total = (delay + 0.5) * PERIOD + LAG
+    gain = SHARE * math.sqrt(K * inertia)
+    margin = gain_margin(gain, inertia, K, total, PERIOD)
+
+    def grows(factor: float) -> bool:
+        courses = [swing(factor * gain, inertia, delay, stiffness=share * K) for share in (0.8, 1.0, 1.25)]
+        return any(np.abs(q[-100:]).max() > np.abs(q[150:250]).max() > 1e-9 for q in courses)
+
+    assert not grows(0.9 * margin)
+    assert grows(1.1 * margin)
+
+
+def test_the_gain_keeps_the_margin_and_goes_where_there_is_none() -> None:
+    gains = [largest_gain(1e-4, K, late * PERIOD, PERIOD) for late in (2.0, 6.0, 40.0)]
+    assert gains[0] == pytest.approx(SHARE * math.sqrt(K * 1e-4))
+    assert 0.0 < gains[1] < gains[0]
+    assert gains[2] == 0.0
+    for late, gain in zip((2.0, 6.0), gains, strict=False):
+        assert gain_margin(gain, 1e-4, K, late * PERIOD, PERIOD) >= 0.999 * LEAST
+
+
+def test_a_swing_that_is_planned_is_none() -> None:
+    """The motor that does what was planned, as late as the command acts, is left alone."""
+    delay = 2e-3
+    damping = Damping(0.02, 632.0, delay, GEARING, PERIOD)
+    torques = []
+    for n in range(400):
+        t = n * PERIOD
+        stretch, speed = 0.01 * math.sin(20.0 * t), 0.2 * math.cos(20.0 * t)
+        planned = 0.01 * math.sin(20.0 * (t + delay))
+        q_j, omega_j = math.sin(3.0 * t), 3.0 * math.cos(3.0 * t)
+        torques.append(damping.update(planned, stretch + GEARING * q_j, speed + GEARING * omega_j, q_j, omega_j))
+    assert np.abs(torques[10:]).max() < 0.02 * 0.2 * 0.05
+
+
+def test_a_zero_of_the_encoders_and_a_missing_value_do_no_harm() -> None:
+    damping = Damping(0.02, 632.0, 2e-3, GEARING, PERIOD)
+    torques = [damping.update(0.0, 0.7, 0.0, 0.1, 0.0) for _ in range(50)]
+    assert np.abs(torques).max() == 0.0
+    assert damping.update(0.0, math.nan, 0.0, 0.1, 0.0) == 0.0

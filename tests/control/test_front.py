@@ -1,0 +1,60 @@
+"""How a reversal travels into the sheath, against numbers that come from elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.control.sliding import actuator
+from tsa_ctrl.control.front import Front, front_of
+from tsa_ctrl.model.curvature import NAMED, Points
+from tsa_ctrl.model.sliding import joint_side_compliance
+
+S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
+
+
+@pytest.mark.parametrize("points", [*NAMED.values(), S_BENT], ids=str)
+@pytest.mark.parametrize("p", [0.0, 0.2, 0.5, 0.77, 1.0])
+def test_table_is_the_integral(points: Points, p: float) -> None:
+    """S(p), by the rectangles of a fine grid."""
+    u = (np.arange(200_000) + 0.5) / 200_000
+    places, shares = np.array(points).T
+    b = np.interp(u, places + 1e-9 * np.arange(places.size), shares)
+    front = Front(points)
+    expected = np.mean(np.maximum(0.0, p - b))
+    assert np.interp(p, np.linspace(0.0, 1.0, len(front.table)), front.table) == pytest.approx(expected, abs=3e-4)
+
+
+def test_named_shapes() -> None:
+    """Half of the square, the whole, nothing."""
+    uniform, joint, motor = (Front(NAMED[name]) for name in ("uniform", "joint_end", "motor_end"))
+    assert (uniform.centre, joint.centre, motor.centre) == pytest.approx((0.5, 1.0, 0.0))
+    assert (uniform.spread, joint.spread, motor.spread) == pytest.approx((1.0 / 3.0, 1.0, 0.0))
+    assert uniform.depth(0.5 * 0.5 * 0.5) == pytest.approx(0.5, abs=1e-3)
+    assert joint.depth(0.25) == pytest.approx(0.25)
+    assert motor.depth(0.0) == 1.0
+
+
+@pytest.mark.parametrize("p", [0.05, 0.3, 0.9])
+def test_depth_undoes_the_table(p: float) -> None:
+    front = Front(S_BENT, before=0.3)
+    stretch = float(np.interp(p, np.linspace(0.0, 1.0, len(front.table)), front.table))
+    assert front.depth(stretch) == pytest.approx(p, abs=1e-9)
+
+
+@pytest.mark.parametrize("at_joint", [False, True])
+def test_a_series_spring_is_length_without_bends(at_joint: bool) -> None:
+    """Its place decides on which side of the centre it lies: what is not on the joint's side is on the motor's."""
+    model = dataclasses.replace(
+        actuator().with_effects({"elongation_coupling": {"curvature_profile": S_BENT}}),
+        series_stiffness=2e4,
+        series_at_joint=at_joint,
+    )
+    beyond = joint_side_compliance(model) * model.tendon_stiffness
+    assert front_of(model).centre == pytest.approx(1.0 - beyond)
+
+
+def test_a_model_that_does_not_say_how_it_bends_is_evenly_bent() -> None:
+    assert front_of(actuator()).centre == pytest.approx(0.5)

@@ -1,0 +1,119 @@
+"""What follows for the law from model, bus and motor: durations, leads, gains; and what is said where it cannot be."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from tests.control.laws import PERIOD, plan
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.control.margin import LAG, LEAST, gain_margin
+from tsa_ctrl.control.plan import BLIND, MOST_LEAD
+from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.curvature import Points
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import motor_stiffness, sliding
+
+INERTIA = 1e-4
+
+
+def bent(profile: str | Points) -> TendonSheath:
+    return ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+
+
+def test_the_delay_is_transport_hold_and_torque_loop() -> None:
+    assert plan(bent("uniform")).delay == pytest.approx(1.5 * PERIOD + LAG)
+    assert plan(bent("uniform"), transport=0.6 * PERIOD).delay == pytest.approx(1.1 * PERIOD + LAG)
+    assert plan(bent("uniform"), delay=3e-3).delay == 3e-3
+
+
+def test_a_turn_takes_eight_periods_and_less_towards_the_joint() -> None:
+    turns = [plan(bent(name), inertia=INERTIA).turn for name in ("motor_end", "uniform", "joint_end")]
+    assert turns == pytest.approx([8e-3, 8e-3, 5e-3])
+
+
+def test_without_an_inertia_it_is_slow_and_said() -> None:
+    blind = plan(bent("uniform"))
+    assert blind.turn == BLIND
+    assert blind.damping == blind.inertia == 0.0
+    assert any("law.motor_inertia is not given" in note for note in blind.notes)
+
+
+def test_the_limits_of_the_drive_make_it_longer() -> None:
+    """The friction term's rate, and the torque that the motor's inertia asks for."""
+    model = bent("uniform")
+    slow = plan(model, inertia=INERTIA, rate=150.0)
+    assert slow.turn > 8e-3
+    half_loop = sliding(model).motor_half_loop
+    steps = 2.0 * half_loop * Turn(slow.front, slow.turn, PERIOD).steepest()
+    assert steps <= 150.0 * PERIOD
+    heavy = plan(model, inertia=6e-4, torque=0.5)
+    moved = half_loop / motor_stiffness(model)
+    assert 2.0 * math.pi * 6e-4 * moved / heavy.turn**2 <= 0.5 * 0.5
+    assert heavy.turn > 8e-3
+
+
+def test_the_lead_is_half_the_turn_and_all_delays() -> None:
+    model = bent("uniform")
+    found = plan(model, inertia=INERTIA)
+    assert found.lead == pytest.approx(0.5 * found.turn + found.delay)
+    lagging = model.with_effects({**model.effects, "velocity_lag": {"time_constant": 0.003}})
+    assert plan(lagging, inertia=INERTIA).lead == pytest.approx(found.lead + 0.003)
+
+
+def test_a_reversal_that_is_too_far_away_is_not_guessed_and_that_is_said() -> None:
+    model = bent("uniform").with_effects({"velocity_lag": {"time_constant": 0.5}})
+    found = plan(model, inertia=INERTIA)
+    assert found.lead == MOST_LEAD
+    assert any("turns late" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("delay", [2e-3, 3e-3, 4e-3])
+@pytest.mark.parametrize("inertia", [3e-5, 1e-4, 6e-4])
+def test_the_damping_keeps_its_margin(inertia: float, delay: float) -> None:
+    found = plan(bent("uniform"), inertia=inertia, delay=delay)
+    assert found.ringing == pytest.approx(math.sqrt(motor_stiffness(ACTUATOR) / inertia))
+    assert found.damping > 0.0
+    assert found.margin >= 0.999 * LEAST
+    assert gain_margin(found.damping, inertia, motor_stiffness(ACTUATOR), delay, PERIOD) == found.margin
+
+
+def test_no_margin_no_damping_and_that_is_said() -> None:
+    found = plan(bent("uniform"), inertia=INERTIA, delay=30e-3)
+    assert found.damping == 0.0
+    assert any("leaves no gain margin of 2" in note for note in found.notes)
+
+
+def test_a_velocity_that_is_late_costs_margin() -> None:
+    """The drive's own filter counts with the delay."""
+    prompt, late = (plan(bent("uniform"), inertia=3e-5, delay=4e-3, late=late) for late in (0.0, 4e-3))
+    assert late.damping < prompt.damping
+
+
+def test_a_damping_without_margin_is_refused_in_one_line() -> None:
+    with pytest.raises(UsageError, match=r"knee: law.damping 0.3 N\*m\*s/rad has a gain margin of .* allowed is 2: "):
+        plan(bent("uniform"), inertia=INERTIA, damping=0.3, where="knee")
+    assert plan(bent("uniform"), inertia=INERTIA, damping=0.01).damping == 0.01
+    assert plan(bent("uniform"), inertia=INERTIA, damping=0.0).damping == 0.0
+
+
+def test_a_measured_ringing_takes_the_place_of_the_models() -> None:
+    assert plan(bent("uniform"), inertia=INERTIA, ringing=80.0).ringing == pytest.approx(2.0 * math.pi * 80.0)
+
+
+def test_without_a_joint_encoder_nothing_is_foretold_or_damped() -> None:
+    found = plan(bent("uniform"), inertia=INERTIA, has_encoder=False)
+    assert found.lead == found.damping == 0.0
+    assert any("without a joint encoder" in note for note in found.notes)
+
+
+def test_reach_is_half_of_a_tendons_compliance_where_nothing_else_is_known() -> None:
+    """d/(2 r_J EA), with d = l/2; never less, or a trembling torque would turn the tendon that hardly slips."""
+    even = 0.5 * ACTUATOR.unstrained_length / ACTUATOR.axial_stiffness / (2.0 * ACTUATOR.joint_pulley_radius)
+    assert plan(bent("uniform")).reach == plan(bent("joint_end")).reach == pytest.approx(even)
+    assert plan(bent("motor_end")).reach == pytest.approx(2.0 * even)
+    sprung = dataclasses.replace(bent("uniform"), series_stiffness=2e4, series_at_joint=True)
+    assert plan(sprung).reach > 2.0 * even

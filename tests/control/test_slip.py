@@ -1,0 +1,140 @@
+"""Slip fronts of a joint at rest, against two tendons whose tensions are kept point by point.
+
+There the tension of a tendon that is loaded from the motor is max(old, T1 e^(-phi)), of one that is let go
+min(old, T3 e^(+phi)), with phi the friction angle from the motor; both stretch by what the motor moves. Nothing of the
+package is used for it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from tsa_ctrl.control.front import Front
+from tsa_ctrl.control.slip import FADE, Slip
+from tsa_ctrl.model.curvature import NAMED, Points
+
+R_M, R_J, X, T_P = 0.020, 0.025, 0.26, 45.0
+S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
+SHAPES: dict[str, Points] = {**NAMED, "S": S_BENT}
+
+
+class Held:
+    """Both tendons along the length, joint held, slid in direction 1 before; elongations in l/EA."""
+
+    def __init__(self, points: Points, tau_j: float) -> None:
+        u = (np.arange(4000) + 0.5) / 4000
+        places, shares = np.array(points).T
+        self.phi = X * np.interp(u, places + 1e-9 * np.arange(places.size), shares)
+        difference = tau_j / R_J
+        to_joint = X - self.phi
+
+        def too_much(t4: float) -> float:
+            return float(np.mean(t4 * np.exp(to_joint)) + np.mean((t4 - difference) * np.exp(-to_joint)) - 2.0 * T_P)
+
+        t4 = brentq(too_much, 0.0, 500.0)
+        self.b = t4 * np.exp(to_joint)
+        self.a = (t4 - difference) * np.exp(-to_joint)
+        self.ends = t4 - difference, t4
+
+    def _end(self, tendon: str, moved: float) -> tuple[float, float]:
+        """Tensions at motor and joint when the motor has moved back by `moved`."""
+        if tendon == "a":
+
+            def loaded(t1: float) -> np.ndarray:
+                return np.maximum(self.a, t1 * np.exp(-self.phi))
+
+            t1 = brentq(lambda t: np.mean(loaded(t) - self.a) - moved, self.a[0] * 0.5, 1000.0)
+            return t1, max(self.ends[0], t1 * math.exp(-X))
+
+        def let_go(t3: float) -> np.ndarray:
+            return np.minimum(self.b, t3 * np.exp(self.phi))
+
+        t3 = brentq(lambda t: np.mean(self.b - let_go(t)) - moved, 1e-6, self.b[0] * 2.0)
+        return t3, min(self.ends[1], t3 * math.exp(X))
+
+    def motor_torque(self, tau_j: float) -> float:
+        """The largest tau_M at which the joint torque is no more than `tau_j`: the motor has gone no farther back."""
+
+        def at(moved: float) -> tuple[float, float]:
+            (t1, t2), (t3, t4) = self._end("a", moved), self._end("b", moved)
+            return R_M * (t3 - t1), R_J * (t4 - t2)
+
+        most = 0.9 * min(float(np.mean(self.b)), 500.0)
+        moved = brentq(lambda m: at(m)[1] - (tau_j - 1e-7), 1e-9, most)
+        return at(moved)[0]
+
+    def slid(self, tau_j: float) -> float:
+        """tau_M when all slides the other way."""
+        difference = tau_j / R_J
+        to_joint = X - self.phi
+
+        def too_much(t4: float) -> float:
+            return float(np.mean(t4 * np.exp(-to_joint)) + np.mean((t4 - difference) * np.exp(to_joint)) - 2.0 * T_P)
+
+        t4 = brentq(too_much, 0.0, 500.0)
+        return float(R_M * (t4 * math.exp(-X) - (t4 - difference) * math.exp(X)))
+
+
+def slip(points: Points) -> Slip:
+    return Slip(Front(points), R_M, R_J, 1e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("tau_j", [-0.8, -0.3, 0.2, 0.5, 0.8])
+@pytest.mark.parametrize("further", [1e-3, 0.02, 0.05])
+def test_shortfall_is_that_of_the_tendons(shape: str, tau_j: float, further: float) -> None:
+    """By how much the sliding inverse lies beyond the fronts, to a twentieth of the whole half loop at most."""
+    held, found = Held(SHAPES[shape], tau_j), slip(SHAPES[shape])
+    found.begin(1.0, tau_j, X, T_P)
+    shortfall = found.shortfall(tau_j - further, X, T_P, moving=False)
+    expected = held.slid(tau_j - further) - held.motor_torque(tau_j - further)
+    assert shortfall == pytest.approx(expected, abs=0.010)
+    if abs(tau_j) >= 0.5 and shape != "motor_end" and further < 0.02:
+        assert abs(expected) > 0.03
+
+
+@pytest.mark.parametrize("shape", ["uniform", "S"])
+def test_mirrored(shape: str) -> None:
+    one, other = slip(SHAPES[shape]), slip(SHAPES[shape])
+    one.begin(1.0, 0.5, X, T_P)
+    other.begin(-1.0, -0.5, X, T_P)
+    assert one.scale == other.scale < 1.0
+    assert one.shortfall(0.47, X, T_P, False) == pytest.approx(-other.shortfall(-0.47, X, T_P, False))
+
+
+def test_ends_when_the_other_front_is_through() -> None:
+    """From there on all slides, and the inverse is right by itself."""
+    found = slip(SHAPES["uniform"])
+    found.begin(1.0, 0.5, X, T_P)
+    torques = np.arange(0.5, 0.2, -1e-3)
+    shortfalls = [found.shortfall(float(tau), X, T_P, False) for tau in torques]
+    assert not found.active
+    assert shortfalls[-1] == 0.0
+    assert np.abs(np.diff(shortfalls)).max() < 0.01
+
+
+def test_a_joint_that_moves_ends_it_within_its_time() -> None:
+    found = slip(SHAPES["uniform"])
+    found.begin(1.0, 0.5, X, T_P)
+    left = [found.shortfall(0.499, X, T_P, True) for _ in range(round(FADE / 1e-3) + 1)]
+    assert left[-1] == 0.0
+    assert np.all(np.diff(np.abs(left))[:-1] < 0.0)
+
+
+def test_at_the_motor_there_is_nothing_to_wait_for() -> None:
+    found = slip(SHAPES["motor_end"])
+    found.begin(1.0, 0.5, X, T_P)
+    assert found.shortfall(0.49, X, T_P, False) == 0.0
+    assert not found.active
+
+
+@pytest.mark.parametrize(("old", "x", "pretension"), [(0.0, X, T_P), (1.0, 0.0, T_P), (1.0, X, 5.0)])
+def test_what_has_no_fronts_begins_nothing(old: float, x: float, pretension: float) -> None:
+    """No direction before, no friction, or a tendon that is slack."""
+    found = slip(SHAPES["uniform"])
+    found.begin(old, 0.5, x, pretension)
+    assert not found.active

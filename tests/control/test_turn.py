@@ -1,0 +1,72 @@
+"""A planned turn: smooth, of its duration, at rest at its end, and able to begin anew at any time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.control.front import Front
+from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.model.curvature import NAMED
+
+PERIOD, DURATION = 1e-4, 8e-3
+
+
+def turned(name: str = "uniform", age: float = 0.0) -> np.ndarray:
+    """force, stretch, bend of a turn from 1 to -1, per period."""
+    turn = Turn(Front(NAMED[name]), DURATION, PERIOD)
+    turn.reset(1.0)
+    rows = []
+    for n in range(100):
+        turn.update(-1.0, age if n == 0 else 0.0)
+        rows.append((turn.force, turn.stretch, turn.bend))
+    assert not turn.turning
+    return np.array(rows).T
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_takes_its_duration_and_ends_at_rest(name: str) -> None:
+    force, stretch, bend = turned(name)
+    assert (force[81], stretch[81], bend[81]) == (-1.0, -1.0, 0.0)
+    assert force[78] > -1.0
+    assert np.all(np.diff(force) <= 0.0)
+    assert np.all(np.diff(stretch) <= 1e-12)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_bend_is_the_second_derivative_of_the_stretch(name: str) -> None:
+    _, stretch, bend = turned(name)
+    second = np.diff(stretch, 2) / PERIOD**2
+    np.testing.assert_allclose(bend[1:79], second[:78], atol=1e-3 * np.abs(second).max())
+
+
+def test_evenly_bent_half_of_the_torque_is_a_quarter_of_the_way() -> None:
+    """The front is at half of the bends when the motor has gone a quarter of its way."""
+    force, stretch, _ = turned()
+    at_half = np.interp(0.5, (1.0 - force) / 2.0, (1.0 - stretch) / 2.0)
+    assert at_half == pytest.approx(0.25, abs=0.01)
+
+
+def test_an_older_turn_is_as_far_as_if_it_had_begun_earlier() -> None:
+    young, old = turned()[0], turned(age=1.0)[0]
+    np.testing.assert_allclose(old[:79], young[1:80], atol=1e-12)
+
+
+def test_turns_add_up() -> None:
+    """Called back half way: it ends where it began, without a jump, and never beyond."""
+    turn = Turn(Front(NAMED["uniform"]), DURATION, PERIOD)
+    turn.reset(1.0)
+    forces = []
+    for n in range(200):
+        turn.update(-1.0 if n < 40 else 1.0)
+        forces.append(turn.force)
+    assert forces[-1] == 1.0
+    assert -1.0 < min(forces) < 0.0
+    assert max(forces) <= 1.0
+    assert np.abs(np.diff(forces)).max() < 0.06
+
+
+def test_steepest_is_the_largest_step_of_a_turn() -> None:
+    turn = Turn(Front(NAMED["uniform"]), DURATION, 1e-3)
+    coarse = turned()[0][::10]
+    assert turn.steepest() == pytest.approx(np.abs(np.diff(coarse)).max() / 2.0, abs=0.01)

@@ -1,0 +1,137 @@
+"""The shipped actuator with true parameters on every kind of joint, in virtual time: what reaches the joint.
+
+The plant's tendons are distributed; the controller's model is the truth, the shape of the sheath included. A delay
+counts whole periods between a measurement and the torque that acts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from numpy.typing import NDArray
+
+from tests.virtual.files import Tables, merged
+from tsa_ctrl import simulate_loop
+from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.virtual.result import Simulation
+from tsa_ctrl.virtual.script import Change
+
+PERIOD = 1e-3  # s
+LAG = 0.5e-3  # s, of the drive's torque loop
+GAIT: Tables = {"kind": "file", "file": "setpoint.csv", "loop": True}
+
+
+def sine(amplitude: float, frequency: float) -> Tables:
+    return {"kind": "sine", "amplitude": amplitude, "frequency": frequency}
+
+
+@dataclass(frozen=True)
+class Case:
+    """A joint and what is wanted there."""
+
+    load: str
+    setpoint: Mapping[str, Any]
+    seconds: float = 4.0
+
+
+CASES: dict[str, Case] = {
+    "gait": Case("imposed", GAIT, 5.0),
+    "held": Case("held", sine(0.5, 0.5)),
+    "held, slow": Case("held", sine(0.5, 0.05), 21.0),
+    "held, fast": Case("held", sine(0.5, 2.0), 3.0),
+    "held, small": Case("held", sine(0.05, 0.5)),
+    "spring": Case("spring", sine(0.5, 0.5)),
+    "weight": Case("weight", sine(0.5, 0.5)),
+    "free": Case("free", sine(0.5, 0.5)),
+    "limb": Case("limb", sine(0.5, 0.5)),
+    "wearer": Case("wearer", sine(0.5, 0.5), 8.0),
+}
+
+
+def play(
+    folder: Path,
+    load: str,
+    setpoint: Mapping[str, Any],
+    seconds: float,
+    *,
+    delay: int = 1,
+    inertia: float = 1e-4,
+    known: bool = True,
+    compensation: float = 1.0,
+    curvature: Any = "uniform",
+    axis: Mapping[str, Any] | None = None,
+    plant: Mapping[str, Any] | None = None,
+    changes: tuple[Change, ...] = (),
+    **more: Any,
+) -> Simulation:
+    """Run it; `inertia` is the motor's, which the controller knows if `known`; `axis`, `plant` change the files."""
+    save_model(NOMINAL, folder / "nominal.toml")
+    save_model(NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": curvature}}), folder / "true.toml")
+    gait().write_setpoint(folder / "setpoint.csv")
+    gait().write_motion(folder / "motion.csv")
+    law: Tables = {"fade_in": 0.5, "compensation": compensation}
+    if known:
+        law |= {"motor_inertia": inertia, "delay": (delay + 0.5) * PERIOD + LAG}
+    controller = {
+        "controller": {"settle_cycles": 20},
+        "axis": [
+            merged(
+                {
+                    "name": "joint",
+                    "model": "true.toml",
+                    "drive": {"node_id": 1, "max_torque": 3.0},
+                    "encoder": {"node_id": 32},
+                    "torque_sensor": {"node_id": 64},
+                    "setpoint": dict(setpoint),
+                    "law": law,
+                    "limits": {"torque": 2.5, "rate": 400.0},
+                },
+                axis or {},
+            )
+        ],
+    }
+    machine = {
+        "physics": {"start": "first_enable"},
+        "axis": [
+            merged(
+                {
+                    "name": "joint",
+                    "actuator": "nominal.toml",
+                    "tendon": {"kind": "distributed", "curvature": curvature},
+                    "drive": {"delay_periods": delay - 1},
+                    "motor": {"inertia": inertia},
+                    "joint": {"load": load},
+                    "motion": {"kind": "file", "file": "motion.csv"},
+                },
+                plant or {},
+            )
+        ],
+    }
+    paths = folder / "controller.toml", folder / "plant.toml"
+    for path, tables in zip(paths, (controller, machine), strict=True):
+        path.write_text(tomlkit.dumps(tables), encoding="utf-8")
+    return simulate_loop(*paths, seconds, changes=changes, **more)
+
+
+def play_case(folder: Path, name: str, **more: Any) -> Simulation:
+    """One of `CASES`."""
+    case = CASES[name]
+    return play(folder, case.load, case.setpoint, case.seconds, **more)
+
+
+def error(result: Simulation, after: float = 1.0) -> NDArray[np.float64]:
+    """Delivered less wanted joint torque, mN*m, from `after` s of the log on until the stop."""
+    axis = result.axes[0]
+    t = axis.log["t"][axis.counted]
+    return 1e3 * axis.error[t >= after]
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))

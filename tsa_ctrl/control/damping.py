@@ -1,0 +1,63 @@
+"""Damping of the motor's swing on its tendons, on its motion as it will be when the torque acts.
+
+The motor is an inertia on the tendons' spring, joint held: J_M e'' + K e = tau, with e the motor's angle less the one
+that was planned (that of the joint, and the stretch that goes with the torques). A torque -k e' damps it; but what is
+measured now acts a total delay T_d later, and w_n T_d is more than a radian, so that the plain feedback drives the
+swing instead: k = 0.02 N*m*s/rad swings for ever at one period of delay, on the shipped rig. A swing of one frequency
+can be foretold:
+
+    e'(t + T_d) = e'(t) cos(w_n T_d) - w_n e(t) sin(w_n T_d),     tau = -k e'(t + T_d),     w_n = sqrt(K / J_M)
+
+The planned angle is compared T_d late, as it acted; the slow part of e (zero of the encoders, a wrong model) is left
+out. `margin` says by how much k may still grow.
+"""
+
+from __future__ import annotations
+
+import math
+
+FORGET = 0.05  # s in which the mean of e follows: far slower than any ringing, faster than a gait
+
+
+class Damping:
+    """`torque` of the last update, N*m at the motor."""
+
+    def __init__(self, gain: float, ringing: float, delay: float, gearing: float, period: float) -> None:
+        """`gain` k in N*m*s/rad, `ringing` w_n in rad/s, `delay` T_d and `period` in s, `gearing` r_J/r_M."""
+        self.gain = gain
+        self._cosine, self._sine = math.cos(ringing * delay), ringing * math.sin(ringing * delay)
+        self._gearing = gearing
+        self._period = period
+        self._forget = period / (FORGET + period)
+        whole, self._part = divmod(delay / period, 1.0)
+        self._back = int(whole)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was planned."""
+        self.torque = 0.0
+        self._planned: list[float] = []
+        self._mean = math.nan
+
+    def update(self, planned: float, q_m: float, omega_m: float, q_j: float, omega_j: float) -> float:
+        """Torque, N*m at the motor.
+
+        `planned`: the stretch as an angle of the motor (rad) that is to be there in T_d; the rest is measured now, rad
+        and rad/s.
+        """
+        plan, back, part = self._planned, self._back, self._part
+        plan.append(planned)
+        if len(plan) < back + 3:
+            return 0.0
+        last = len(plan) - 1 - back
+        stretch = plan[last] + part * (plan[last - 1] - plan[last])
+        before = plan[last - 1] + part * (plan[last - 2] - plan[last - 1])
+        del plan[0]
+        angle = q_m - self._gearing * q_j - stretch
+        speed = omega_m - self._gearing * omega_j - (stretch - before) / self._period
+        if self._mean != self._mean:
+            self._mean = angle
+        self._mean += self._forget * (angle - self._mean)
+        torque = -self.gain * (self._cosine * speed - self._sine * (angle - self._mean))
+        self.torque = torque if torque == torque else 0.0
+        return self.torque

@@ -1,0 +1,166 @@
+"""What follows for an axis' law from its model, its settings and the delay: times, gains, and what cannot be had.
+
+Everything that [axis.law] leaves open is derived here, once, before the loop starts:
+
+* the delay from a measurement to the torque that acts: what the settings say, or transport (a period with
+  rpdo = "sync"), half a period of hold, and the torque loop of a drive;
+* the duration of a turn, `TURN` periods with all bends before the middle of the sheath, less towards the joint (there
+  nothing is hidden behind a front), more where the drive's limits ask for it; `BLIND` s where the motor's inertia is
+  not known, so that no swing is planned for: slow enough for a light motor on stiff tendons;
+* the damping that keeps a gain margin of 2 (`margin`), none where there is no such damping.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tsa_ctrl.control.front import Front, front_of
+from tsa_ctrl.control.margin import LAG, LEAST, gain_margin, largest_gain
+from tsa_ctrl.control.turn import Turn
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding
+
+TURN, TURN_AT_JOINT = 8, 5  # periods of a turn, for bends up to the middle of the sheath and for all at the joint
+BLIND = 0.02  # s of a turn without a motor inertia
+LONGEST_TURN = 0.06  # s; slower than that a gait is not followed
+RATE_SHARE = 0.8  # of the limiter's rate that a turn may use
+TORQUE_SHARE = 0.35  # of the limiter's torque that the motor's inertia may ask for
+MOST_LEAD = 0.03  # s; a reversal that is farther away is not predicted but guessed
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The numbers of one axis' law, in SI; `notes` say in words what this rig cannot have, and why."""
+
+    front: Front
+    delay: float  # s, from a measurement to the torque that acts
+    turn: float  # s
+    lead: float  # s, by which the joint's velocity is taken ahead
+    inertia: float  # kg*m^2 of the motor; 0: not known
+    stiffness: float  # N*m/rad, K
+    ringing: float  # rad/s, 0 without an inertia
+    damping: float  # N*m*s/rad
+    margin: float  # of the damping's gain; inf without damping
+    reach: float  # m of tendon per N*m wanted at a joint at rest
+    notes: tuple[str, ...] = ()
+
+    @property
+    def horizon(self) -> float:
+        """s by which a set-point must be known ahead."""
+        return max(self.turn + self.delay, self.lead)
+
+
+def plan_of(
+    model: TendonSheath,
+    *,
+    period: float,
+    transport: float,
+    late: float,
+    has_encoder: bool,
+    rate: float,
+    torque: float,
+    delay: float | None = None,
+    turn: float | None = None,
+    lead: float | None = None,
+    inertia: float | None = None,
+    ringing: float | None = None,
+    damping: float | None = None,
+    where: str = "",
+) -> Plan:
+    """Derive what is left out (None) of [axis.law]; `ringing` in Hz. Raises UsageError for a damping without margin.
+
+    `transport`: s until a command is taken; `late`: s by which the motor's velocity is late; `rate` (N*m/s) and
+    `torque` (N*m): the limiter's.
+    """
+    front = front_of(model)
+    total = transport + 0.5 * period + LAG if delay is None else delay
+    stiffness, mass = motor_stiffness(model), inertia or 0.0
+    omega = 2.0 * math.pi * ringing if ringing else math.sqrt(stiffness / mass) if mass else 0.0
+    notes = []
+    if turn is None:
+        turn = _duration(model, front, stiffness, mass, period, rate, torque)
+    if not mass:
+        notes.append(
+            f"law.motor_inertia is not given: reversals are turned in {1e3 * turn:.0f} ms, and the motor's swing on "
+            "its tendons is not damped; `tsa tune` measures it"
+        )
+    if not has_encoder:
+        notes.append(
+            "without a joint encoder the motor stands in for the joint: reversals are not foretold, the torque turns "
+            "late, and the motor's swing on its tendons is not damped"
+        )
+        lead = 0.0
+    gain, margin = _damping(damping, mass, omega, total + late, period, has_encoder, where, notes)
+    lag = model.effects.get("velocity_lag")
+    known = 0.5 * turn + total + (float(lag["time_constant"]) if lag else 0.0)
+    if known > MOST_LEAD and lead is None:
+        notes.append(
+            f"a reversal would have to be known {1e3 * known:.0f} ms ahead (half a turn and all delays); it is led by "
+            f"{1e3 * MOST_LEAD:.0f} ms, and the torque turns late"
+        )
+    at_rest = max(joint_side_compliance(model), 0.5 * model.unstrained_length / model.axial_stiffness)
+    return Plan(
+        front=front,
+        delay=total,
+        turn=turn,
+        lead=min(MOST_LEAD, known) if lead is None else lead,
+        inertia=mass,
+        stiffness=stiffness,
+        ringing=omega,
+        damping=gain,
+        margin=margin,
+        reach=at_rest / (2.0 * model.joint_pulley_radius),
+        notes=tuple(notes),
+    )
+
+
+def _duration(
+    model: TendonSheath, front: Front, stiffness: float, inertia: float, period: float, rate: float, torque: float
+) -> float:
+    """s of a turn that the drive's limits allow."""
+    half_loop = abs(sliding(model).motor_half_loop)
+    periods = TURN - (TURN - TURN_AT_JOINT) * max(0.0, 2.0 * front.centre - 1.0)
+    duration = periods * period if inertia else max(BLIND, periods * period)
+    moved = 2.0 * front.centre * half_loop / stiffness  # rad of the motor
+    while duration < LONGEST_TURN:
+        step = 2.0 * half_loop * Turn(front, duration, period).steepest()
+        swing = 2.0 * math.pi * inertia * moved / duration**2
+        if step <= RATE_SHARE * rate * period and swing <= TORQUE_SHARE * torque:
+            break
+        duration += 0.5 * period
+    return min(duration, LONGEST_TURN) if duration > periods * period else duration
+
+
+def _damping(
+    wanted: float | None,
+    inertia: float,
+    ringing: float,
+    delay: float,
+    period: float,
+    has_encoder: bool,
+    where: str,
+    notes: list[str],
+) -> tuple[float, float]:
+    """The gain (N*m*s/rad) and its margin."""
+    if wanted == 0.0 or not inertia or not has_encoder:
+        return 0.0, math.inf
+    stiffness = inertia * ringing**2
+    gain = largest_gain(inertia, stiffness, delay, period)
+    if wanted is None:
+        if gain == 0.0:
+            notes.append(
+                f"a delay of {1e3 * delay:.1f} ms leaves no gain margin of {LEAST:g} at a ringing of "
+                f"{ringing / (2.0 * math.pi):.0f} Hz: the motor's swing is not damped"
+            )
+            return 0.0, math.inf
+        return gain, gain_margin(gain, inertia, stiffness, delay, period)
+    margin = gain_margin(wanted, inertia, stiffness, delay, period)
+    if margin < LEAST:
+        raise UsageError(
+            f"{where}: law.damping {wanted:g} N*m*s/rad has a gain margin of {margin:.2g} at a delay of "
+            f"{1e3 * delay:.1f} ms and a ringing of {ringing / (2.0 * math.pi):.0f} Hz; allowed is {LEAST:g}: give at "
+            f"most {gain:.2g}, or leave it out"
+        )
+    return wanted, margin

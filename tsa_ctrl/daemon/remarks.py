@@ -1,0 +1,50 @@
+"""What the law of an axis has to say to people: at the start what this rig cannot have, later what it had to cut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.daemon.events import Events
+
+AGAIN = 10.0  # s between two remarks of one kind on one axis; the log has the reason of every cycle
+
+
+class Remarks:
+    """Turns it into events."""
+
+    def __init__(self, axes: Sequence[ControlAxis], events: Events) -> None:
+        self._axes = axes
+        self._events = events
+        self._cut = [0] * len(axes)
+        self._said = [-AGAIN] * len(axes)
+        self._slack = [False] * len(axes)
+
+    def begin(self) -> None:
+        """Before the first cycle."""
+        for axis in self._axes:
+            for note in axis.law.notes:
+                self._events.add(0.0, axis.name, note)
+
+    def update(self, t: float) -> None:
+        """Now and then; `t` in s of the log."""
+        for index, axis in enumerate(self._axes):
+            law = axis.law
+            if law.cut > self._cut[index] and t - self._said[index] >= AGAIN:
+                self._said[index] = t
+                self._cut[index] = law.cut
+                self._events.add(
+                    t,
+                    axis.name,
+                    f"the set-point asks for more than {law.domain:.3g} N*m at the motor, beyond which one tendon "
+                    "would have to push: cut there (DOMAIN); ask for less, or raise the pretension",
+                )
+            if law.near_slack is not self._slack[index]:
+                self._slack[index] = law.near_slack
+                state = "near slack" if law.near_slack else "no longer near slack"
+                self._events.add(
+                    t,
+                    axis.name,
+                    f"pretension {law.pretension:.3g} N at the present bending: the tendons are {state}, and the motor "
+                    f"may give up to {law.domain:.3g} N*m",
+                )
