@@ -60,7 +60,7 @@ class LogSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """The local socket of `tsa status`, `tsa set`, `tsa stop`."""
 
-    path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else tsa-UID.sock in the folder for temporary files
+    path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else /tmp/tsa-UID/tsa.sock
     group: str | None = None  # this group may use it too; default: the user who started the daemon alone
 
 

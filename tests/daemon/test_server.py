@@ -19,13 +19,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.daemon.serving import PATIENCE, Serving, until
+from tests.daemon.serving import PATIENCE, Serving, description, until
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, SLOTS, Command, Mailbox
-from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop
+from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop, make_private
 from tsa_ctrl.ipc.report import EventPrinter
-from tsa_ctrl.ipc.server import CLIENTS, listen
+from tsa_ctrl.ipc.server import CLIENTS, Server, listen
 
 
 @pytest.fixture
@@ -314,3 +314,63 @@ def test_a_terminal_that_is_stopped_holds_nobody_up(monkeypatch: pytest.MonkeyPa
         printer.update()
     resumed.set()
     mailbox.close()
+
+
+def test_the_private_folder_is_made_for_its_owner_alone(tmp_path: Path) -> None:
+    make_private(str(tmp_path / "own"))
+    assert stat.S_IMODE((tmp_path / "own").stat().st_mode) == 0o700
+    make_private(str(tmp_path / "own"))
+
+
+@pytest.mark.parametrize("mode", [0o777, 0o750])
+def test_a_folder_that_others_may_enter_is_refused(tmp_path: Path, mode: int) -> None:
+    (tmp_path / "trap").mkdir()
+    (tmp_path / "trap").chmod(mode)
+    with pytest.raises(UsageError, match="is not a folder of this user alone"):
+        make_private(str(tmp_path / "trap"))
+
+
+def test_a_link_in_the_place_of_the_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    (tmp_path / "trap").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match="is not a folder of this user alone"):
+        make_private(str(tmp_path / "trap"))
+
+
+def test_a_socket_that_is_left_over_and_cannot_be_removed_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "tsa.sock"
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(str(place))
+
+    def refuse(self: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(UsageError, match="is left over and cannot be removed"):
+        listen(str(place), None)
+
+
+def test_only_who_started_the_daemon_may_recover(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A member of the socket's group may not."""
+    mailbox = Mailbox(1, 2)
+    server = Server(listen(str(tmp_path / "tsa.sock"), None), mailbox, description(tmp_path / "tsa.sock", ["knee"]))
+    monkeypatch.setattr("tsa_ctrl.ipc.server.user_of", lambda connection: 12345)
+    with socket.socket(socket.AF_UNIX) as other:
+        other.connect(str(tmp_path / "tsa.sock"))
+        server.step(1.0)
+        other.sendall(b'{"verb":"recover"}\n')
+        server.step(1.0)
+        assert b"only the user who started the daemon may" in other.recv(4096)
+    assert mailbox.take() is None
+    server.close()
+
+
+def test_a_daemon_of_somebody_else_at_the_users_own_place_is_not_believed(
+    serving: Serving, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tsa_ctrl.ipc.client.default_path", lambda: serving.path)
+    monkeypatch.setattr("tsa_ctrl.ipc.client.user_of", lambda connection: 12345)
+    with pytest.raises(BusError, match="user 12345 answers there"):
+        Client(serving.path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 from types import TracebackType
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc.protocol import AnyRequest
+from tsa_ctrl.ipc.protocol import AnyRequest, default_path, user_of
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
 
@@ -32,6 +33,10 @@ class Client:
                 f"{path}: no daemon answers there ({error.strerror or error}); "
                 "start one with `tsa run CONTROLLER.toml`, or give its --socket"
             ) from None
+        user = user_of(self._socket)
+        if user not in (0, os.getuid()) and path == default_path():
+            self._socket.close()
+            raise BusError(f"{path}: user {user} answers there, not yours; look who made that file")
 
     def __enter__(self) -> Client:
         return self

@@ -8,11 +8,15 @@ Requests: {"verb": "status"}, {"verb": "set", "name": "knee.compensation", "valu
 from __future__ import annotations
 
 import os
+import socket
 import stat
+import struct
 from pathlib import Path
 from typing import Any
 
 import msgspec
+
+from tsa_ctrl.errors import UsageError
 
 LONGEST_LINE = 4096  # bytes of a request
 
@@ -78,9 +82,34 @@ class Description(msgspec.Struct, frozen=True):
 
 
 def default_path() -> str:
-    """$XDG_RUNTIME_DIR/tsa.sock, else a socket of this user in the folder for temporary files."""
-    folder = os.environ.get("XDG_RUNTIME_DIR")
-    return str(Path(folder) / "tsa.sock") if folder else f"/tmp/tsa-{os.getuid()}.sock"
+    """$XDG_RUNTIME_DIR/tsa.sock, else tsa.sock in a folder of this user's own among the temporary ones."""
+    return str(Path(os.environ.get("XDG_RUNTIME_DIR") or private_folder()) / "tsa.sock")
+
+
+def private_folder() -> str:
+    """Where nobody else may make a file first: it has mode 0700 (see `make_private`)."""
+    return f"/tmp/tsa-{os.getuid()}"
+
+
+def make_private(folder: str) -> None:
+    """Make it, or make sure that it is this user's alone; raises UsageError when somebody else made it."""
+    try:
+        Path(folder).mkdir(0o700)
+    except FileExistsError:
+        found = os.lstat(folder)
+        if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+            raise UsageError(
+                f"{folder}: is not a folder of this user alone (mode 0700); remove it, or give a [socket] path"
+            ) from None
+
+
+_PEER = struct.Struct("=3i")  # struct ucred: process, user, group
+
+
+def user_of(connection: socket.socket) -> int:
+    """The user at the other end of a local socket, by the kernel's word (SO_PEERCRED)."""
+    user: int = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))[1]
+    return user
 
 
 def is_socket(path: str) -> bool:

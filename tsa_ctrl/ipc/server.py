@@ -33,6 +33,9 @@ from tsa_ctrl.ipc.protocol import (
     Status,
     Stop,
     is_socket,
+    make_private,
+    private_folder,
+    user_of,
 )
 from tsa_ctrl.ipc.report import EventPrinter, status_report
 from tsa_ctrl.system.signals import ignore
@@ -53,6 +56,7 @@ class Client:
 
     def __init__(self, connection: socket.socket, now: float) -> None:
         self.connection = connection
+        self.user = user_of(connection)
         self.received = b""
         self.unsent = b""
         self.last = now
@@ -136,6 +140,8 @@ class Server:
         """The answer's bytes, or nothing while the loop has to take a command first."""
         try:
             request = _decode(line)
+            if isinstance(request, Recover) and client.user not in (0, os.getuid()):
+                raise UsageError("recover: only the user who started the daemon may; ask at the machine")
             command, answer = self._handle(request)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             return _line(_error(f"not a request: {error}"))
@@ -247,13 +253,21 @@ def _line(answer: dict[str, Any]) -> bytes:
 def listen(path: str, group: str | None) -> socket.socket:
     """A listening socket for its owner alone (0600), or also for a group (0660); raises UsageError."""
     place = Path(path)
+    if str(place.parent) == private_folder():
+        make_private(str(place.parent))
     if is_socket(path):
         probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         with probe:
             try:
                 probe.connect(path)
-            except OSError:
-                place.unlink()  # left over from a daemon that was killed
+            except OSError:  # left over from a daemon that was killed
+                try:
+                    place.unlink()
+                except OSError as error:
+                    raise UsageError(
+                        f"{path}: is left over and cannot be removed ({error.strerror}); remove it, or give another "
+                        "[socket] path"
+                    ) from None
             else:
                 raise UsageError(f"{path}: another daemon answers there; stop it, or give another [socket] path")
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
