@@ -7,6 +7,7 @@ process of its guest start here, too, with a Python in which nothing is installe
 from __future__ import annotations
 
 import ast
+import difflib
 import importlib
 import os
 import sys
@@ -42,7 +43,9 @@ def main(arguments: list[str]) -> int:
         return 0
     name = arguments[0].removeprefix("tools/").removesuffix(".py")
     if not (FOLDER / f"{name}.py").is_file() or name.count("/") == 0:
-        print(f"tools/run {name}: no such command; there are {', '.join(commands())}", file=sys.stderr)
+        near = difflib.get_close_matches(name.replace("_", "/"), commands(), n=1)
+        hint = f"did you mean '{near[0]}'?" if near else "tools/run alone lists what there is"
+        print(f"tools/run {name}: no such command; {hint}", file=sys.stderr)
         return 2
     sys.path[0] = str(FOLDER.parent)
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):

@@ -1,0 +1,51 @@
+"""tools/run: what there is, and what is not."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+from tests.conftest import ROOT
+from tools.__main__ import commands
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "tools"), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_alone_it_lists_every_command_with_its_first_line() -> None:
+    done = run()
+    assert (done.returncode, done.stderr) == (0, "")
+    for name, text in commands().items():
+        assert name in done.stdout
+        assert text in done.stdout
+
+
+@pytest.mark.parametrize("name", commands())
+def test_a_listed_command_can_be_called(name: str) -> None:
+    assert callable(importlib.import_module(f"tools.{name.replace('/', '.')}").main)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("bench_diagnose", "did you mean 'bench/diagnose'?"),
+        ("tools/bench/cycles.py", "did you mean 'bench/cycle'?"),
+        ("xyz", "tools/run alone lists what there is"),
+        ("command", "tools/run alone lists what there is"),
+    ],
+)
+def test_a_name_that_is_none_is_one_line(name: str, hint: str) -> None:
+    done = run(name)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert hint in done.stderr
+
+
+def test_an_error_for_people_is_one_line_with_the_command_in_front() -> None:
+    done = run("figures/gallery", "no_such_effect")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith("tools/run figures/gallery: unknown effect")
