@@ -160,7 +160,7 @@ def test_a_wrong_fault_is_one_clear_line(text: str, said: str) -> None:
 
 
 def test_every_fault_can_be_started_and_ended(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tsa_ctrl.plant.machine.set_up", lambda channel, up: None)
+    monkeypatch.setattr(bench.machine, "_switch", lambda channel, up: None)
     for name in FAULTS:
         begin(bench, f"{name} duration=0.002")
         bench.sync(5, bench.command(0x0F, 100))
