@@ -5,7 +5,7 @@ imports only what stands above it here (tests/identify/diagnosis/test_order.py):
 
 data        logs admitted and averaged (`prepare`, `denoise`), what they can show (`audit`), what is held out (`split`)
 hypotheses  the base model and what recalibration frees (`base`); the catalogue's effects as `candidates` on these logs,
-            with the search that their specification (model/effects) says, on grids placed by the logs' `scales`
+            with the search that their specification (model/effects) says, on grids placed by the logs' scales
 noise       the torque's coloured noise (`autoregressive`); what no log tells, projected out always (`nuisance`)
 fitting     a hypothesis against the data (`problem`, `fit`), one projection per candidate (`score_test`), the noise
             that the whole catalogue leaves (`noise_model`), the error that a user sees (`simulation_error`)
@@ -20,7 +20,7 @@ To add a stage: a module in the folder of what it needs last, with one public fu
 record (arrays with shape and unit, nothing drawn but from the generator that it is given); one line in
 `pipeline.diagnose`; a field in `report.details.Outcome`, and what `report.conclude` says of it (a new key of
 diagnosis.json is added to `result.to_dict`); a test in the folder of the same name under tests/identify/diagnosis, on
-logs that the package did not make. Then `tools/bench_diagnose --quick`: a stage may not cost what the targets ask for.
+logs that the package did not make. Then `tools/run bench/diagnose --quick`: no target may be lost to it.
 """
 
 from tsa_ctrl.identify.diagnosis.pipeline import diagnose

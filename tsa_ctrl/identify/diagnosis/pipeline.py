@@ -11,8 +11,7 @@ from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
 from tsa_ctrl.identify.diagnosis.fitting.fit import fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
-from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates
-from tsa_ctrl.identify.diagnosis.hypotheses.scales import scales_of
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.parameters.held_out import held_out
 from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
 from tsa_ctrl.identify.diagnosis.parameters.refit import refit
@@ -53,33 +52,33 @@ def diagnose(
     rng = np.random.default_rng(seed)
     runs = prepare(logs, model)
     say("audit")
-    parts = split(runs, hold_out)
-    found = audit(parts.frame)
+    data = split(runs, hold_out)
+    audited = audit(data.frame)
     testable = Candidates({}, {})
     try:
-        refuse_unexciting(found)
-        scales = scales_of(parts.frame, model)
-        testable = candidates(parts.frame, model, scales)
+        refuse_unexciting(audited)
+        scales = scales_of(data.frame, model)
+        testable = candidates(data.frame, model, scales)
         say("noise and recalibration")
-        problem, base = recalibrated(parts.frame, model, scales, testable.catalogue)
+        problem, base = recalibrated(data.frame, model, scales, testable.catalogue)
         refuse_unsuited(problem, base)
         say("causes")
-        chosen = select(problem, base, testable.catalogue, rng)
-        refuse_without_friction(problem, base, named=bool(chosen.fitted.names))
+        selection = select(problem, base, testable.catalogue, rng)
+        refuse_without_friction(problem, base, named=bool(selection.fitted.names))
         say("what is left")
-        chosen, findings = residual_structure(chosen, testable.catalogue, rng)
+        selection, findings = residual_structure(selection, testable.catalogue, rng)
         say("what cannot be told apart")
-        chosen, groups = alternatives(chosen, testable.catalogue, findings)
+        selection, groups = alternatives(selection, testable.catalogue, findings)
         say("parameters and gain")
-        base = fit(chosen.problem, base.hypothesis, base.point)
-        reported = profile_refined(chosen.problem, refit(chosen.problem, chosen.fitted))
-        errors = held_out(chosen.problem, base, chosen.fitted, parts, min(structure_share(findings), 0.95))
-        refuse_unrelated(problem, parts.held, errors, structure_share(findings))
+        base = fit(selection.problem, base.hypothesis, base.point)
+        reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
+        errors = held_out(selection.problem, base, selection.fitted, data, structure_share(findings))
+        refuse_unrelated(problem, data.held, errors, structure_share(findings))
     except InsufficientError as refusal:
-        return insufficient(model, found, str(refusal), testable.not_testable)
+        return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything
-        return insufficient(model, found, UNSUITED, testable.not_testable)
-    limits = detection_limits(chosen)
+        return insufficient(model, audited, UNSUITED, testable.not_testable)
+    limits = detection_limits(selection)
     return conclude(
-        model, Outcome(parts, found, scales, testable, base, chosen, findings, groups, reported, errors, limits)
+        model, Outcome(data, audited, scales, testable, base, selection, findings, groups, reported, errors, limits)
     )

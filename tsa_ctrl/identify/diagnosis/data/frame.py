@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.model.signals import Signals, hold_direction
 
 BLOCKS = 24  # for block-robust statistics
 
@@ -43,6 +43,20 @@ class Run:
     def period(self) -> float:
         """Of the score samples, s."""
         return self.signals.period * self.bin
+
+    @property
+    def angle(self) -> Array:
+        """Joint angle at the compute rate, rad; the integral of the velocity where the log has none."""
+        s = self.signals
+        return s.q_j if s.q_j is not None else np.asarray(np.cumsum(s.omega_j) * s.period)
+
+    def since_reversal(self) -> tuple[Array, Array]:
+        """Time (s) and distance (rad) since the last reversal, at the compute rate."""
+        s, angle = self.signals, self.angle
+        flips = np.concatenate([[True], np.diff(hold_direction(s.omega_j)) != 0.0])
+        last = np.maximum.accumulate(np.where(flips, np.arange(len(s)), 0))
+        elapsed = np.asarray((np.arange(len(s)) - last) * s.period, dtype=np.float64)
+        return elapsed, np.asarray(np.abs(angle - angle[last]), dtype=np.float64)
 
     def average(self, y: Array) -> Array:
         """Means over bins: shape (count,) from (n,), or (count, k) from (n, k)."""

@@ -15,6 +15,8 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulati
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
+MOST_STRUCTURE = 0.95  # of the mean square: some of what is left is noise
+
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -47,7 +49,7 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
         "extended": _rms(frame, extended.hypothesis.model(extended.point), split.held),
     }
     floor = _rms(frame, own.hypothesis.model(own.point), split.held) * np.sqrt(samples / (samples - len(own.point)))
-    floor *= np.sqrt(max(0.0, 1.0 - structure_share))
+    floor *= np.sqrt(1.0 - min(structure_share, MOST_STRUCTURE))
     won = max(rms["recalibrated"] ** 2 - rms["extended"] ** 2, 1e-300)
     lost = []
     for index in range(len(found.names)):

@@ -23,7 +23,7 @@ PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     """The result on logs that show something. `model`: as given."""
     reported, errors = outcome.reported, outcome.errors
-    order = [int(i) for i in np.argsort([-proof.gain for proof in outcome.chosen.evidence], kind="stable")]
+    order = [int(i) for i in np.argsort([-proof.gain for proof in outcome.selection.evidence], kind="stable")]
     grouped = [outcome.groups[i] for i in order]
     parameters = effect_quantities(reported)
     causes = tuple(
@@ -44,7 +44,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         verdict=verdict,
         sentence="",
         causes=causes,
-        parameter_errors=_parameter_errors(reported, outcome.parts.frame, model),
+        parameter_errors=_parameter_errors(reported, outcome.data.frame, model),
         unexplained=what_is_left(left, () if causes else outcome.audit.suspicions),
         not_testable=dict(sorted(not_testable.items())),
         detection_limit=dict(sorted(outcome.limits.sizes.items())),

@@ -31,12 +31,12 @@ LAGS = 60  # of the autocorrelation
 class Outcome:
     """One field for each stage."""
 
-    parts: Split
+    data: Split
     audit: Audit
     scales: Scales
     testable: Candidates
     base: Fit  # recalibrated, without effects
-    chosen: Selection
+    selection: Selection
     findings: tuple[Finding, ...]  # what is left
     groups: tuple[Group, ...]  # one for each cause
     reported: Refit
@@ -93,28 +93,28 @@ class Details:
 
 def details(outcome: Outcome, grouped: Sequence[Group]) -> Details:
     """The curves and tables behind an outcome; `grouped`: its groups in the order of the report."""
-    parts, found, reported = outcome.parts, outcome.audit, outcome.reported
-    base, chosen, findings = outcome.base, outcome.chosen, outcome.findings
+    data, found, reported = outcome.data, outcome.audit, outcome.reported
+    base, selection, findings = outcome.base, outcome.selection, outcome.findings
     models = (
         base.hypothesis.base.given,
         base.hypothesis.model(base.point),
         reported.fitted.hypothesis.model(reported.fitted.point),
     )
-    residual = chosen.fitted.residual
+    residual = selection.fitted.residual
     variance = float(residual @ residual)
     correlation = np.array([float(residual[lag:] @ residual[: len(residual) - lag]) / variance for lag in range(LAGS)])
-    logs = [(run.name, run.raw.sha256) for run in parts.frame.runs]
+    logs = [(run.name, run.raw.sha256) for run in data.frame.runs]
     held = (
-        f"logs {', '.join(parts.held_logs)}"
-        if parts.held_logs
+        f"logs {', '.join(data.held_logs)}"
+        if data.held_logs
         else "every third of twelve stretches of each log, with gaps"
     )
     return Details(
         target=base.hypothesis.base.target,
-        curves=tuple(_curves(run, models) for run in parts.frame.runs),
-        noise=chosen.problem.noise.rms,
-        period=parts.frame.period,
-        ranking=_ranking(chosen, grouped),
+        curves=tuple(_curves(run, models) for run in data.frame.runs),
+        noise=selection.problem.noise.rms,
+        period=data.frame.period,
+        ranking=_ranking(selection, grouped),
         autocorrelation=correlation,
         band=1.96 / float(np.sqrt(len(residual))),
         audit=found,
@@ -136,8 +136,7 @@ def _excluded(grouped: Sequence[Group]) -> tuple[str, ...]:
 def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
     s = run.signals
     as_given, recalibrated, extended = (run.average(predict(model, s)) for model in models)
-    angle = s.q_j if s.q_j is not None else np.cumsum(s.omega_j) * s.period
-    elapsed, distance = _since_reversal(s.omega_j, angle, s.period)
+    elapsed, distance = run.since_reversal()
     return Curves(
         name=run.name,
         t=run.average(s.t),
@@ -147,19 +146,12 @@ def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
         extended=extended,
         omega=run.average(s.omega_j),
         sigma=np.sign(run.average(hold_direction(s.omega_j))),
-        angle=run.average(angle),
+        angle=run.average(run.angle),
         tau_m=run.average(s.tau_m),
         temperature=None if s.temperature is None else run.average(s.temperature),
         elapsed=run.average(elapsed),
         distance=run.average(distance),
     )
-
-
-def _since_reversal(omega: Array, angle: Array, period: float) -> tuple[Array, Array]:
-    flips = np.concatenate([[True], np.diff(hold_direction(omega)) != 0.0])
-    last = np.maximum.accumulate(np.where(flips, np.arange(len(omega)), 0))
-    elapsed = np.asarray((np.arange(len(omega)) - last) * period, dtype=np.float64)
-    return elapsed, np.asarray(np.abs(angle - angle[last]), dtype=np.float64)
 
 
 def _ranking(chosen: Selection, grouped: Sequence[Group]) -> tuple[Ranked, ...]:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
@@ -61,7 +61,7 @@ def direction_and_load(frame: Frame, predicted: Array) -> tuple[Array, Array]:
 def _drivers(frame: Frame, predicted: Array) -> Mapping[str, Array]:
     """Signals at the score rate, centred and scaled to about +-1."""
     sigma = frame.stack([hold_direction(run.signals.omega_j) for run in frame.runs])
-    turned = frame.stack([angle(run) for run in frame.runs])
+    turned = frame.stack([run.angle for run in frame.runs])
     out = {
         "angle": _scaled(turned),
         "speed": _scaled(frame.column("omega_j"), centre=False),
@@ -80,14 +80,6 @@ def _slow(frame: Frame, y: Array) -> Array:
     if frame.runs[0].raw.rate * 0.2 < DRIVER_CUTOFF:
         return y
     return np.concatenate([low_pass(y[part], frame.period, DRIVER_CUTOFF) for part in frame.slices])
-
-
-def angle(run: Run) -> Array:
-    """Joint angle at the compute rate, rad; the integral of the velocity where the log has none."""
-    s = run.signals
-    if s.q_j is not None:
-        return s.q_j
-    return np.asarray(np.cumsum(s.omega_j) * s.period)
 
 
 def _scaled(x: Array, centre: bool = True) -> Array:
@@ -113,13 +105,8 @@ def _after(frame: Frame, sigma: Array, load: Array) -> Array:
     """Decays with time and with distance since the last reversal."""
     parts = []
     for run in frame.runs:
-        s = run.signals
-        flips = np.concatenate([[True], np.diff(hold_direction(s.omega_j)) != 0.0])
-        last = np.maximum.accumulate(np.where(flips, np.arange(len(s)), 0))
-        elapsed = (np.arange(len(s)) - last) * s.period
-        turned = angle(run)
-        distance = np.abs(turned - turned[last])
-        reach = max(0.5 * float(np.ptp(turned)), 1e-9)
+        elapsed, distance = run.since_reversal()
+        reach = max(0.5 * float(np.ptp(run.angle)), 1e-9)
         decays = [np.exp(-elapsed / time) for time in AFTER] + [np.exp(-distance / (share * reach)) for share in AFTER]
         parts.append(run.average(np.column_stack(decays)))
     columns = np.concatenate(parts)

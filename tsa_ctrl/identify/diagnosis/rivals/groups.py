@@ -19,7 +19,6 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit_or_none
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
-from tsa_ctrl.identify.diagnosis.residual.features import angle
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
@@ -137,7 +136,7 @@ def _limits(problem: Problem, name: str) -> set[str]:
     """Effects of which `name` is a limit: an offset is a spring without stiffness, or a weight that hardly turns."""
     if name != "torque_offset":
         return set()
-    turned = max(float(np.ptp(angle(run))) for run in problem.frame.runs) > STILL
+    turned = max(float(np.ptp(run.angle)) for run in problem.frame.runs) > STILL
     return {"joint_stiffness", "gravity_load"} if turned else {"joint_stiffness"}
 
 
