@@ -105,11 +105,6 @@ class McapFile:
             raise
 
     @property
-    def size(self) -> int:
-        """Bytes written so far."""
-        return self._position
-
-    @property
     def written(self) -> int:
         """Records written so far."""
         return sum(self._sequence)
