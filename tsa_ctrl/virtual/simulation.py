@@ -66,7 +66,7 @@ def simulate_loop(
     )
     if record is not None:
         refuse_inputs(Path(record), inputs, "--record")
-    run = _Run(configuration, settings, seconds, out, record)
+    run = Run(configuration, settings, seconds, out, record)
     try:
         return run.play(
             [parse_fault_option(each) if isinstance(each, str) else each for each in faults],
@@ -89,16 +89,16 @@ def _garbage_left() -> Iterator[None]:
             gc.enable()
 
 
-class _Run:
-    """The parts of one run, put together as the daemon and `tsa plant` do."""
+class Run:
+    """The parts of one run, put together as the daemon and `tsa plant` do: `machine`, `rig` and `loop` among them."""
 
     def __init__(
         self,
         configuration: Configuration,
         plant: PlantSettings,
         seconds: float,
-        out: str | Path | None,
-        record: str | Path | None,
+        out: str | Path | None = None,
+        record: str | Path | None = None,
     ) -> None:
         file = configuration.file
         self._configuration = configuration
@@ -106,19 +106,19 @@ class _Run:
         self._seconds = seconds
         self._record = None if record is None else Path(record)
         self._wire = Wire(file.bus.bitrate)
-        self._machine = Machine(plant, self._wire.plant, self._wire.plant.clock, self._wire.switch)
-        self._wire.attach(self._machine)
+        self.machine = Machine(plant, self._wire.plant, self._wire.plant.clock, self._wire.switch)
+        self._wire.attach(self.machine)
         self._truth = Truth(len(plant.axis), min(plant.physics.record_period, configuration.period), self._record)
-        self._machine.recorder = self._truth
+        self.machine.recorder = self._truth
         self._records = Records(len(file.axes), None if out is None else Path(out), log_header(configuration))
-        self._rig = Rig(self._wire.host, file.bus, file.axes, configuration.profiles)
-        self._axes = control_axes(configuration, self._rig)
+        self.rig = Rig(self._wire.host, file.bus, file.axes, configuration.profiles)
+        self._axes = control_axes(configuration, self.rig)
         self._tuners = tuners_of(self._axes, configuration.period)
         self._mailbox = Mailbox(len(file.axes), len(self._tuners[0].parameters))
         events = Events()
-        telemetry = Telemetry(self._rig, self._axes, self._tuners, self._mailbox, self._records.ring, None, events)
-        self._loop = Loop(
-            self._rig,
+        telemetry = Telemetry(self.rig, self._axes, self._tuners, self._mailbox, self._records.ring, None, events)
+        self.loop = Loop(
+            self.rig,
             self._axes,
             self._tuners,
             self._mailbox,
@@ -130,10 +130,10 @@ class _Run:
         )
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
-        script = beginnings(self._machine, faults)
+        script = beginnings(self.machine, faults)
         settings = commands([axis.name for axis in self._axes], self._tuners, changes)
-        operation = Operation(self._configuration, self._rig, self._axes, self._loop)
-        self._machine.start()
+        operation = Operation(self._configuration, self.rig, self._axes, self.loop)
+        self.machine.start()
         self._every(EVERY, self._records.drain)
         self._every(EVERY, lambda now: tick(min(1.0, now / (self._seconds + 1.0))))
         with _garbage_left():
@@ -176,7 +176,7 @@ class _Run:
 
     def _beginning(self, begin: Callable[[float], None]) -> Callable[[float], None]:
         def action(now: float) -> None:
-            self._machine.advance(now)
+            self.machine.advance(now)
             begin(now)
 
         return action
@@ -186,15 +186,15 @@ class _Run:
 
     def _results(self) -> tuple[AxisResult, ...]:
         places = {(axis.drive.node_id, axis.drive.slot): place for place, axis in enumerate(self._plant.axis)}
-        events = self._loop.events.faults
+        events = self.loop.events.faults
         return tuple(
             AxisResult(
                 name=settings.name,
                 log=self._records.columns(index),
                 truth=self._truth.columns(places[settings.drive.node_id, settings.drive.slot]),
-                start=self._loop.start,
+                start=self.loop.start,
                 fade_in=settings.law.fade_in,
-                until=self._loop.stop_began,
+                until=self.loop.stop_began,
                 faults=tuple(str(event.text) for event in events if event.axis in ("", settings.name)),
             )
             for index, settings in enumerate(self._configuration.file.axes)
