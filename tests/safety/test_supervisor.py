@@ -378,9 +378,37 @@ def test_torque_with_none_of_the_65536_statuswords_but_those_that_say_enabled_an
         supervisor.faults = []
         image.statusword = statusword
         _, permitted, _ = supervisor.update(image, bench.now, Request.ENABLE)
-        if permitted is not (statusword & 0x6F == 0x27 and bool(statusword & 0x1000)):
+        if permitted is not (statusword & 0x6F == 0x27 and statusword & 0x1210 == 0x1210):
             wrong.append(statusword)
     assert wrong == []
+
+
+@pytest.mark.parametrize(("low", "words"), [(0x1227, "bit 4 (voltage)"), (0x1037, "bit 9 (remote)")])
+def test_a_power_stage_that_goes_off_while_the_state_says_enabled_is_a_lost_state(low: int, words: str) -> None:
+    """One cycle is enough: a supply that flaps is off half of the time and never long."""
+    bench = enabled()
+    before = WORDS[PowerState.OPERATION_ENABLED]
+    try:
+        WORDS[PowerState.OPERATION_ENABLED] = low
+        bench.step(Request.ENABLE)
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = before
+    assert not bench.permitted
+    fault = bench.supervisor.fault
+    assert fault is not None
+    assert (fault.cause, words in fault.detail) == (Cause.STATE_LOST, True)
+
+
+def test_a_drive_that_never_shows_voltage_and_remote_runs_without() -> None:
+    """Some leave bits 4 and 9 low for ever."""
+    before = WORDS[PowerState.OPERATION_ENABLED]
+    try:
+        WORDS[PowerState.OPERATION_ENABLED] = 0x1027
+        bench = enabled()
+        bench.step(Request.ENABLE, 5)
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = before
+    assert bench.permitted
 
 
 def test_an_event_that_is_no_fault_leaves_the_torque() -> None:

@@ -20,6 +20,7 @@ _RUN = (Controlword.ENABLE_OPERATION, True, None)
 _TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
 _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
 _LATE = 'if it shows its mode only when it is enabled, mode_shows = "enabled" in its profile'
+_POWER_BITS = cia402.VOLTAGE_ENABLED | cia402.REMOTE  # which a drive that shows them must go on showing
 _OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
 
 
@@ -97,6 +98,7 @@ class Supervisor:
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
         self._running_mask = cia402.STATE_BITS | self._following_mask
         self._running_word = _ENABLED_BITS | self._following_mask
+        self._power_bits = 0  # those of the power bits that this drive showed when it was enabled
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
         self._events = 0
@@ -122,6 +124,7 @@ class Supervisor:
             self.phase is Phase.ENABLED
             and request is Request.ENABLE
             and image.statusword & self._running_mask == self._running_word
+            and image.statusword & self._power_bits == self._power_bits
             and image.mode == _TORQUE_MODE
             and image.misses <= self._misses
             and image.drops <= self._drops
@@ -203,6 +206,14 @@ class Supervisor:
     def _check_running(self, image: Image, state: PowerState, now: float) -> None:
         if state is not PowerState.OPERATION_ENABLED:
             self._latch(Cause.STATE_LOST, f"drive is in {state.value}", now)
+        elif missing := self._power_bits & ~image.statusword:
+            which = "4 (voltage)" if missing & cia402.VOLTAGE_ENABLED else "9 (remote)"
+            self._latch(
+                Cause.STATE_LOST,
+                f"drive says that it is enabled, but bit {which} of statusword 0x{image.statusword:04X} went low: the "
+                "power stage is off, or somebody else has taken it over",
+                now,
+            )
         elif image.mode != Mode.CYCLIC_SYNC_TORQUE:
             self._latch(Cause.WRONG_MODE, f"drive is in mode {image.mode}, wanted is 10 (cyclic torque)", now)
         elif image.statusword & self._following_mask != self._following_mask:
@@ -220,6 +231,7 @@ class Supervisor:
         in_mode = image.mode == Mode.CYCLIC_SYNC_TORQUE
         following = image.statusword & self._following_mask == self._following_mask
         if state is PowerState.OPERATION_ENABLED and in_mode and following and image.fresh:
+            self._power_bits = image.statusword & _POWER_BITS
             self._enter(Phase.ENABLED, now)
         elif now - self._since > self._settings.enable_timeout:
             self._latch(Cause.ENABLE_TIMEOUT, self._not_enabled(image, state, in_mode, following), now)

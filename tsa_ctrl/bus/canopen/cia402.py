@@ -42,6 +42,7 @@ class Mode(IntEnum):
 CST_SUPPORTED = 1 << 9  # bit of object 0x6502
 
 VOLTAGE_ENABLED = 1 << 4  # bit of the statusword: there is voltage for the motor
+REMOTE = 1 << 9  # the controlword is processed
 FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
 
 STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value, state
