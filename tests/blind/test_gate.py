@@ -56,6 +56,7 @@ def likely(count: int, total: int, share: float) -> bool:
     return bool(binom.cdf(count, total, share) > UNLIKELY)
 
 
+@pytest.mark.slow
 @none
 def test_nothing_is_named_where_nothing_is_hidden() -> None:
     assert [key for key, marks, _ in answers("none", NONE) if marks.named] == []
@@ -71,6 +72,7 @@ def singles() -> list[tuple[str, Mark, str]]:
     return answers("single", SINGLE * len(FAMILIES["single"]))
 
 
+@pytest.mark.slow
 @single
 @pytest.mark.parametrize(
     ("well", "target"),
@@ -92,6 +94,7 @@ def test_intervals_cover() -> None:
     assert likely(sum(found), len(found), 0.93), f"{sum(found)} of {len(found)}"
 
 
+@pytest.mark.slow
 @others
 def test_a_cause_outside_the_catalogue_is_noticed() -> None:
     found = answers("outside", OUTSIDE * len(FAMILIES["outside"]))
@@ -106,11 +109,13 @@ def test_a_cause_outside_the_catalogue_is_not_explained_away() -> None:
     assert likely(len(found) - len(explained), len(found), 0.95), explained
 
 
+@pytest.mark.slow
 @others
 def test_a_rival_that_needs_a_column_which_was_not_recorded_is_no_error() -> None:
     assert ask(case("outside", "sensor_dead_zone", 7001, short=True))["verdict"] in ("partly_explained", "unexplained")
 
 
+@pytest.mark.slow
 @others
 def test_two_effects_are_both_named() -> None:
     found = answers("pair", PAIRS)
@@ -118,6 +123,7 @@ def test_two_effects_are_both_named() -> None:
     assert likely(len(found) - len(missed), len(found), 0.90), missed
 
 
+@pytest.mark.slow
 @others
 @pytest.mark.parametrize(
     "row", ["elongation_or_gain", "weight_or_spring", "relaxation_or_warmth", "load_or_asymmetry", "gain_or_parameters"]
@@ -128,6 +134,7 @@ def test_twins_are_a_group_and_an_experiment_is_named(row: str) -> None:
     assert (marks.grouped, marks.advised) == (True, True)
 
 
+@pytest.mark.slow
 def test_a_strategy_that_always_names_something_does_not_pass() -> None:
     """The gate's first demand, put to a naive strategy on the same logs."""
     drawn = [case("none", name, SEED, short=True) for name in FAMILIES["none"][:4]]

@@ -12,6 +12,7 @@ none = pytest.mark.xdist_group("gate none")
 single = pytest.mark.xdist_group("gate single")
 
 
+@pytest.mark.slow
 @none
 def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_loop() -> None:
     inside = []
@@ -22,6 +23,7 @@ def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_lo
     assert likely(sum(inside), len(inside), 0.93), f"{sum(inside)} of {len(inside)}"
 
 
+@pytest.mark.slow
 @single
 @pytest.mark.parametrize(
     ("effect", "parameter"),

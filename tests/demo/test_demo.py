@@ -178,6 +178,7 @@ def demo(folder: Path, capsys: pytest.CaptureFixture[str], *options: str) -> dic
     return found
 
 
+@pytest.mark.slow
 def test_virtual_time_shows_what_compensation_gains(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = demo(tmp_path, capsys, "--seconds", "5")
     assert (data["bus"], data["load"]) == ("virtual time", "imposed")
@@ -188,6 +189,7 @@ def test_virtual_time_shows_what_compensation_gains(tmp_path: Path, capsys: pyte
     assert Path(data["log"]).stat().st_size > 100_000
 
 
+@pytest.mark.slow
 def test_the_torque_of_a_demo_moves_the_joint_of_a_load_that_moves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -75,6 +75,7 @@ class TestRig:
         assert found.pretension.value == pytest.approx(pair.pretension, rel=3e-3)
 
 
+@pytest.mark.slow
 def test_diagnosed() -> None:
     """Friction that nobody knew of is named beside the file's own bends, which stay in the extended model."""
     pair, spring = RIGS["S, spring at the joint"]

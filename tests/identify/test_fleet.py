@@ -96,6 +96,7 @@ def table(out: Path) -> dict[str, dict[str, str]]:
         return {line["log"]: line for line in csv.DictReader(file)}
 
 
+@pytest.mark.slow
 def test_each_log_has_a_row_with_its_verdict(done: Path) -> None:
     rows = table(done)
     assert list(rows) == ["drive_1.csv", "drive_2.csv", "drive_3.csv"]
@@ -173,6 +174,7 @@ def test_a_folder_without_logs_is_an_error(tmp_path: Path) -> None:
         logs_in(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_command_uses_processes_and_prints_what_the_table_holds(folder: Path, model: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "tsa_ctrl", "diagnose", str(folder), "--model", str(model)]
     run = subprocess.run(
@@ -191,6 +193,7 @@ def test_the_command_uses_processes_and_prints_what_the_table_holds(folder: Path
     assert data["verdicts"]["error"] == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [(["--hold-out", "x*"], "--hold-out"), (["more.csv"], "is a folder"), (["--scheduler", "nowhere"], "--scheduler")],
@@ -225,6 +228,7 @@ def children_of(pid: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_a_table_and_no_process(model: Path, tmp_path: Path) -> None:
     logs, out = tmp_path / "logs", tmp_path / "out"
     logs.mkdir()
@@ -267,6 +271,7 @@ def cluster() -> Iterator[str]:
         yield made.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_gives_the_same_table(
     cluster: str, done: Path, folder: Path, model: Path, tmp_path: Path
 ) -> None:
@@ -283,6 +288,7 @@ def test_a_dask_cluster_gives_the_same_table(
     assert (tmp_path / "drive_2.csv" / "report.html").is_file()
 
 
+@pytest.mark.slow
 def test_local_processes_end_with_the_block() -> None:
     with local(1) as workers:
         assert workers.executor.submit(abs, -1).result() == 1

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import subprocess
 
+import pytest
+
 from tests.conftest import ROOT
 
 
+@pytest.mark.slow
 def test_every_log_is_answered_once_though_it_was_interrupted() -> None:
     told = subprocess.run(
         [ROOT / "tools" / "run", "bench/fleet", "--logs", "3", "--jobs", "1"],

@@ -75,6 +75,7 @@ def test_members_of_an_enum_are_confused() -> None:
     assert "m.py f: return S.B -> return S.A" in {mutant.name for mutant in mutants(source, "m.py", enums_of(source))}
 
 
+@pytest.mark.slow
 def test_a_fixed_sample_is_killed_and_the_list_is_current() -> None:
     """The same mutants each time; entries of the list that name none would be problems here, too."""
     code, found = run("--sample", str(SAMPLE), "--jobs", "2")

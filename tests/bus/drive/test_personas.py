@@ -73,6 +73,7 @@ def plants() -> Iterator[list[Plant]]:
         plant.end()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_right_profile_comes_up(tmp_path: Path, plants: list[Plant], kind: str) -> None:
     """All objects written and read back; what the drive lacks by its documentation is not missed."""

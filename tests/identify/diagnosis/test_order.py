@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from tests.test_layers import graph
 
 DIAGNOSIS = "identify.diagnosis."
@@ -24,6 +26,7 @@ def stage(module: str) -> int:
     return STAGES.index(module.removeprefix(DIAGNOSIS).split(".")[0])
 
 
+@pytest.mark.slow
 def test_a_stage_imports_only_stages_before_it() -> None:
     inside = {name: others for name, others in graph().items() if name.startswith(DIAGNOSIS)}
     wrong = [

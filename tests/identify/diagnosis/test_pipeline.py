@@ -63,6 +63,7 @@ def test_nothing_is_named_where_nothing_is_hidden(name: str, seed: int) -> None:
     assert diagnosed("none", name, seed).causes == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
@@ -94,6 +95,7 @@ def test_an_effect_that_is_hard_to_see_is_named_alone(name: str, seed: int) -> N
     assert [(cause.effect, cause.alternatives) for cause in result.causes] == [(name, ())], result.sentence
 
 
+@pytest.mark.slow
 def test_a_second_cause_is_named_where_structure_has_coloured_the_noise() -> None:
     result = diagnosed("pair", "any", 7005)
     assert {cause.effect for cause in result.causes} == {"presliding_hysteresis", "torque_offset"}, result.sentence
@@ -224,6 +226,7 @@ def text_of(page: str) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", body)).split())
 
 
+@pytest.mark.slow
 def test_the_report_says_what_the_json_says(written: Path) -> None:
     data = json.loads((written / "diagnosis.json").read_text())
     page = (written / "report.html").read_text()

@@ -9,6 +9,7 @@ from tests.identify.diagnosis.test_pipeline import model
 from tsa_ctrl.identify import diagnose
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("compensated", "follows"), [(False, "joint"), (True, "motor")])
 def test_presliding_is_found_in_the_displacement_that_shows_it(compensated: bool, follows: str) -> None:
     result = diagnose([record(1, compensated=compensated)], model())

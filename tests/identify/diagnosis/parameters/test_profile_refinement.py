@@ -13,6 +13,7 @@ from tsa_ctrl.identify.diagnosis.parameters import profile_refinement
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 
 
+@pytest.mark.slow
 def test_a_step_that_the_rest_of_the_model_cannot_follow_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[Problem, Refit]] = []
 
