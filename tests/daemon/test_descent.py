@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -39,16 +38,9 @@ def drive() -> TimedDrive:
 
 
 @pytest.fixture
-def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drive: TimedDrive) -> Iterator[Machine]:
+def machine(tmp_path: Path, drive: TimedDrive) -> Iterator[Machine]:
     made = Machine(tmp_path, CONSTANT, drive=drive)
-    drive.clock = clock = made.bus.clock
-
-    def sleep(seconds: float) -> None:
-        assert seconds >= 0.0, "sleep length must be non-negative"
-        clock.now += seconds
-
-    monkeypatch.setattr(time, "sleep", sleep)
-    monkeypatch.setattr(time, "monotonic", clock)
+    drive.clock = made.bus.clock
     yield made
     made.close()
 

@@ -201,8 +201,14 @@ class Run:
         )
 
     def _notes(self) -> tuple[str, ...]:
-        return tuple(
+        silent = [
             f"axis '{axis.name}': serial {sensor.quantity} is not simulated and says nothing"
             for axis in self._configuration.file.axes
             for sensor in axis.serial
-        )
+        ]
+        unsolved = [
+            f"plant's axis '{unit.axis.name}': {count:.0f} sub-steps without a solution; do not trust what follows them"
+            for unit in self.machine.axes
+            if (count := unit.axis.values()["unsolved"])
+        ]
+        return (*silent, *unsolved)
