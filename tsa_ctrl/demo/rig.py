@@ -14,6 +14,7 @@ from tsa_ctrl.model.parameters import TendonSheath, save_model
 
 MOST_TORQUE = 1.1  # N*m at the joint: within the tendons' domain at the pretension below
 FADE_IN = 1.0  # s
+MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's own: a motor's data sheet says it
 
 NOMINAL = TendonSheath(
     motor_pulley_radius=0.020,
@@ -56,6 +57,9 @@ def plant(
 
 def controller(bus: BusChoice, name: str, rate: float, model: str, compensation: float) -> Tables:
     """A controller's configuration that bears a busy machine: stalls of 10 ms and more, no real-time rights."""
+    law: Tables = {"compensation": compensation, "fade_in": FADE_IN}
+    if compensation > 0.0:  # without compensation is tau_J* r_M/r_J, and nothing for the motor's own motion
+        law["motor_inertia"] = MOTOR_INERTIA
     return {
         "controller": {"name": "demo", "rate": rate, "settle_cycles": 20, "after_fault": "exit"},
         "bus": {
@@ -80,7 +84,7 @@ def controller(bus: BusChoice, name: str, rate: float, model: str, compensation:
                 "encoder": {"node_id": 32, "heartbeat_timeout": 1.0},
                 "torque_sensor": {"node_id": 64, "heartbeat_timeout": 1.0},
                 "setpoint": {"kind": "file", "file": "setpoint.csv", "loop": True},
-                "law": {"compensation": compensation, "fade_in": FADE_IN},
+                "law": law,
                 "limits": {"torque": 2.5},
             }
         ],
