@@ -203,7 +203,7 @@ class Drive:
             wanted, limit = values[0x6071, 0], self._clamp()
             target = max(-limit, min(limit, wanted))
             self.limited = target != wanted
-        scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio * 1e-3
+        scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / self.persona.torque_digits
         wanted_command = (
             target * scale * self.faults.torque_sign,
             enabled,
@@ -214,16 +214,16 @@ class Drive:
             command.torque, command.enabled, command.max_speed = wanted_command
 
     def _clamp(self) -> int:
-        """Largest torque, per mille of rated."""
+        """Largest torque in digits of 0x6071."""
         values = self.values
         if self.persona.limited_by_current:
             return values[LIMIT] * 1000 // max(1, values[CURRENT])
-        return values.get((0x6072, 0), _NO_CLAMP)
+        return round(values.get((0x6072, 0), _NO_CLAMP) * self.persona.torque_digits / 1000.0)
 
     def _velocity_digit(self) -> float:
         """rad/s of the motor per digit of 0x606C."""
-        if self.persona.velocity_in_counts:
-            return 2.0 * math.pi / self.settings.counts_per_revolution
+        if self.persona.velocity_digits is not None:
+            return 2.0 * math.pi / self.settings.counts_per_revolution / self.persona.velocity_digits
         exponent = self.values.get((0x60A9, 0), self._unit_code) >> 24
         return float(_RPM * 10.0 ** (exponent - 256 if exponent > 127 else exponent))
 
@@ -255,7 +255,9 @@ class Drive:
             self._own_cycle = cycle
         values, settings, readings = self.values, self.settings, self.readings
         gear = settings.gear_ratio
-        per_mille = 1e3 * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
+        digits = (
+            self.persona.torque_digits * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
+        )
         turns = settings.position_sign * gear / (2.0 * math.pi)
         velocity = settings.position_sign * gear * readings.motor_speed / self._velocity_digit()
         torque = readings.motor_torque
@@ -264,12 +266,12 @@ class Drive:
         values[0x6041, 0] = self.statusword()
         mode = self.faults.wrong_mode
         values[0x6061, 0] = self._mode_shown() if mode is None else mode
-        values[0x6077, 0] = _bounded(round(torque * per_mille), 0x7FFF)
+        values[0x6077, 0] = _bounded(round(torque * digits), 0x7FFF)
         values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
         values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
 
     def _mode_shown(self) -> int:
-        when = self.settings.mode_shows
+        when = self.persona.mode_shows or self.settings.mode_shows
         operational = self.node.state is NmtState.OPERATIONAL
         enabled = self.machine.state is PowerState.OPERATION_ENABLED
         shown = enabled if when == "enabled" else operational or when == "written"

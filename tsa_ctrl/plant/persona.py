@@ -9,6 +9,14 @@ epos4      maxon EPOS4 Firmware Specification (rel8234): 0x6076 in uN*m, compute
            timer. Vendor 0xFB; product code of an EPOS4 Micro 24/5 as in its published device descriptions.
 elmo_gold  Elmo DSP 402 Implementation Guide MAN-CAN402IG: 0x6076 in mN*m; velocities in counts/s, no 0x60A9; 0x605E is
            0; 0x6502 is 0x3ED. Vendor 0x9A, product code 0x30924 as its drives report it.
+technosoft_ipos  Technosoft iPOS CANopen Programming User Manual P091.063.iPOS.STO.UM: velocities and torques in
+           internal units (2^-16 counts per loop; 65520/2 at the peak current, here twice the rated one), the mode shows
+           once it is enabled; no 0x60A9, no 0x6076.
+kinco      Kinco FD5 user manual: velocities in DEC = rpm * 512 * resolution / 1875; the mode is 0 while disabled.
+nanotec    Nanotec PD4-E CANopen manual: 0x60C2:2 is -3; the rated torque is that of the rated current 0x203B:1, and
+           there is no 0x6076.
+copley     Copley CANopen Programmer's Manual 16-01195: velocities in 0.1 counts/s, no 0x60A9.
+The last four keep the vendor and product of the settings: no document at hand states theirs.
 """
 
 from __future__ import annotations
@@ -27,7 +35,7 @@ _RPM_PREFIXES = frozenset(prefix << 24 | RPM for prefix in (0x00, 0xFF, 0xFE, 0x
 
 @dataclass(frozen=True)
 class Persona:
-    """`vendor` and `product` None: those of the settings. `velocity_in_counts`: 0x606C is counts/s.
+    """`vendor` and `product` None: those of the settings. `mode_shows` as the quirk of that name.
 
     `fixed`: objects with one value that they take, or a few. `added`: objects of the maker. `read_only`: objects that
     cannot be written. `off_only`: objects that can be written while the power stage is off. `limited_by_current`: the
@@ -38,7 +46,9 @@ class Persona:
     vendor: int | None = None
     product: int | None = None
     rated_torque_unit: float | None = None  # N*m per digit of 0x6076; None: that of the settings
-    velocity_in_counts: bool = False
+    velocity_digits: float | None = None  # of 0x606C per count/s; None: by 0x60A9
+    torque_digits: float = 1000.0  # of 0x6071 and 0x6077 at rated torque
+    mode_shows: str | None = None  # as the quirk; None: that of the settings
     limited_by_current: bool = False
     absent: tuple[tuple[int, int | None], ...] = ()  # index and sub-index, None for all
     added: tuple[Entry, ...] = ()
@@ -75,10 +85,42 @@ _ELMO_GOLD = Persona(
     vendor=0x0000009A,
     product=0x00030924,
     rated_torque_unit=1e-3,
-    velocity_in_counts=True,
+    velocity_digits=1.0,
     absent=((0x60A9, None),),
     fixed={(0x605E, 0): frozenset({0})},
     defaults={(0x605E, 0): 0, (0x6502, 0): 0x3ED},
 )
 
-PERSONAS: Mapping[str, Persona] = {"generic": _GENERIC, "epos4": _EPOS4, "elmo_gold": _ELMO_GOLD}
+_IPOS = Persona(
+    "iPOS",
+    velocity_digits=65.536,
+    torque_digits=16380.0,
+    mode_shows="enabled",
+    absent=((0x60A9, None), (0x6076, None), (0x60C2, None)),
+)
+_KINCO = Persona(
+    "Kinco servo",
+    velocity_digits=16.384,
+    mode_shows="enabled",
+    absent=((0x60A9, None), (0x6076, None)),
+)
+_NANOTEC = Persona(
+    "Nanotec",
+    absent=((0x6076, None),),
+    fixed={(0x60C2, 2): frozenset({-3})},
+)
+_COPLEY = Persona(
+    "Copley amplifier",
+    velocity_digits=10.0,
+    absent=((0x60A9, None),),
+)
+
+PERSONAS: Mapping[str, Persona] = {
+    "generic": _GENERIC,
+    "epos4": _EPOS4,
+    "elmo_gold": _ELMO_GOLD,
+    "technosoft_ipos": _IPOS,
+    "kinco": _KINCO,
+    "nanotec": _NANOTEC,
+    "copley": _COPLEY,
+}

@@ -43,12 +43,17 @@ class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     start: Literal["power_on", "first_enable"] = "power_on"  # when imposed motion and time-dependent effects begin
 
 
+DriveKind = Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley"]
+
+
 class DriveSettings(Quirks, frozen=True, kw_only=True):
     """CiA 402 drive and its motor's electronics; what it does otherwise than the standard is in `Quirks`."""
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
     slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device of several axes, which share a node id
-    kind: Literal["generic", "epos4", "elmo_gold"] = "generic"  # the drive that it impersonates, see `persona`
+    kind: Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley"] = (
+        "generic"  # the drive that it impersonates, see `persona`
+    )
     name: str = "simulated drive"
     vendor: Word = 0x00000F0F
     product: Word = 0x0402

@@ -11,8 +11,10 @@ import pytest
 
 from tests.plant.bench import Bench, plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.bus.drive.report import Report
+from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.errors import TsaError
@@ -20,7 +22,7 @@ from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.settings import load_plant
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
-KINDS = ("generic", "epos4", "elmo_gold")
+KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
 PERIOD = 0.001  # s
 REFUSALS = {  # plant, profile: what the refusal must say
     ("generic", "epos4"): "vendor is 0x00000F0F, wanted is 0x000000FB",
@@ -138,3 +140,33 @@ def test_the_velocity_unit_written_is_the_one_reported(tmp_path: Path) -> None:
         assert made.download(1, 0x60A9, 0, "I", code) == 0
         drive.sample()
         assert drive.values[0x606C, 0] == digits
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_torque_and_speed_are_those_of_the_motor_in_every_makers_units(tmp_path: Path, kind: str) -> None:
+    """Half the rated torque and one revolution per second: in the drive's digits, and back by its profile."""
+    made = bench(tmp_path, kind)
+    profile = load_profile(kind, CONFIG)
+    scale = drive_scale(DriveSettings(node_id=1, max_torque=1.0), profile, "here")
+    assert made.download(1, 0x60A9, 0, "I", profile.units.velocity.si_code or 0) in (0, 0x06020000)
+    made.enable(round(0.5 / scale.torque))
+    made.sync(50, made.command(0x0F, round(0.5 / scale.torque)))
+    drive = made.unit.drive
+    assert drive.command.torque == pytest.approx(0.5, rel=1e-3)
+    assert drive.values[0x6077, 0] * scale.torque == pytest.approx(0.5, rel=1e-2)
+    drive.readings.motor_speed = 6.283185307179586
+    drive.sample()
+    assert drive.values[0x606C, 0] * scale.velocity == pytest.approx(6.283185307179586, rel=1e-3)
+
+
+@pytest.mark.parametrize("path", sorted((CONFIG / "drives").glob("*.toml")), ids=lambda path: path.stem)
+def test_a_shipped_profile_says_where_it_comes_from_and_takes_its_rates(path: Path) -> None:
+    """Sources are named, and the usual rates can be written to the drive: whole milliseconds with exponent -3."""
+    profile = load_profile(path.stem, CONFIG)
+    assert profile.sources
+    settings = DriveSettings(node_id=1, rpdo_timeout=0.1)
+    for rate in (1000.0, 500.0, 250.0, 200.0, 125.0, 100.0):
+        axis = AxisNodes(name="knee", drive=settings)
+        plan = drive_plan(axis, profile, drive_scale(settings, profile, "here"), BusSettings(), 1.0 / rate)
+        written = {write.entry.key: write.value for write in plan if write.entry.index == 0x60C2}
+        assert written in ({}, {(0x60C2, 1): round(1000.0 / rate), (0x60C2, 2): -3})

@@ -220,7 +220,13 @@ def _check_rated_torque(session: Session, node: Node, report: NodeReport) -> Non
         report.notes.append("has no rated torque (0x6076) to compare with the configuration")
         return
     drive, unit = node.axis.drive, node.profile.units.rated_torque
-    digits = node.read(session, objects.RATED_TORQUE)
+    digits = node.look(session, objects.RATED_TORQUE)
+    if digits is None:
+        raise BusError(
+            f"{node.name}: there is no rated torque (0x6076) to compare with; write absent = "
+            f'["{objects.RATED_TORQUE.name}"] in {node.profile_file}, and be sure of rated_torque in [axis.drive]: '
+            "nothing checks it then"
+        )
     found, wanted = digits * unit, drive.rated_torque
     if abs(found - wanted) <= max(_RATED_TOLERANCE * wanted, 0.5 * unit):
         return

@@ -29,6 +29,8 @@ class VelocityUnit(Enum):
     MILLI_RPM = "mrpm"
     COUNTS = "counts/s"
     DECI_COUNTS = "0.1 counts/s"
+    KINCO = "1/16.384 counts/s"  # 1875 / (512 counts per revolution) rpm
+    TECHNOSOFT = "1/65.536 counts/s"  # 2^-16 counts per loop of 1 ms
 
     @property
     def si_code(self) -> int | None:
@@ -48,7 +50,12 @@ _RPM = {
     VelocityUnit.CENTI_RPM: 0.01,
     VelocityUnit.MILLI_RPM: 0.001,
 }
-_COUNTS = {VelocityUnit.COUNTS: 1.0, VelocityUnit.DECI_COUNTS: 0.1}
+_COUNTS = {
+    VelocityUnit.COUNTS: 1.0,
+    VelocityUnit.DECI_COUNTS: 0.1,
+    VelocityUnit.KINCO: 1.0 / 16.384,
+    VelocityUnit.TECHNOSOFT: 1.0 / 65.536,
+}
 _SI_CODES = {  # CiA 303-2: prefix exponent in the high byte, 0xB4 revolutions, 0x47 minutes
     VelocityUnit.RPM: 0x00B44700,
     VelocityUnit.DECI_RPM: 0xFFB44700,
@@ -68,6 +75,7 @@ class Units(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tru
     """One digit of the objects whose unit vendors choose."""
 
     rated_torque: Positive = 1e-3  # N*m per digit of 0x6076
+    torque: Positive = 1000.0  # digits of 0x6071 and 0x6077 at rated torque
     velocity: VelocityUnit = VelocityUnit.MILLI_RPM  # 0x606C
     max_speed: VelocityUnit = VelocityUnit.RPM  # 0x6080
 

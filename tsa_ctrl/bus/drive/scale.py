@@ -21,21 +21,29 @@ class DriveScale:
     position: float  # rad per digit of 0x6064
     velocity: float  # rad/s per digit of 0x606C
     max_torque_digits: int  # per mille of rated torque, 0x6072
+    most_digits: int  # of 0x6071, the same limit
     max_speed_digits: int  # 0x6080
 
 
 def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> DriveScale:
     """Scale of a drive; raises UsageError when a clamp does not fit its object."""
     ratio, counts = drive.gear_ratio, drive.counts_per_revolution
-    torque = drive.rated_torque / PER_MILLE * ratio
+    rated = drive.rated_torque * ratio
+    torque = rated / profile.units.torque
     max_speed = profile.units.max_speed.radians_per_second(counts) / ratio
-    limit = drive.rated_torque * ratio if drive.max_torque is None else drive.max_torque
-    torque_digits = math.floor(limit / torque + 1e-9)
+    limit = rated if drive.max_torque is None else drive.max_torque
+    torque_digits = math.floor(PER_MILLE * limit / rated + 1e-9)
+    most_digits = math.floor(limit / torque + 1e-9)
     speed_digits = math.floor(drive.max_speed / max_speed + 1e-9)
     if not 1 <= torque_digits <= _I16_MAX:
         raise UsageError(
             f"{where}: max_torque {limit:g} N*m is {torque_digits} per mille of the rated torque at the pulley "
-            f"({drive.rated_torque * ratio:g} N*m); allowed are 1 to {_I16_MAX}; correct max_torque or rated_torque"
+            f"({rated:g} N*m); allowed are 1 to {_I16_MAX}; correct max_torque or rated_torque"
+        )
+    if not 1 <= most_digits <= _I16_MAX:
+        raise UsageError(
+            f"{where}: max_torque {limit:g} N*m is {most_digits} digits of 0x6071 ({profile.units.torque:g} at rated "
+            f"torque); allowed are 1 to {_I16_MAX}; correct max_torque, or [units] torque in the drive's profile"
         )
     if not 1 <= speed_digits <= 0xFFFFFFFF:
         raise UsageError(
@@ -47,6 +55,7 @@ def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> Driv
         position=drive.position_sign * 2.0 * math.pi / (counts * ratio),
         velocity=drive.position_sign * profile.units.velocity.radians_per_second(counts) / ratio,
         max_torque_digits=torque_digits,
+        most_digits=most_digits,
         max_speed_digits=speed_digits,
     )
 

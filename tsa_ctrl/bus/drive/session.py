@@ -213,6 +213,18 @@ class Session:
         """Read an object by SDO; raises SdoRefusedError or BusError."""
         return entry.decode(self._transfer(node_id, entry, lambda client: client.upload(*entry.key)))
 
+    def upload_if_there(self, node_id: int, entry: Object) -> bytes | None:
+        """The bytes that a node answers with; None when it does not have the object, or does not give it."""
+        try:
+            return self._transfer(node_id, entry, lambda client: client.upload(*entry.key))
+        except SdoRefusedError:
+            return None
+
+    def read_text(self, node_id: int, entry: Object) -> str:
+        """A text; empty when the node does not have it."""
+        data = self.upload_if_there(node_id, entry) or b""
+        return "".join(c for c in data.decode("latin-1") if c.isprintable()).strip()
+
     def ask(self, node_id: int, entry: Object) -> int | None:
         """Read an object once; None when there is no answer, or the node refuses."""
         try:

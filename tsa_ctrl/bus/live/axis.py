@@ -176,7 +176,7 @@ class Axis:
         self._torque = self.scale.torque
         self._velocity = self.scale.velocity
         self._per_newton_metre = 1.0 / self.scale.torque
-        self._limit = float(self.scale.max_torque_digits)
+        self._limit = float(self.scale.most_digits)
         self._send = bus.send
         self.rpdo_id = layout.rpdo_id
         self._pack = pdo.COMMAND.struct.pack
