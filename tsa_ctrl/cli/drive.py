@@ -1,8 +1,9 @@
-"""`tsa drive`: dump, restore or compare the objects of a drive that this master writes."""
+"""`tsa drive`: look at a drive; dump, restore or compare what this master writes; give it a node id."""
 
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from tsa_ctrl.bus.drive.profile import DriveProfile
     from tsa_ctrl.bus.drive.session import Session
     from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+    from tsa_ctrl.bus.wire.seam import Bus
 
 _CONTEXT = {"help_option_names": ["-h", "--help"]}
 _PERIOD = 0.001  # s, when no configuration says otherwise
@@ -111,7 +113,7 @@ def find_target(
 
 @click.group("drive", context_settings=_CONTEXT)
 def command() -> None:
-    """Dump, restore or compare the objects of a drive that this master writes.
+    """Look at a drive, dump, restore or compare the objects that this master writes, or give it a node id.
 
     The drive must be idle: no daemon may be running on its bus.
     """
@@ -197,3 +199,85 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
     for difference in differences:
         click.echo(str(difference))
     click.echo(f"node {target.node_id}: {len(wanted)} objects compared, {len(differences)} differ")
+
+
+def bus_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Options that name a bus."""
+    options = (
+        click.option("--interface", default="socketcan", show_default=True, help="As in [bus] interface."),
+        click.option("--channel", default="can0", show_default=True, help="As in [bus] channel."),
+        click.option("--bitrate", default=1_000_000, show_default=True, help="bit/s, where the interface wants it."),
+    )
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+@contextmanager
+def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, BusSettings]]:
+    """A bus by its name; raises UsageError, BusError."""
+    from tsa_ctrl import settings
+    from tsa_ctrl.bus.settings import BusSettings
+    from tsa_ctrl.bus.wire.connect import open_bus
+
+    data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
+    named = settings.convert(data, BusSettings, "command line")
+    bus = open_bus(named)
+    try:
+        yield bus, named
+    finally:
+        bus.close()
+
+
+@command.command(
+    "probe", context_settings=_CONTEXT, epilog="Example: tsa drive probe --channel can0 --node 5 --out drives/mine.toml"
+)
+@bus_options
+@click.option("--node", type=click.IntRange(1, 127), required=True, help="Node id of the drive.")
+@click.option("--slot", type=click.IntRange(1, 8), default=1, show_default=True, help="Axis of a device with several.")
+@click.option("--out", type=click.Path(path_type=Path), help="Profile to write; default: stdout.")
+def probe_command(interface: str, channel: str, bitrate: int, node: int, slot: int, out: Path | None) -> None:
+    """Read what a drive can do, and write a profile for you to finish; nothing is commanded, written or moved.
+
+    Asks by SDO alone: no NMT, no SYNC, no heartbeat.
+    """
+    from tsa_ctrl import outputs
+    from tsa_ctrl.bus.drive.probe import probe
+    from tsa_ctrl.bus.drive.probe_text import profile_text
+    from tsa_ctrl.bus.drive.session import Session
+
+    with opened(interface, channel, bitrate) as (bus, named), Session(bus, named) as session:
+        text = profile_text(probe(session, bus.name, node, slot), f"{interface} {channel}")
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    with outputs.beside(out) as part:
+        part.write_text(text, encoding="utf-8")
+    unfinished = text.count("FINISH: ")
+    click.echo(f"{out}: {unfinished} lines to finish; then: tsa run --check CONTROLLER.toml")
+
+
+@command.command(
+    "set-node-id", context_settings=_CONTEXT, epilog="Example: tsa drive set-node-id 5 --channel can0 --yes"
+)
+@click.argument("node_id", metavar="ID", type=click.IntRange(1, 127))
+@bus_options
+@click.option("--yes", is_flag=True, help="Do not ask first.")
+def set_node_id_command(node_id: int, interface: str, channel: str, bitrate: int, yes: bool) -> None:
+    """Give the one drive on the bus this node id by LSS, and have it keep it.
+
+    It must be alone on the bus: every node that knows LSS would take the id.
+    """
+    from tsa_ctrl.bus.drive import lss
+
+    with opened(interface, channel, bitrate) as (bus, _):
+        found = lss.find(bus)
+        named = ", ".join(f"{name} 0x{value:08X}" for name, value in found.identity.items())
+        has = "no node id" if found.node_id is None else f"node id {found.node_id}"
+        click.echo(f"{channel}: one node with {has}: {named}", err=True)
+        if not yes:
+            if not sys.stdin.isatty():
+                raise UsageError(f"node id {node_id} would be stored in it, and nobody is there to agree; give --yes")
+            click.confirm(f"Store node id {node_id} in it?", abort=True)
+        lss.set_node_id(bus, node_id, lambda line: click.echo(line, err=True))
+    click.echo(f"{channel}: node id {node_id} is stored in it")

@@ -12,6 +12,7 @@ RPDO = (0x200, 0x300, 0x400, 0x500)  # + node
 SDO_ANSWER = 0x580  # + node, server to client
 SDO_REQUEST = 0x600  # + node, client to server
 HEARTBEAT = 0x700  # + node
+LSS_REQUEST, LSS_ANSWER = 0x7E5, 0x7E4
 COB_ID_INVALID = 0x80000000  # bit 31 of a PDO's COB-ID: this PDO does not exist
 PRODUCES_SYNC = 0x40000000  # bit 30 of 0x1005: this node makes SYNC
 ALL_NODES = 0

@@ -127,7 +127,5 @@ def _count(session: Session, node_id: int, slot: int, received: bool) -> int:
 
 def _mapping(session: Session, node_id: int, pdo: Pdo) -> list[int]:
     count = session.read_if_there(node_id, pdo.mapping(0)) or 0
-    entries: Iterable[int | None] = (
-        session.read_if_there(node_id, pdo.mapping(n)) for n in range(1, min(count, 8) + 1)
-    )
+    entries = [session.read_if_there(node_id, pdo.mapping(number)) for number in range(1, min(count, 8) + 1)]
     return [entry for entry in entries if entry is not None]

@@ -1,0 +1,186 @@
+"""`tsa drive probe`: what it asks, what it writes, and that what it wrote brings the drive up once it is finished."""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.conftest import ROOT
+from tests.drives.rig import Foreign, refused
+from tests.plant.bench import plant_file
+from tsa_ctrl.bus.drive.probe import Probe, probe
+from tsa_ctrl.bus.drive.probe_text import profile_text
+from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
+from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.wire.python_can import PythonCan
+from tsa_ctrl.cli import cli
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.settings import load_plant
+
+KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
+FINISH = {  # what the one who knows the drive writes into the profile: line before, line after
+    "elmo_gold": {},
+    "technosoft_ipos": {
+        "torque = 1000.0 ": "torque = 16380.0 ",
+        'velocity = "counts/s"': 'velocity = "1/65.536 counts/s"',
+        'mode_shows = "written"': 'mode_shows = "enabled"',
+    },
+    "kinco": {
+        'velocity = "counts/s"': 'velocity = "1/16.384 counts/s"',
+        'mode_shows = "written"': 'mode_shows = "enabled"',
+    },
+    "copley": {'velocity = "counts/s"': 'velocity = "0.1 counts/s"'},
+}
+_channels = itertools.count()
+
+
+def looked_at(foreign: Foreign, slot: int = 1) -> Probe:
+    with Session(foreign.wire.host, foreign.settings) as session:
+        found = probe(session, "wire", 1, slot)
+        assert session.touched == set()
+    return found
+
+
+def written(folder: Path, foreign: Foreign, kind: str = "generic") -> DriveProfile:
+    """The profile that the probe writes, finished and loaded."""
+    text = profile_text(looked_at(foreign), "here")
+    for before, after in FINISH.get(kind, {}).items():
+        assert before in text, before
+        text = text.replace(before, after)
+    (folder / "drives").mkdir(exist_ok=True)
+    (folder / "drives" / "mine.toml").write_text(text, encoding="utf-8")
+    return load_profile("mine", folder)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_but_questions_is_sent(tmp_path: Path, kind: str) -> None:
+    foreign = Foreign(tmp_path, f"kind = '{kind}'")
+    before = dict(foreign.node.values)
+    looked_at(foreign)
+    assert foreign.commands() == []
+    assert {can_id for can_id, _ in foreign.sent()} == {0x601}
+    changed = {key for key, value in foreign.node.values.items() if before[key] != value}
+    assert changed <= {(0x6041, 0), (0x6061, 0), (0x6077, 0), (0x606C, 0), (0x6064, 0)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_finished_profile_brings_the_drive_up(tmp_path: Path, kind: str) -> None:
+    foreign = Foreign(tmp_path, f"kind = '{kind}'")
+    profile = written(tmp_path, foreign, kind)
+    foreign.start(profile)
+    foreign.enable(0.3)
+    assert foreign.drive.command.torque == pytest.approx(0.3, rel=1e-3)
+    assert foreign.stop() == []
+
+
+def test_a_drive_says_most_of_what_a_profile_is_made_of(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "kind = 'epos4'", "serial_number = 1234")
+    text = profile_text(looked_at(foreign), "can0")
+    for line in (
+        'name = "EPOS4"',
+        'absent = ["max torque"]',
+        "vendor_id = 0x000000FB",
+        "product_codes = [0x69500000]",
+        "# Modes 0x00000200: cyclic torque",
+        "# Watchdogs: 4 entries of the heartbeat consumer 0x1016; try them with tsa verify-safety.",
+        "rated_torque = 1e-06            # N*m per digit of 0x6076",
+        "index = 0x3001",
+        "#   node_id = 1",
+        "#   serial_number = 1234",
+        "#   rated_torque = 1  # N*m, if the unit above is right",
+        "# RPDO1 carries now: 0x60400010",
+    ):
+        assert line in text.splitlines(), line
+
+
+@pytest.mark.parametrize(
+    ("quirks", "line"),
+    [
+        (["sync_producer = true"], "produces_sync = true "),
+        (["node_guarding = true"], 'supervision = "guarding" '),
+        (["answer_time = 0.3"], "answer_timeout = 0.9 "),
+        (["objects = { '0x6060:0' = 10 }", "mode_shows = 'enabled'"], 'mode_shows = "enabled" '),
+        (["absent = [0x6502, 0x6080]"], 'absent = ["max motor speed", "supported modes"]'),
+        (["absent = [0x1402, 0x1403, 0x1803]"], "rpdo_count = 2"),
+        (["modes = ['csp']"], "# FINISH: no cyclic synchronous torque (bit 9)"),
+        (["objects = { '0x1019:0' = 7 }"], "# 0x1019:0 SYNC counter is 7 and is set to 0"),
+    ],
+)
+def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirks: list[str], line: str) -> None:
+    foreign = Foreign(tmp_path, *quirks)
+    foreign.wait(0.05)
+    text = profile_text(looked_at(foreign), "here")
+    assert any(found.startswith(line) for found in text.splitlines()), text
+
+
+def test_a_device_of_several_axes_names_its_slots(tmp_path: Path) -> None:
+    axes = "".join(
+        f"[[axis]]\nname = '{name}'\nmotion.kind = 'still'\ndrive.node_id = 1\ndrive.slot = {slot}\n"
+        "encoder.present = false\ntorque_sensor.present = false\n"
+        for slot, name in enumerate("ab", 1)
+    )
+    found = looked_at(Foreign(tmp_path, text=axes), slot=2)
+    assert (found.slots, found.rpdos) == ([1, 2], 4)
+    assert "# The device has axes in the slots 1, 2; this is slot 2." in profile_text(found, "here")
+
+
+def test_something_else_than_a_drive_is_refused(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "absent = [0x6071]")
+    with refused("device type is 0x00020192, and there is no 0x6071:0 target torque", "correct --node"):
+        looked_at(foreign)
+
+
+def test_beside_a_master_nothing_is_asked(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path)
+    foreign.wire.at(foreign.wire.now + 0.01, lambda now: foreign.wire.host.arrived(0x77F, b"\x05"))
+    with refused("another master is active"):
+        looked_at(foreign)
+    assert foreign.sent() == []
+
+
+@pytest.fixture
+def channel(tmp_path: Path) -> Iterator[str]:
+    """A plant with one drive, node 1, on a bus of python-can in this process."""
+    name = f"probe-{next(_channels)}"
+    text = "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"
+    bus = PythonCan("virtual", name, 1_000_000)
+    machine = Machine(load_plant(plant_file(tmp_path, text)), bus)
+    machine.start()
+    stop = threading.Event()
+    thread = threading.Thread(target=machine.run, args=(stop.is_set,))
+    thread.start()
+    yield name
+    stop.set()
+    thread.join()
+    bus.close()
+
+
+def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -> None:
+    """`tsa drive probe --out`, then `tsa run --check` on a controller that names the profile."""
+    for name in ("controller.toml", "actuator.toml"):
+        shutil.copy(ROOT / "config" / name, tmp_path)
+    (tmp_path / "drives").mkdir()
+    profile = tmp_path / "drives" / "mine.toml"
+    where = ["--interface", "virtual", "--channel", channel]
+    done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "1", "--out", str(profile)])
+    assert done.exit_code == 0, done.output
+    assert "lines to finish; then: tsa run --check" in done.output
+    controller = tmp_path / "controller.toml"
+    text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', 'profile = "mine"')
+    controller.write_text(text, encoding="utf-8")
+    checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
+    assert checked.exit_code == 0, checked.output
+
+
+def test_nobody_there_is_one_line() -> None:
+    where = ["--interface", "virtual", "--channel", f"probe-{next(_channels)}"]
+    done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "7"])
+    assert done.exception is not None
+    assert "node 7 does not answer to SDO requests" in str(done.exception)
+    assert "\n" not in str(done.exception)

@@ -1,0 +1,126 @@
+"""LSS (CiA 305): the id of a drive that has none, given once, on a bus with that one drive alone."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tsa_ctrl.bus.canopen import cia301
+from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.errors import BusError
+
+_SWITCH, _NODE_ID, _STORE = 0x04, 0x11, 0x17
+_WAITING, _CONFIGURING = 0, 1
+_INQUIRE = {"vendor": 0x5A, "product code": 0x5B, "revision": 0x5C, "serial number": 0x5D}
+_INQUIRE_NODE_ID = 0x5E
+_ANSWER_TIMEOUT = 0.5  # s
+_SECOND = 0.1  # s, in which a second node would answer, too
+_LISTENING = 0.5  # s, for whoever else is on the bus
+_BOOT_TIMEOUT = 5.0  # s
+
+
+@dataclass(frozen=True)
+class Found:
+    """The one node that answers to LSS: 0x1018, and its id, None when it has none."""
+
+    identity: dict[str, int]
+    node_id: int | None
+
+
+def find(bus: Bus) -> Found:
+    """Ask who is there; raises BusError when it is nobody, or more than one. Leaves it waiting, as it was."""
+    _quiet(bus)
+    _send(bus, _SWITCH, _CONFIGURING)
+    try:
+        identity = {name: _inquire(bus, command, name) for name, command in _INQUIRE.items()}
+        node_id = _ask(bus, bytes((_INQUIRE_NODE_ID,)))[1]
+    finally:
+        _send(bus, _SWITCH, _WAITING)
+    return Found(identity, node_id if 1 <= node_id <= 127 else None)
+
+
+def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line: None) -> Found:
+    """Give the one node on the bus an id and have it keep it; returns what it was before. Raises BusError."""
+    found = find(bus)
+    _send(bus, _SWITCH, _CONFIGURING)
+    try:
+        _confirmed(bus, bytes((_NODE_ID, node_id)), f"does not take node id {node_id}")
+        _confirmed(
+            bus, bytes((_STORE,)), "cannot keep its node id: it is lost with its power; use its switches or tool"
+        )
+    finally:
+        _send(bus, _SWITCH, _WAITING)
+    if found.node_id is not None:
+        say(f"the drive had node id {found.node_id}: it takes the new one with its next reset or power cycle")
+        return found
+    if not _wait(bus, cia301.HEARTBEAT + node_id, _BOOT_TIMEOUT):
+        say(f"the drive took node id {node_id} and did not boot up within {_BOOT_TIMEOUT:g} s: power it off and on")
+    return found
+
+
+def _quiet(bus: Bus) -> None:
+    """Anything but LSS on the bus means that the drive is not alone, or that somebody leads it."""
+    bus.accept(None)
+    bus.flush()
+    end = bus.clock() + _LISTENING
+    heard = set()
+    while (left := end - bus.clock()) > 0.0:
+        frame = bus.recv(left)
+        if frame is not None and frame[0] <= 0x7FF:
+            heard.add(frame[0])
+    masters = {cia301.NMT, cia301.SYNC} & heard
+    if masters or len({can_id & 0x7F for can_id in heard}) > 1:
+        frames = ", ".join(f"0x{can_id:03X}" for can_id in sorted(heard))
+        raise BusError(
+            f"{bus.name}: others talk here (heard {frames}): every node in reach would take the new id; leave the one "
+            "drive alone on the bus, and start again"
+        )
+
+
+def _send(bus: Bus, *data: int) -> None:
+    if not bus.send(cia301.LSS_REQUEST, bytes(data).ljust(8, b"\0")):
+        raise BusError(f"{bus.name}: the frame could not be sent; check adapter, cable and interface")
+
+
+def _ask(bus: Bus, request: bytes) -> bytes:
+    """The one answer to a request; raises BusError for none, and for a second one."""
+    bus.flush()
+    _send(bus, *request)
+    first = _receive(bus, request[0], _ANSWER_TIMEOUT)
+    if first is None:
+        raise BusError(
+            f"{bus.name}: nobody answers to LSS; check power, wiring and bit rate; a drive whose id is set by switches "
+            "or by its maker's tool does not know LSS"
+        )
+    if _receive(bus, request[0], _SECOND) is not None:
+        raise BusError(f"{bus.name}: more than one node answers to LSS; leave the one drive alone on the bus")
+    return first
+
+
+def _receive(bus: Bus, command: int, timeout: float) -> bytes | None:
+    end = bus.clock() + timeout
+    while (left := end - bus.clock()) > 0.0:
+        frame = bus.recv(left)
+        if frame is not None and frame[0] == cia301.LSS_ANSWER and len(frame[1]) == 8 and frame[1][0] == command:
+            return frame[1]
+    return None
+
+
+def _inquire(bus: Bus, command: int, name: str) -> int:
+    return int(struct.unpack_from("<I", _ask(bus, bytes((command,))), 1)[0])
+
+
+def _confirmed(bus: Bus, request: bytes, refusal: str) -> None:
+    answer = _ask(bus, request)
+    if answer[1]:
+        raise BusError(f"{bus.name}: the drive {refusal} (LSS error {answer[1]})")
+
+
+def _wait(bus: Bus, can_id: int, timeout: float) -> bool:
+    end = bus.clock() + timeout
+    while (left := end - bus.clock()) > 0.0:
+        frame = bus.recv(left)
+        if frame is not None and frame[0] == can_id:
+            return True
+    return False
