@@ -84,7 +84,7 @@ def plan_of(
     if not mass:
         notes.append(
             f"law.motor_inertia is not given: reversals are turned in {1e3 * turn:.0f} ms, and the motor's swing on "
-            "its tendons is not damped; `tsa tune` measures it"
+            "its tendons is not damped; give it from the motor's data sheet"
         )
     if not has_encoder:
         notes.append(
