@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
-from tsa_ctrl.plant.chain import build_chain, settle
+from tsa_ctrl.plant.chain import settle
+from tsa_ctrl.plant.chain_layout import build_chain
 from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values
 from tsa_ctrl.plant.formula import steps_of
 from tsa_ctrl.plant.load import hand_table, load_parameters

@@ -27,6 +27,7 @@ _KERNELS = (
     "lags.py",
     "formula.py",
     "full.py",
+    "chain_layout.py",
     "chain.py",
     "mechanics.py",
 )

@@ -11,7 +11,8 @@ from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, SdoAbort, T
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, objects, pdos, shifted
 from tsa_ctrl.plant.emergency import EmcyCode
-from tsa_ctrl.plant.node import Identity, Node, Send
+from tsa_ctrl.plant.identity import Identity
+from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.persona import Persona
 
 DEVICE_TYPE = 0x00020192  # servo drive, CiA 402

@@ -6,13 +6,12 @@ A node is told what arrives (`receive`) and what time it is (`tick`); it answers
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
 from tsa_ctrl.bus.wire.seam import REMOTE_FLAG
-from tsa_ctrl.plant import emergency, storage, sync
-from tsa_ctrl.plant.dictionary import Access, Entry, Key, ObjectDictionary, Type
+from tsa_ctrl.plant.dictionary import Entry, Key, ObjectDictionary
 from tsa_ctrl.plant.emergency import REGISTER_COMMUNICATION, EmcyCode, ErrorLog
+from tsa_ctrl.plant.identity import Identity, communication_objects
 from tsa_ctrl.plant.lss import REQUEST, LssSlave
 from tsa_ctrl.plant.nmt import NmtCommand, NmtState
 from tsa_ctrl.plant.pdo import PdoDefault, Rpdo, Tpdo
@@ -27,23 +26,6 @@ Handler = Callable[[bytes, float], None]
 PdoDefaults = Sequence[tuple[int, PdoDefault]]  # number from 0, and what it is
 
 _HEARTBEAT = 0x700  # + node
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """0x1000, 0x1008 and 0x1018 of a node."""
-
-    device_type: int
-    name: str
-    vendor: int = 0x00000F0F
-    product: int = 0
-    revision: int = 0x00010000
-    serial: int = 1
-
-    @property
-    def numbers(self) -> tuple[int, int, int, int]:
-        """0x1018:1 to :4."""
-        return self.vendor, self.product, self.revision, self.serial
 
 
 class Node:
@@ -72,7 +54,7 @@ class Node:
         self._boot_due: float | None = None
         self._answers: deque[tuple[float, bytes]] = deque()
         self._complete = False
-        self.dictionary = ObjectDictionary((*_communication(identity, self.quirks), *entries), node_id)
+        self.dictionary = ObjectDictionary((*communication_objects(identity, self.quirks), *entries), node_id)
         self.values = self.dictionary.values
         self.sdo = SdoServer(self.dictionary)
         self.errors = ErrorLog(self.dictionary, self._send)
@@ -118,9 +100,9 @@ class Node:
         self.dictionary.restore(0x2000, 0x9FFF)
         self.errors.clear()
         self.power_on()
-        self.reset_communication(now)
+        self.resetcommunication_objects(now)
 
-    def reset_communication(self, now: float) -> None:
+    def resetcommunication_objects(self, now: float) -> None:
         """Power-on values of the communication objects; the boot-up message, after its time."""
         self.now = now
         self.sdo.reset()
@@ -185,7 +167,7 @@ class Node:
             self.boot(now)
         elif command == NmtCommand.RESET_COMMUNICATION:
             self._enter(NmtState.BOOT_UP)
-            self.reset_communication(now)
+            self.resetcommunication_objects(now)
         elif self.state is NmtState.BOOT_UP:
             return
         elif command == NmtCommand.START:
@@ -346,23 +328,3 @@ class Node:
 
     def _write_heartbeat(self, value: int) -> None:
         self._heartbeat_due = self.now
-
-
-def _communication(identity: Identity, quirks: Quirks) -> Iterator[Entry]:
-    yield Entry(0x1000, 0, Type.U32, Access.CONST, identity.device_type)
-    yield from emergency.entries()
-    yield from sync.entries(quirks.sync_producer)
-    yield Entry(0x1008, 0, Type.TEXT, Access.CONST, identity.name)
-    yield Entry(0x1009, 0, Type.TEXT, Access.CONST, "simulated")
-    yield Entry(0x100A, 0, Type.TEXT, Access.CONST, "1")
-    yield from storage.entries()
-    if quirks.node_guarding:
-        yield from Guarding.objects()
-    else:
-        yield from Consumers.objects(quirks.heartbeat_consumers)
-        yield Entry(0x1017, 0, Type.U16)
-    yield Entry(0x1018, 0, Type.U8, Access.CONST, 4)
-    for sub, value in enumerate(identity.numbers, 1):
-        yield Entry(0x1018, sub, Type.U32, Access.CONST, value)
-    yield Entry(0x1029, 0, Type.U8, Access.CONST, 1)
-    yield Entry(0x1029, 1, Type.U8, default=0, high=2)

@@ -7,7 +7,8 @@ import random
 from dataclasses import dataclass
 
 from tsa_ctrl.plant.dictionary import Access, Entry, Type
-from tsa_ctrl.plant.node import Identity, Node, Send
+from tsa_ctrl.plant.identity import Identity
+from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.pdo import INVALID, PdoDefault
 from tsa_ctrl.plant.readings import Readings
 from tsa_ctrl.plant.settings import EncoderSettings, TorqueSensorSettings
