@@ -51,7 +51,7 @@ ROOMS: dict[str, str] = {
     # both of them in one process, in time of their own
     "virtual": "errors outputs log bus.wire bus.live safety control config ipc daemon plant",
     # for people
-    "doctor": "errors system bus.settings bus.wire bus.drive",
+    "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
     "drills": "errors version settings outputs system model bus safety control config daemon",
     "dashboard": "errors ipc",

@@ -37,6 +37,8 @@ def write(folder: Path) -> None:
     second.update(name="followed", estimator={"kind": "sensor", "use": True})
     for node, number in (("drive", 2), ("encoder", 33), ("torque_sensor", 65)):
         second[node]["node_id"] = number
+    controller["axis"][0]["drive"]["serial_number"] = 1
+    second["drive"]["serial_number"] = 2
     controller["axis"].append(second)
     rig_files = ((folder / "plant.toml", tables), (folder / busy.CONTROLLER, controller))
     for path, data in rig_files:

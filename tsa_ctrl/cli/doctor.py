@@ -11,6 +11,7 @@ import click
 from tsa_ctrl.cli.finite import Finite
 
 if TYPE_CHECKING:
+    from tsa_ctrl.config import Configuration
     from tsa_ctrl.doctor.check import Check
 
 COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
@@ -20,7 +21,10 @@ COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 @click.argument("controller", required=False, type=click.Path(path_type=Path))
 @click.option("--seconds", default=3.0, show_default=True, type=Finite(0.1, 600.0), help="Of measured lateness.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
-def command(controller: Path | None, seconds: float, as_json: bool) -> int:
+@click.option(
+    "--serial-numbers", is_flag=True, help="Ask the drives for theirs and write them into CONTROLLER.toml, and end."
+)
+def command(controller: Path | None, seconds: float, as_json: bool, serial_numbers: bool) -> int:
     """Check kernel, rights, clock, CAN interface, bus load and lateness; exit code 1 when something fails.
 
     With a CONTROLLER.toml its rate, rights and bus are checked; without one the machine alone at 1 kHz.
@@ -31,6 +35,10 @@ def command(controller: Path | None, seconds: float, as_json: bool) -> int:
     from tsa_ctrl.system.realtime import RealtimeSettings
 
     configuration = None if controller is None else load_configuration(controller)
+    if serial_numbers:
+        if configuration is None:
+            raise click.UsageError("--serial-numbers needs the CONTROLLER.toml that they are written into")
+        return _write_serial_numbers(configuration)
     found: list[Check] = []
     if configuration is None:
         found += machine.checks(RealtimeSettings(), 1000.0, seconds)
@@ -44,6 +52,29 @@ def command(controller: Path | None, seconds: float, as_json: bool) -> int:
     else:
         _show(found)
     return int(any(check.result is Result.FAIL for check in found))
+
+
+def _write_serial_numbers(configuration: Configuration) -> int:
+    """Nothing is commanded: the drives are asked by SDO, and the file before is kept beside."""
+    from tsa_ctrl import outputs
+    from tsa_ctrl.bus.wire.connect import open_bus
+    from tsa_ctrl.doctor.serial_numbers import ask, written
+
+    file = configuration.file
+    bus = open_bus(file.bus)
+    try:
+        numbers = ask(bus, file.bus, file.axes)
+    finally:
+        bus.close()
+    text = written(configuration.path.read_text(encoding="utf-8"), numbers)
+    with outputs.beside(configuration.path) as part:
+        part.write_text(text, encoding="utf-8")
+    for axis, number in numbers.items():
+        click.echo(
+            f"axis '{axis}': " + ("its drive has no serial number" if number is None else f"serial_number = {number}")
+        )
+    click.echo(f"written: {configuration.path}")
+    return 0
 
 
 def _show(found: list[Check]) -> None:

@@ -33,6 +33,7 @@ from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import NodeReport, Report
 from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.drive.session import Session, another_master
+from tsa_ctrl.bus.drive.twins import check_twins
 from tsa_ctrl.bus.drive.writing import with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
@@ -79,11 +80,12 @@ def bring_up(
             there = _look_at(session, nodes, tell)
             session.begin_heartbeat()
             _boot(bus, session, nodes, there, tell)
-            reports = []
-            for node, plan, noted in zip(nodes, plans, notes, strict=True):
+            reports = [NodeReport(node.name, notes=noted) for node, noted in zip(nodes, notes, strict=True)]
+            for node, report in zip(nodes, reports, strict=True):
+                check_identity(session, node, report)
+            check_twins(nodes, reports)
+            for node, plan, report in zip(nodes, plans, reports, strict=True):
                 tell(f"configuring {node.name}")
-                report = NodeReport(node.name, notes=noted)
-                reports.append(report)
                 _configure(session, node, plan, settings, report, reset_faults, resets_later)
             _start(bus, session, nodes, tell)
             for node, report in zip(nodes, reports, strict=True):
@@ -133,8 +135,9 @@ def _look_at(session: Session, nodes: Sequence[Node], tell: Tell) -> set[int]:
 
     A drive that is found enabled is switched off: a reset would take its watchdogs and leave it so.
     """
-    there = set()
-    silent = set()
+    there: set[int] = set()
+    silent: set[int] = set()
+    seen: list[tuple[Node, NodeReport]] = []
     for node in nodes:
         if node.node_id in silent:
             continue
@@ -143,7 +146,10 @@ def _look_at(session: Session, nodes: Sequence[Node], tell: Tell) -> set[int]:
             silent.add(node.node_id)  # off, booting, or stopped: it is looked at after its reset
             continue
         there.add(node.node_id)
-        check_identity(session, node, NodeReport(node.name))
+        report = NodeReport(node.name)
+        check_identity(session, node, report)
+        seen.append((node, report))
+    check_twins([node for node, _ in seen], [report for _, report in seen])
     for node in nodes:
         if node.node_id in there and node.role is Role.DRIVE:
             switch_off(session, node)
@@ -192,7 +198,6 @@ def _configure(
     reset_faults: bool,
     resets_later: bool,
 ) -> None:
-    check_identity(session, node, report)
     read_errors(session, node, report)
     if node.role is Role.DRIVE:
         switch_off(session, node)
