@@ -112,7 +112,11 @@ class LogFile:
                 continue
             messages = np.frombuffer(data, dtype=message)
             channel = messages["head"]["channel"]
-            for number in np.unique(channel).tolist():
+            numbers = np.unique(channel).tolist()
+            if not self._channels.keys() >= set(numbers):  # records of an axis that the file does not announce
+                self.damaged += 1
+                continue
+            for number in numbers:
                 yield self._channels[number], np.ascontiguousarray(messages["values"][channel == number][:, pick])
 
     def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
