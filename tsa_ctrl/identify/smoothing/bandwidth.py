@@ -1,0 +1,108 @@
+"""Which low-pass is expected to err least: what it takes from the motion, and what it leaves of the noise.
+
+With S the density of the motion and N that of the noise, a zero-phase gain H errs in the derivative of order r by
+
+    integral of (2 pi f)^(2r) ((1 - H)^2 S + H^2 N) df
+
+S is where the measured density stands out of N. From the peak upwards it ends where it does not do so any more for half
+an octave; beyond, only lines far above the noise count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.smoothing.spectrum import bands
+from tsa_ctrl.identify.smoothing.zero_phase import LowPass
+from tsa_ctrl.model.functions import Array
+
+ORDERS = (2, 3, 4, 6)  # of the Butterworth filters: from one that hardly rings to one that ends with the motion
+PER_DECADE = 40  # cut-offs tried: 6 % apart, which costs less than 1 % of the least error
+HIGHEST = 0.35  # of the rate, of a cut-off: with a gain that is not 0 at half the rate a derivative rings without end
+CERTAIN = 3.0  # standard errors by which a band stands out of the noise
+STANDS_OUT = 0.3  # of the noise's density: a weaker motion is not worth its noise
+GAP = 4  # bands: half an octave without motion ends it (a zero in a motion's spectrum is narrower)
+LINE = 10.0  # times the noise: a line apart from the motion, no chance
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Density of the noise in each band (unit squared per Hz) and how far it may be off from one draw to the next."""
+
+    density: Array
+    spread: Array
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A low-pass, and the RMS error expected of the derivative it was chosen for: all of it, and noise alone."""
+
+    low_pass: LowPass
+    error: float
+    noise: float
+
+
+def motion_density(measured: Array, values: Array, noise: Noise) -> Array:
+    """S in each band, from the density measured as the mean of so many `values`."""
+    level = noise.density
+    above = measured - level
+    sure = (above > CERTAIN * np.hypot(level / np.sqrt(values), noise.spread)) & (above > STANDS_OUT * level)
+    end = _end(sure, int(np.argmax(above)))
+    line = above > LINE * np.maximum(level, CERTAIN * noise.spread)
+    kept = (np.arange(len(above)) < end) | line
+    return np.where(kept, np.maximum(above, 0.0), 0.0)
+
+
+def _end(sure: NDArray[np.bool_], start: int) -> int:
+    """The band from which on GAP bands in a row are not sure."""
+    missing = 0
+    for band in range(start, len(sure)):
+        missing = 0 if sure[band] else missing + 1
+        if missing == GAP:
+            return band - GAP + 1
+    return len(sure) - missing
+
+
+def choose(
+    count: int, period: float, motion: Array, noise: Array, derivatives: tuple[int, ...], highest: float | None = None
+) -> tuple[Choice, ...]:
+    """The low-pass that serves all `derivatives` of a log best, with what is expected of it for each.
+
+    Best: the largest ratio of an error to the least possible one is smallest. `highest`: Hz, cut-off at most.
+    """
+    edges = bands(count, period)
+    filters, lost, passed = _tried(count, period)
+    centre, width = np.sqrt(edges[1:] * edges[:-1]), np.diff(edges)
+    scale = [(2.0 * np.pi * centre) ** (2 * order) * width for order in derivatives]
+    noises = np.stack([passed @ (weight * noise) for weight in scale], axis=1)
+    squares = np.stack([lost @ (weight * motion) for weight in scale], axis=1) + noises
+    least = np.maximum(squares.min(axis=0), np.finfo(np.float64).tiny)
+    allowed = np.array([highest is None or f.cutoff <= highest for f in filters])
+    if not allowed.any():
+        allowed[np.argmin([f.cutoff for f in filters])] = True
+    best = int(np.argmin(np.where(allowed, (squares / least).max(axis=1), np.inf)))
+    return tuple(
+        Choice(filters[best], float(np.sqrt(squares[best, i])), float(np.sqrt(noises[best, i])))
+        for i in range(len(derivatives))
+    )
+
+
+@lru_cache(maxsize=16)
+def _tried(count: int, period: float) -> tuple[tuple[LowPass, ...], Array, Array]:
+    """All filters; for each (k, bands) the share of the motion's power that it takes and of the noise's that it leaves.
+
+    The motion counts at the upper edge of its band: within a band the gain falls, and what is lost is no noise.
+    """
+    edges = bands(count, period)
+    lowest, highest = 2.0 * edges[0], HIGHEST / period
+    number = max(2, round(PER_DECADE * np.log10(max(highest / lowest, 1.0))) + 1)
+    cutoffs = np.geomspace(min(lowest, highest), highest, number)
+    filters = tuple(LowPass(order, float(cutoff)) for order in ORDERS for cutoff in cutoffs)
+    centre = np.sqrt(edges[1:] * edges[:-1])
+    lost = np.array([(1.0 - low_pass.gain(edges[1:])) ** 2 for low_pass in filters])
+    passed = np.array([low_pass.gain(centre) ** 2 for low_pass in filters])
+    return filters, lost, passed
