@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.model.actuator import ACTUATOR
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
@@ -15,18 +17,7 @@ from tsa_ctrl.model.signals import Signals
 
 T = np.arange(100) * 0.01
 SIGNALS = Signals(t=T, tau_m=0.4 * np.sin(5.0 * T), omega_j=np.cos(3.0 * T), q_j=np.sin(3.0 * T) / 3.0)
-BASE = TendonSheath(
-    motor_pulley_radius=0.02,
-    joint_pulley_radius=0.025,
-    axial_stiffness=60e3,
-    unstrained_length=1.2,
-    diameter=0.6e-3,
-    contact_offset=0.4e-3,
-    friction_coefficient=0.1,
-    bending_angle=2.6,
-    pretension=45.0,
-    source="a.toml",
-)
+BASE = dataclasses.replace(ACTUATOR, source="a.toml")
 
 
 def with_custom(expression: str, **more: float | str) -> TendonSheath:
