@@ -5,7 +5,8 @@
     slip          motor and joint moved apart: a torn or loose tendon, a slipped encoder, a wrong count or sign
     joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign
 
-Contradictions must last before they count. Like the limiter it imports nothing of the control law.
+Contradictions must last before they count, and a sample that agrees does not clear them: see `safety.leaky`. Like the
+limiter it imports nothing of the control law.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from typing import Annotated
 
 import msgspec
 from msgspec import Meta
+
+from tsa_ctrl.safety.leaky import Leaky
 
 Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
 Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
@@ -31,7 +34,7 @@ class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
 
     torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
     joint_torque: Torque | None = None  # N*m at the joint; default: half of limits.torque, at the joint
-    duration: Duration = 0.1  # s that either must last
+    duration: Duration = 0.1  # s that either must last, less a quarter of the time for which it did not
     slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 0.5  # rad at the motor since the enable
 
 
@@ -57,12 +60,16 @@ class Plausibility:
         self._frozen = FROZEN_SHARE * rated
         self._geared = r_j / r_m
         self._has_encoder = has_encoder
+        self._torque_wrong = Leaky(settings.duration)
+        self._joint_wrong = Leaky(settings.duration)
+        self._slipped = Leaky(SLIP_TIME)
         self.reset()
 
     def reset(self) -> None:
         """Torque is not permitted: the next enable starts afresh."""
         self._offset = math.nan
-        self._torque_since = self._joint_since = self._slip_since = math.inf
+        for clock in (self._torque_wrong, self._joint_wrong, self._slipped):
+            clock.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
         self._low = self._high = 0.0
@@ -94,25 +101,17 @@ class Plausibility:
                     f"the drive's feedback is frozen: not a bit of it moved for {1e3 * (now - self._frozen_since):.0f} "
                     f"ms, while the command moved by {moved:.2f} N*m"
                 )
-        if abs(command - tau_m) <= self._torque:
-            self._torque_since = math.inf
-        elif now - (since := min(self._torque_since, now)) >= self._duration:
+        if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        else:
-            self._torque_since = since
         return self._apart(now, q_m, q_j) or self._joint(now, tau_j, expected)
 
     def _apart(self, now: float, q_m: float, q_j: float) -> str | None:
         if not self._has_encoder:
             return None
         apart = q_m - self._geared * q_j
-        if not abs(apart - self._offset) > self._slip:  # also while there is no reference yet
-            self._slip_since = math.inf
-            if self._offset != self._offset:
-                self._offset = apart
-            return None
-        self._slip_since = min(self._slip_since, now)
-        if now - self._slip_since < SLIP_TIME:
+        if self._offset != self._offset:
+            self._offset = apart
+        if not self._slipped.update(now, abs(apart - self._offset) > self._slip):
             return None
         return (
             f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable: a tendon is "
@@ -120,14 +119,8 @@ class Plausibility:
         )
 
     def _joint(self, now: float, tau_j: float, expected: float) -> str | None:
-        if tau_j != tau_j:  # no sensor, or no value of it that is fresh
-            self._joint_since = math.inf
-            return None
-        if abs(tau_j - expected) <= self._joint_torque:
-            self._joint_since = math.inf
-            return None
-        self._joint_since = min(self._joint_since, now)
-        if now - self._joint_since < self._duration:
+        known = tau_j == tau_j  # else no sensor, or no value of it that is fresh
+        if not self._joint_wrong.update(now, known and not abs(tau_j - expected) <= self._joint_torque):
             return None
         return (
             f"the joint torque sensor says {tau_j:.2f} N*m, the model {expected:.2f} N*m, for {self._duration:g} s: "

@@ -1,0 +1,33 @@
+"""How long something has been wrong of late: a clock that one good sample does not clear."""
+
+from __future__ import annotations
+
+import math
+
+LEAK = 0.25  # s taken back per s of agreement: what is wrong more than a fifth of the time is found in the end
+
+
+class Leaky:
+    """Runs while something is wrong, and runs back at `LEAK` of that speed while it is not."""
+
+    def __init__(self, most: float) -> None:
+        """`most`: s after which it counts."""
+        self._most = most
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is wrong, nor was of late."""
+        self._since = math.inf  # s, when it had begun, were it wrong without a break
+        self._last = 0.0
+
+    def update(self, now: float, wrong: bool) -> bool:
+        """Whether it has been wrong for long enough; `now` in s, call it with every sample."""
+        if wrong:
+            if self._since == math.inf:
+                self._since = now
+            self._last = now
+            return now - self._since >= self._most
+        if self._since != math.inf:
+            left = self._last - self._since - LEAK * (now - self._last)
+            self._since, self._last = (now - left, now) if left > 0.0 else (math.inf, now)
+        return False
