@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 
 from tools.manual import measure
+from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
@@ -79,9 +81,21 @@ def figures() -> str:
     return table(("what", "figure", "command", "measured"), rows)
 
 
+def licences() -> str:
+    """What the package needs at run time, and under which licence."""
+    listed = json.loads(FILE.read_text(encoding="utf-8"))
+    by_licence: dict[str, list[str]] = {}
+    for name, row in listed.items():
+        by_licence.setdefault(row["licence"], []).append(f"**{name}**" if row["direct"] else name)
+    return table(
+        ("licence", "needed directly (bold), and by those"), [(k, ", ".join(v)) for k, v in sorted(by_licence.items())]
+    )
+
+
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
     "verbs": verbs,
     "figures": figures,
+    "licences": licences,
 }

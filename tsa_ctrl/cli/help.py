@@ -16,6 +16,7 @@ TOPICS = {
     "safety": ("safety/README.md", "hazards, what detects them, what the condition against a runaway is"),
     "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
     "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
+    "changes": ("CHANGES.md", "what changed, what changes a number that reaches a motor first"),
     "code": ("README.md", "a map of the code, and how to add to it"),
 }
 

@@ -1,0 +1,52 @@
+"""The distribution holds what a bare install needs, an index would take it, and every dependency's licence is known."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+from tools.package import check, licences
+from tsa_ctrl.cli.help import TOPICS
+
+pytestmark = pytest.mark.skipif(not (ROOT / ".git").exists(), reason="not a checkout: git names the files")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    archive, wheel = check.build(tmp_path_factory.mktemp("dist"))
+    assert check.twine([archive, wheel]).count("PASSED") == 2
+    return wheel
+
+
+@pytest.mark.slow
+def test_the_wheel_alone_has_pages_files_and_profiles(wheel: Path, tmp_path: Path) -> None:
+    """Run from the unpacked wheel, not from this checkout: the page of every topic, and example files."""
+    zipfile.ZipFile(wheel).extractall(tmp_path / "site")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
+
+    def tsa(*words: str) -> str:
+        line = [sys.executable, "-c", "from tsa_ctrl.cli import main; main()", *words]
+        return subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True).stdout
+
+    where = [sys.executable, "-c", "import tsa_ctrl; print(tsa_ctrl.__file__)"]
+    assert str(tmp_path) in subprocess.run(where, cwd=tmp_path, env=environment, capture_output=True, text=True).stdout
+    for topic in TOPICS:
+        assert tsa("help", topic).startswith("# "), topic
+    tsa("init", "rig")
+    assert sorted(path.name for path in (tmp_path / "rig" / "drives").iterdir()) == sorted(
+        path.name for path in (ROOT / "config" / "drives").iterdir()
+    )
+    tsa("run", "--check", "rig/controller.toml")
+
+
+def test_every_direct_dependency_stands_in_the_list_with_a_licence_that_fits() -> None:
+    listed = json.loads(licences.FILE.read_text(encoding="utf-8"))
+    assert {name for name, row in listed.items() if row["direct"]} == set(licences.runtime())
+    assert [name for name, row in listed.items() if not licences.COMPATIBLE.search(row["licence"])] == []

@@ -1,0 +1,112 @@
+"""Build the wheel, check it as a package index would, and try it where there is no checkout.
+
+Usage: tools/run package/check [--out FOLDER] [--python PYTHON ...]
+
+Builds source distribution and wheel from the files that git knows, `twine check`s both, and for each PYTHON (default:
+3.11 and 3.13, those that are there) makes a bare virtual environment, installs the wheel alone, and runs what a
+newcomer would. Exit status 1 when anything failed. Needs a package registry.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from tools import command
+
+PYTHONS = ("3.11", "3.13")
+TRIED: tuple[tuple[str, ...], ...] = (
+    ("--version",),
+    ("--help",),
+    ("help", "rig"),
+    ("init", "rig"),
+    ("run", "--check", "rig/controller.toml"),
+    ("simulate-loop", "rig/controller.toml", "rig/plant.toml", "--seconds", "2", "--out", "loop"),
+    ("demo", "--virtual", "--seconds", "6", "--out", "demo"),
+    ("diagnose", "--example", "--out", "example"),
+)
+
+
+def source(folder: Path) -> Path:
+    """The files that git knows, as a tree of their own: what lies about beside them does not get in."""
+    names = subprocess.run(
+        ["git", "-C", str(command.ROOT), "ls-files", "-z"], capture_output=True, text=True, check=True
+    ).stdout.split("\0")
+    for name in filter(None, names):
+        place = folder / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if (command.ROOT / name).is_symlink() or (command.ROOT / name).is_file():
+            shutil.copy2(command.ROOT / name, place, follow_symlinks=False)
+    return folder
+
+
+def build(out: Path) -> tuple[Path, Path]:
+    """Source distribution and wheel in `out`; raises CalledProcessError with what the builder said."""
+    with tempfile.TemporaryDirectory(prefix="tsa-build-") as folder:
+        tree = source(Path(folder) / "tsa-ctrl")
+        line = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(tree)]
+        subprocess.run(line, capture_output=True, text=True, check=True)
+    (archive,), (wheel,) = out.glob("*.tar.gz"), out.glob("*.whl")
+    return archive, wheel
+
+
+def twine(files: Sequence[Path]) -> str:
+    """What `twine check --strict` says; raises CalledProcessError where it refuses."""
+    line = [sys.executable, "-m", "twine", "check", "--strict", *map(str, files)]
+    return subprocess.run(line, capture_output=True, text=True, check=True).stdout
+
+
+def tried(python: str, wheel: Path) -> list[tuple[str, int, float, str]]:
+    """Command, exit status, seconds and last line, from a bare environment in a folder of its own."""
+    rows = []
+    with tempfile.TemporaryDirectory(prefix="tsa-bare-") as name:
+        folder = Path(name)
+
+        def step(said: str, line: Sequence[str]) -> bool:
+            began = time.monotonic()
+            done = subprocess.run(line, cwd=folder, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+            last = (done.stdout if done.returncode == 0 else done.stderr or done.stdout).strip().splitlines()[-1:]
+            rows.append((said, done.returncode, time.monotonic() - began, "".join(last)))
+            return done.returncode == 0
+
+        if step("venv", [python, "-m", "venv", "bare"]) and step(
+            "pip install", ["bare/bin/pip", "install", "--quiet", "--disable-pip-version-check", str(wheel)]
+        ):
+            for words in TRIED:
+                step(f"tsa {' '.join(words)}", ["bare/bin/tsa", *words])
+    return rows
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--out", type=Path, help="keep the distributions in this folder")
+    parser.add_argument("--python", nargs="+", help="interpreters to try the wheel with")
+    asked = parser.parse_args()
+    failed = False
+    with tempfile.TemporaryDirectory(prefix="tsa-dist-") as name:
+        out = asked.out or Path(name)
+        out.mkdir(parents=True, exist_ok=True)
+        try:
+            files = build(out)
+            print(twine(files).strip())
+        except subprocess.CalledProcessError as error:
+            print(f"{error.stdout}{error.stderr}", file=sys.stderr)
+            return 1
+        for python in asked.python or PYTHONS:
+            found = shutil.which(python if asked.python else f"python{python}")
+            if found is None or subprocess.run([found, "-c", ""], capture_output=True).returncode:
+                print(f"python {python}: is not here, skipped")
+                continue
+            for said, status, seconds, last in tried(found, files[1]):
+                failed |= status != 0
+                print(f"python {python:5s} {said:70s} {status} {seconds:6.1f} s  {last[:80]}")
+    return int(failed)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,77 @@
+"""Write the licences of everything that the package needs at run time, as its distributions state them.
+
+Usage: tools/run package/licences
+
+Writes tools/package/licences.json: name, licence and why it is there; `tools/run manual/write` makes the table of it.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata as metadata
+import json
+import re
+import tomllib
+from pathlib import Path
+
+from tools import command
+from tsa_ctrl import settings
+
+FILE = Path(__file__).with_name("licences.json")
+# All of these allow use by a program under any licence; LGPL (python-can) as long as it stays a library of its own that
+# the user can replace, which an import from site-packages is.
+COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zlib|CC0|HPND")
+
+
+def runtime() -> list[str]:
+    """Names of the direct dependencies: those of the package and of its extras for users."""
+    project = tomllib.loads((command.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    lines = [*project["dependencies"], *extras["dashboard"], *extras["fleet"]]
+    return sorted({_name(line) for line in lines})
+
+
+def _name(requirement: str) -> str:
+    found = re.match(r"[A-Za-z0-9._-]+", requirement)
+    assert found is not None
+    return re.sub(r"[-_.]+", "-", found[0]).lower()
+
+
+def licence(name: str) -> str:
+    """As the distribution states it: the expression, else the classifier, else the first line of the text."""
+    about = metadata.metadata(name).json
+    if about.get("license_expression"):
+        return str(about["license_expression"])
+    classifiers = [line.rpartition(" :: ")[2] for line in about.get("classifier", []) if line.startswith("License")]
+    return ", ".join(classifiers) or str(about.get("license", "not stated")).splitlines()[0]
+
+
+def needed(names: list[str]) -> list[str]:
+    """The names and all that they need in turn, where installed."""
+    found: set[str] = set()
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop()
+        if name in found:
+            continue
+        try:
+            requires = metadata.requires(name) or []
+        except metadata.PackageNotFoundError:
+            continue  # for another system or an older Python
+        found.add(name)
+        waiting += [_name(line) for line in requires if "extra ==" not in line]
+    return sorted(found)
+
+
+def main() -> int:
+    command.parser(__name__, __doc__).parse_args()
+    direct = runtime()
+    rows = {name: {"licence": licence(name), "direct": name in direct} for name in needed(direct)}
+    settings.write_text(FILE, json.dumps(rows, indent=1, sort_keys=True) + "\n")
+    strange = [name for name, row in rows.items() if not COMPATIBLE.search(str(row["licence"]))]
+    for name in strange:
+        print(f"{name}: {rows[name]['licence']}: is this compatible?")
+    return int(bool(strange))
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
