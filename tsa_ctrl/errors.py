@@ -15,6 +15,10 @@ class UsageError(TsaError):
     exit_code = 2
 
 
+class StoppedError(TsaError):
+    """Somebody asked for the end while something was waited for; the message is who, or what."""
+
+
 class BusError(TsaError):
     """The machine or the bus failed (exit code 1)."""
 

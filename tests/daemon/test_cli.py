@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import pty
@@ -14,14 +15,16 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
+from rich.console import Console
 
-from tests.daemon.serving import PATIENCE, Serving
+from tests.daemon.serving import PATIENCE, Serving, description
 from tests.daemon.test_server import loop_taking
 from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc.mailbox import RECOVER, Command
+from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.page import Page, sparkline
 from tsa_ctrl.ipc.protocol import Set
+from tsa_ctrl.ipc.report import status_report
 from tsa_ctrl.system.processes import tsa
 
 
@@ -110,6 +113,28 @@ def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None
     assert isinstance(result.exception, BusError)
     assert "still there" in str(result.exception)
     assert call(serving, "stop", "--wait", "0").exit_code == 0
+
+
+def test_stop_says_what_a_daemon_that_starts_was_doing(serving: Serving) -> None:
+    serving.mailbox.publish_stage(0.0, "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most")
+    assert call(serving, "stop", "--wait", "0").output == (
+        "stop asked for; it was waiting for the boot-up of axis 'knee' drive node 1, 60 s at most\n"
+    )
+
+
+def test_status_says_what_a_daemon_that_starts_waits_for(serving: Serving) -> None:
+    """And before the first word of it, that it starts: not that it hangs."""
+    serving.mailbox.publish_stage(0.0, "waiting for the boot-up of axis 'knee' drive node 1, 60 s at most")
+    assert "waiting for the boot-up of axis 'knee'" in " ".join(call(serving, "status").output.split())
+    fresh = Mailbox(1, 2)
+    page = Page()
+    page.take(status_report(fresh, description(Path(serving.path), ["knee"]), 1e6))
+    console = Console(width=200, record=True, file=io.StringIO())
+    console.print(page.render())
+    text = console.export_text()
+    assert "since 0.0 s: the first cycle" in text
+    assert "no news" not in text
+    fresh.close()
 
 
 @pytest.mark.parametrize("wait", ["nan", "-1", "inf", "soon"])

@@ -21,9 +21,9 @@ POLL = 0.05  # s
 @click.option("--socket", "path", default=protocol.default_path, show_default="that of the user", help="Its socket.")
 @click.option("--wait", default=15.0, show_default=True, type=Finite(0.0), help="Seconds for its end; 0: do not wait.")
 def command(path: str, wait: float) -> None:
-    """Ramp a running daemon's torque to zero, disable its drives, and end it."""
+    """Ramp a running daemon's torque to zero, disable its drives, and end it; one that still starts gives that up."""
     with Client(path) as client:
-        client.ask(protocol.Stop())
+        stage = client.ask(protocol.Stop()).get("waiting_for")
     end = time.monotonic() + wait
     while wait > 0.0 and protocol.is_socket(path):
         if time.monotonic() > end:
@@ -31,4 +31,5 @@ def command(path: str, wait: float) -> None:
                 f"{path}: the daemon was told to stop and is still there after {wait:g} s; look at what it printed"
             )
         time.sleep(POLL)
-    click.echo("stop asked for" if wait == 0.0 else "stopped: the daemon has ended")
+    starting = f"; it was {stage}" if stage else ""
+    click.echo(("stop asked for" if wait == 0.0 else "stopped: the daemon has ended") + starting)

@@ -95,6 +95,11 @@ class Loop:
         if self._stop is None:
             self._stop = cause
 
+    @property
+    def stop_asked(self) -> str | None:
+        """Who asked for the end, if anybody did; known before it runs, too."""
+        return self._stop or ("tsa stop" if self._mailbox.stop_requested else None)
+
     def note(self, text: str) -> None:
         """Keep an event that happened outside of the cycles."""
         self.events.add((self._clock() - self._start) * 1e-9, "", text)
@@ -169,8 +174,7 @@ class Loop:
     def _judge(self, planned: int, seconds: float) -> None:
         """Move the loop's own phase on; the supervisors have already seen to the torque."""
         now = planned * 1e-9
-        if self._stop is None and self._mailbox.stop_requested:
-            self._stop = "tsa stop"
+        self._stop = self.stop_asked
         self._note_faults(planned)
         phase = self.phase
         if self._stop is not None and phase is not LoopPhase.STOPPING:

@@ -18,7 +18,7 @@ from tsa_ctrl.daemon.descent import descend
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
-from tsa_ctrl.errors import TsaError
+from tsa_ctrl.errors import StoppedError, TsaError
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system.histogram import coarse, distribution
@@ -56,11 +56,17 @@ class Operation:
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
         """Bring up, run, bring up again when asked to; then descend, whatever happened.
 
-        `ready` is called once, right before the first cycle. Raises UsageError or BusError for what fails before.
+        `ready` is called once, right before the first cycle. A stop that comes before it ends the bring-up. Raises
+        UsageError or BusError for what fails before.
         """
         period = self._configuration.period
         try:
-            self._bring_up(reset_faults)
+            try:
+                self._bring_up(reset_faults)
+            except StoppedError as stop:
+                self._loop.cause = str(stop)
+                self._say(f"{stop}: the start ends here; no drive was enabled")
+                return
             self._prove(period)
             ready()
             try:
@@ -90,6 +96,7 @@ class Operation:
                     reset_faults,
                     resets_later,
                     self._tell,
+                    lambda: self._loop.stop_asked,
                 )
             finally:
                 self._tell("")

@@ -95,6 +95,7 @@ class Daemon:
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )
+                    self._enter(loop)
                     operation = Operation(
                         configuration,
                         rig,
@@ -107,7 +108,7 @@ class Daemon:
                     )
                     realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
                     try:
-                        operation.run(seconds, self._reset_faults, lambda: self._enter(loop))
+                        operation.run(seconds, self._reset_faults)
                     finally:
                         realtime.release()
             finally:
@@ -129,7 +130,7 @@ class Daemon:
             self._notifier.close()
 
     def _enter(self, loop: Loop) -> None:
-        """From here on a signal goes to the loop; one that came before stops it at once."""
+        """From here on a signal goes to the loop, and through it to the bring-up; one that came before as well."""
         self._loop = loop
         if self._early_stop is not None:
             loop.stop(self._early_stop)

@@ -25,6 +25,8 @@ def status_report(mailbox: Mailbox, description: Description, now: float) -> dic
     general, axes = mailbox.status()
     _, text = mailbox.text()
     since, stage = mailbox.stage()
+    if not stage and general.time == 0.0:  # nothing was published yet: the loop is not late
+        since, stage = now, "the first cycle"
     events = msgspec.json.decode(text) if text else []
     report: dict[str, Any] = {
         "schema": SCHEMA,

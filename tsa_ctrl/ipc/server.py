@@ -164,7 +164,7 @@ class Server:
                 return None, {"ok": True, **status_report(self._mailbox, self._description, time.monotonic())}
             case Stop():
                 self._mailbox.request_stop()
-                return None, {"ok": True}
+                return None, {"ok": True, "waiting_for": self._mailbox.stage()[1] or None}
             case Recover():
                 return Command(0, RECOVER, 0.0), {"ok": True}
             case SetPointValue(axis=axis, value=value):

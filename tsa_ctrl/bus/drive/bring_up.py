@@ -37,7 +37,7 @@ from tsa_ctrl.bus.drive.twins import check_twins
 from tsa_ctrl.bus.drive.writing import with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
-from tsa_ctrl.errors import BusError, TsaError
+from tsa_ctrl.errors import BusError, StoppedError, TsaError
 
 START_TIMEOUT = 2.0  # s, until a heartbeat says "operational"
 
@@ -53,14 +53,15 @@ def bring_up(
     reset_faults: bool = False,
     resets_later: bool = False,
     tell: Tell = lambda stage: None,
+    stopped: Callable[[], str | None] = lambda: None,
 ) -> Report:
     """Configure and start all nodes of `axes` for a SYNC period in s; on return they are operational, drives disabled.
 
     `reset_faults`: somebody asked for drives found in fault to be reset; without it they stay as they are, unless the
-    loop `resets_later`. `tell` gets what is being waited for, in words.
+    loop `resets_later`. `tell` gets what is being waited for, in words; `stopped` says why it shall end, if so.
 
-    Raises UsageError when the configuration is wrong (load, contradictions, rated torque) and BusError when the bus or
-    a node is; the message ends with what the nodes themselves had to say.
+    Raises StoppedError then, UsageError when the configuration is wrong (load, contradictions, rated torque) and
+    BusError when the bus or a node is; the message of these ends with what the nodes themselves had to say.
     """
     budget.check(settings, axes, 1.0 / period)
     check_node_ids(settings, axes)
@@ -70,7 +71,7 @@ def bring_up(
         check_against_eds(node.profile, plan) if node.role is Role.DRIVE else []
         for node, plan in zip(nodes, plans, strict=True)
     ]
-    with Session(bus, settings) as session:
+    with Session(bus, settings, stopped) as session:
         for node in nodes:
             session.be_patient(node.node_id, node.answer_timeout)
         session.guard([node.node_id for node in nodes if node.is_guarded])
@@ -91,7 +92,7 @@ def bring_up(
             for node, report in zip(nodes, reports, strict=True):
                 report.notes += [f"said during the bring-up: {found}" for found in session.emcys(node.node_id)]
         except BaseException as error:
-            if isinstance(error, TsaError):
+            if isinstance(error, TsaError) and not isinstance(error, StoppedError):
                 error.args = (f"{error}{_what_they_said(session, nodes)}",)
             with contextlib.suppress(TsaError):  # the first cause is the one to tell
                 _leave(session, nodes, settings)

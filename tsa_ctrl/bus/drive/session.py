@@ -22,7 +22,7 @@ from tsa_ctrl.bus.canopen.emcy import Emcy
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.seam import REMOTE_FLAG, Bus, Frame
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, StoppedError
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # abort codes: no such object, no such subindex
 
@@ -88,9 +88,11 @@ class Session:
     `touched`: nodes that were sent a command or a value. Reading leaves a node as it is.
     """
 
-    def __init__(self, bus: Bus, settings: BusSettings) -> None:
+    def __init__(self, bus: Bus, settings: BusSettings, stopped: Callable[[], str | None] = lambda: None) -> None:
+        """`stopped`: why nobody wants to wait any longer, if so; raised as StoppedError, once, while it waits."""
         self._bus = bus
         self._settings = settings
+        self._stopped = stopped
         self._network = _Network(bus)
         self._clients: dict[int, _Client] = {}
         self._states: dict[int, list[int]] = {}  # NMT states heard of each node, in order
@@ -155,6 +157,10 @@ class Session:
         """Take frames and send our heartbeat until `reached`, at most `seconds`; at once False when the bus fails."""
         end = self._bus.clock() + seconds
         while not reached():
+            cause = self._stopped()
+            if cause is not None:
+                self._stopped = lambda: None  # what is sent on the way out is waited for
+                raise StoppedError(cause)
             now = self._bus.clock()
             self._beat(now)
             due = min(end, self._next_heartbeat) if self._heartbeat else end
