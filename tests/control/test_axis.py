@@ -135,16 +135,21 @@ def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.Monke
     assert reset == []
 
 
-def test_a_set_point_counts_from_the_enable(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without torque it is forgotten."""
+@pytest.mark.parametrize(
+    ("time", "t"),
+    [(12.0, 2.0), (12.25, 2.25), (9.0, -1.0), (12.5, 2.25), (1e9, 2.25), (-math.inf, -math.inf)],
+)
+def test_a_set_point_counts_from_when_its_client_wanted_it(
+    axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, time: float, t: float
+) -> None:
+    """Since the enable at 10 s, seen in the cycle of 12.25 s; a time to come is now, and none is none."""
     received: list[tuple[float, float]] = []
     monkeypatch.setattr(axis.set_point, "receive", lambda value, t: received.append((value, t)))
-    axis.receive(0.1, 9.0)
-    axis.since_enable(10.0)
-    axis.receive(0.2, 10.5)
-    axis.release()
-    axis.receive(0.3, 11.0)
-    assert received == [(0.2, 0.5)]
+    axis.connect(iter([(0.2, time), None]).__next__)
+    assert axis.since_enable(10.0) == 0.0
+    for _ in range(2):
+        axis.listen(12.25, axis.since_enable(12.25))
+    assert received == [(0.2, t)]
 
 
 class Calls(list[tuple[Any, ...]]):

@@ -166,6 +166,29 @@ def test_socket_value_holds_until_its_timeout_and_then_ramps_to_zero() -> None:
     assert values[-1] == 0.0
 
 
+@pytest.mark.parametrize(
+    ("value", "t"),
+    [(math.nan, 0.05), (math.inf, 0.05), (0.5, -1e-9), (0.5, math.nan), (0.5, -math.inf), (0.5, -0.1)],
+)
+def test_what_is_no_number_or_from_before_the_enable_ends_what_was_wanted(value: float, t: float) -> None:
+    """It replaces the value before it, which nobody wants any longer either."""
+    set_point = SetPoint(SetPointSettings(kind="socket", timeout=1.0, rate=1e4), PERIOD)
+    set_point.receive(1.0, 0.0)
+    assert set_point.update(0.01) == 1.0
+    set_point.receive(value, t)
+    assert set_point.update(0.06) == 0.0
+    assert set_point.silent
+
+
+def test_the_time_of_a_socket_value_is_its_clients() -> None:
+    """One that comes 0.15 s late acts for the 0.05 s that are left of its 0.2 s."""
+    set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.2, rate=1e4), PERIOD)
+    set_point.receive(1.0, 0.10)
+    assert set_point.update(0.25) == 1.0
+    assert set_point.update(0.299) == 1.0
+    assert set_point.update(0.301) == 0.0
+
+
 def test_reset_forgets_what_was_received() -> None:
     """After a disable an old value does not play."""
     set_point = SetPoint(SetPointSettings(kind="socket", rate=1e4), PERIOD)

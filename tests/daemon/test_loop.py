@@ -14,7 +14,7 @@ import pytest
 from tests.daemon.machine import ENABLED, Drive, Machine
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.phase import LoopPhase
-from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command
+from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 Build = Callable[..., Machine]
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
@@ -213,7 +213,7 @@ def test_flood_of_commands_is_taken_one_per_cycle(build: Build) -> None:
 def test_socket_set_point_expires(build: Build) -> None:
     """A value over the socket acts for its timeout; then it goes to 0, and friction is not compensated for nobody."""
     machine = build(('kind = "sine"  ', 'kind = "socket"  '))
-    machine.drive.at_sync[500] = lambda: machine.mailbox.put(Command(0, SET_POINT, 0.5)) and None
+    machine.drive.at_sync[500] = lambda: machine.mailbox.want(0, 0.5, machine.bus.clock.now)
     machine.run(seconds=1.5)
     torques = machine.drive.torques
     half_loop = 2.0 * 45.0 * 0.020 * math.tanh(0.26)
@@ -260,7 +260,7 @@ def test_records_tell_the_cycle(build: Build) -> None:
 def test_set_point_without_torque_is_forgotten(build: Build) -> None:
     """A value that comes while disabled does not play at the enable."""
     machine = build(('kind = "sine"  ', 'kind = "socket"  '))
-    machine.mailbox.put(Command(0, SET_POINT, 0.5))
+    machine.mailbox.want(0, 0.5, machine.bus.clock.now)
     machine.run(seconds=0.5)
     assert not any(machine.drive.torques)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import struct
 from collections.abc import Iterator
@@ -92,6 +93,22 @@ def test_a_torn_status_is_never_returned(mailbox: Mailbox) -> None:
     for at in range(0, len(mailbox._memory.bytes), 8):
         mailbox._memory.bytes[at] ^= 0x80
     assert (other.status(), other.text()[1]) == ((GENERAL, AXES), b"[]")
+
+
+def test_a_set_point_replaces_the_one_before_and_is_given_once(mailbox: Mailbox) -> None:
+    """A later 0 never waits behind."""
+    other = other_end(mailbox)
+    for n in range(64):
+        other.want(1, 0.5 + n, 10.0 + n)
+    other.want(1, 0.0, 99.0)
+    assert [mailbox.wanted(1), mailbox.wanted(1), mailbox.wanted(0)] == [(0.0, 99.0), None, None]
+
+
+def test_a_withdrawal_is_of_all_axes(mailbox: Mailbox) -> None:
+    other = other_end(mailbox)
+    other.want(0, 0.5, 10.0)
+    other.withdraw()
+    assert [mailbox.wanted(0), mailbox.wanted(1)] == [(0.0, -math.inf)] * 2
 
 
 def test_a_command_whose_place_is_not_whole_yet_waits(mailbox: Mailbox) -> None:

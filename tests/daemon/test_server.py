@@ -22,7 +22,7 @@ import pytest
 from tests.daemon.serving import PATIENCE, Serving, description, until
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, SLOTS, Command, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop, make_private
 from tsa_ctrl.ipc.report import EventPrinter
 from tsa_ctrl.ipc.server import CLIENTS, Server, listen
@@ -151,9 +151,10 @@ def test_nonsense_is_refused_and_survived(serving: Serving, line: bytes) -> None
 def test_set_point_recover_and_stop(serving: Serving) -> None:
     """The other verbs become their commands; stop is a flag of its own."""
     with loop_taking(serving) as taken, Client(serving.path) as client:
-        client.ask(SetPointValue("knee", -0.5))
+        client.ask(SetPointValue("knee", -0.5, 12.5))
+        assert serving.mailbox.wanted(0) == (-0.5, 12.5)
         client.ask(Recover())
-    assert taken == [Command(0, SET_POINT, -0.5), Command(0, RECOVER, 0.0)]
+    assert taken == [Command(0, RECOVER, 0.0)]
     with Client(serving.path) as client:
         client.ask(Stop())
     assert serving.mailbox.stop_requested

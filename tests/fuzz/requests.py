@@ -13,7 +13,7 @@ from pathlib import Path
 from tests.daemon.serving import Serving, until
 from tests.fuzz.part import Holdings, Part
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT
+from tsa_ctrl.ipc.mailbox import RECOVER
 from tsa_ctrl.ipc.protocol import Status
 
 GOOD = (
@@ -21,13 +21,15 @@ GOOD = (
     b'{"verb":"set","name":"knee.compensation","value":0.5}',
     b'{"verb":"set","name":"hip.compensation","value":1.1999}',
     b'{"verb":"setpoint","axis":"knee","value":-0.25}',
+    b'{"verb":"setpoint","axis":"knee","value":0.5,"time":12.5}',
     b'{"verb":"recover"}',
 )
 PIECES = (
     *(b'"', b"{", b"}", b"[", b"]", b",", b":", b"null", b"true", b'"verb"', b'"stop', b"\\u0000", b"\xff", b"\0"),
     *(b"NaN", b"1e999", b"-1e308", b"99999999999999999999999", b"-0", b"0.1e-400", b" " * 50, b"[" * 300),
 )
-BOUNDS = {0: (0.0, 1.2), SET_POINT: (-2.0, 2.0), RECOVER: (0.0, 0.0)}  # by parameter
+BOUNDS = {0: (0.0, 1.2), RECOVER: (0.0, 0.0)}  # by parameter
+MOST = 2.0  # N*m, of a set-point
 LINES = 40  # in one connection
 
 
@@ -110,3 +112,7 @@ def _take(serving: Serving, part: Part) -> None:
         low, high = BOUNDS.get(command.parameter, (math.inf, -math.inf))
         if command.axis not in (0, 1) or not low <= command.value <= high:
             part.blame(f"reached the loop: {command}")
+    if (wanted := serving.mailbox.wanted(0)) is not None and not abs(wanted[0]) <= MOST:
+        part.blame(f"reached the loop: {wanted}")
+    if serving.mailbox.wanted(1) not in (None, (0.0, -math.inf)):
+        part.blame("the set-point of an axis that takes none")

@@ -86,6 +86,19 @@ def test_a_writer_that_follows_another_goes_on_with_its_numbers(memory: SharedMe
     assert Newest(memory, 0, SIZE).read() == (2, b"second")
 
 
+def test_what_is_taken_is_the_newest_and_taken_once(memory: SharedMemory) -> None:
+    writer, reader = Newest(memory, 0, SIZE), Newest(memory, 0, SIZE)
+    assert reader.take() is None
+    for content in (b"first", b"second", b"third"):
+        writer.write(content)
+    assert [reader.take(), reader.take()] == [b"third", None]
+    writer.write(b"fourth")
+    memory.bytes[0] ^= 0xFF  # the place that it lies in is not whole yet
+    assert reader.take() is None
+    memory.bytes[0] ^= 0xFF
+    assert [reader.take(), reader.take()] == [b"fourth", None]
+
+
 def test_a_content_that_is_too_long_is_refused(memory: SharedMemory) -> None:
     with pytest.raises(ValueError, match="41 bytes, there is room for 40"):
         Places(memory, 0, 4, SIZE).write(1, bytes(SIZE + 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.live.axis import Axis as BusAxis
@@ -76,6 +77,7 @@ class ControlAxis:
         self.terms = Terms()
         self._period = period
         self._stop_time = stop_time
+        self._register: Callable[[], tuple[float, float] | None] = lambda: None
         self._ramp_from: float | None = None  # s, when the ramp to 0 began
         self._stopping = False
         self._enabled_at: float | None = None
@@ -103,10 +105,9 @@ class ControlAxis:
         if self.request is not Request.ENABLE:
             self.request = Request.DISABLE
 
-    def receive(self, tau_j_des: float, now: float) -> None:
-        """Take a set-point (N*m) that came over the socket; without torque it is forgotten."""
-        if self._enabled_at is not None:
-            self.set_point.receive(tau_j_des, now - self._enabled_at)
+    def connect(self, register: Callable[[], tuple[float, float] | None]) -> None:
+        """Where the newest set-point (N*m) that came over the socket lies, with its time (s, monotonic); once each."""
+        self._register = register
 
     def joint(self) -> tuple[float, float]:
         """Angle (rad) and velocity (rad/s) of the joint; without an encoder those of the motor, geared."""
@@ -127,6 +128,16 @@ class ControlAxis:
                 self.ramp = 0.0
                 self.request = Request.DISABLE
         return now - self._enabled_at
+
+    def listen(self, now: float, t: float) -> None:
+        """Take over the set-point that came since the last cycle; `t`: s since the enable.
+
+        What counts is when its client wanted it, which is never later than now.
+        """
+        found = self._register()
+        if found is not None:
+            value, time = found
+            self.set_point.receive(value, t - max(now - time, 0.0))
 
     def follow(self, now: float) -> None:
         """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""

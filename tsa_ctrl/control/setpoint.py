@@ -87,9 +87,12 @@ class SetPoint:
         self.reset()
 
     def receive(self, value: float, t: float) -> None:
-        """A value (N*m) that came over the local socket at time `t` (s since the enable)."""
-        self._received = value
-        self._received_at = t
+        """A value (N*m) that came over the local socket, wanted at `t` (s since the enable), instead of the one before.
+
+        What is no number, or was wanted before the enable, is nobody's wish.
+        """
+        wanted = math.isfinite(value) and t >= 0.0
+        self._received, self._received_at = (value, t) if wanted else (0.0, -math.inf)
 
     def reset(self) -> None:
         """Start from 0 again; what was received is forgotten."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import SupervisionSettings
@@ -16,7 +17,7 @@ from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, Mailbox
 from tsa_ctrl.safety.supervisor import Phase, Request
 from tsa_ctrl.system.histogram import count
 from tsa_ctrl.system.realtime import Ticker
@@ -71,6 +72,8 @@ class Loop:
         self._faults = [0] * len(axes)
         self._back_offs = [0] * len(axes)
         self._remarks = Remarks(axes, events)
+        for index, axis in enumerate(axes):
+            axis.connect(partial(mailbox.wanted, index))
 
     @property
     def start(self) -> float:
@@ -139,7 +142,7 @@ class Loop:
                 (planned - start) * 1e-9, (planned - start) // period, (woke - planned) * 1e-9, (done - woke) * 1e-9
             )
             self.cycles += 1
-            self._take_command(now, planned)
+            self._take_command(planned)
             self._judge(planned, seconds)
             if self.cycles % self._publish_every == 0:
                 self.publish(planned)
@@ -158,13 +161,11 @@ class Loop:
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
 
-    def _take_command(self, now: float, planned: int) -> None:
+    def _take_command(self, planned: int) -> None:
         """At most one command per cycle, and one step of every parameter that moves."""
         command = self._mailbox.take()
         if command is not None:
-            if command.parameter == SET_POINT:
-                self._axes[command.axis].receive(command.value, now)
-            elif command.parameter == RECOVER:
+            if command.parameter == RECOVER:
                 self._begin_recovery(planned)
             else:
                 self._tuners[command.axis].set(command.parameter, command.value)

@@ -1,11 +1,12 @@
 """Shared memory between the loop and the socket server: commands in, status out. Neither side ever waits for the other.
 
-Commands are places with a bound, taken in turn; status and events are each the newest that is whole (see
-`system.shared_memory`, whose rule says what either side believes).
+Commands are places with a bound, taken in turn. Set-points, status and events are each the newest that is whole (see
+`system.shared_memory`, whose rule says what either side believes): a set-point never waits behind another.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -62,6 +63,7 @@ Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the 
 
 _SINCE = struct.Struct("=d")  # s, monotonic
 _COMMAND = struct.Struct("=qqd")  # axis, parameter, value
+_WANTED = struct.Struct("=dd")  # N*m; s, monotonic, of the client that wants it
 _TAIL, _STOP = 0, 8  # words of the header: commands taken, stop asked for
 _LATENESS = 64
 _WORK = _LATENESS + 8 * BINS
@@ -80,8 +82,7 @@ class Command:
     value: float
 
 
-SET_POINT = -1  # value: joint torque wanted, N*m
-RECOVER = -2  # bring the bus up again after a latched fault
+RECOVER = -1  # bring the bus up again after a latched fault
 
 
 class Mailbox:
@@ -91,7 +92,9 @@ class Mailbox:
         """`parameters`: live parameters per axis, whose values are part of the status."""
         axis = len(AxisStatus._fields) + parameters
         self._status_format = struct.Struct(f"={len(General._fields) + axes * axis}d")
-        memory = SharedMemory(_STATUS + space(2, self._status_format.size), descriptor)
+        wanted = _STATUS + space(2, self._status_format.size)
+        each = space(2, _WANTED.size)
+        memory = SharedMemory(wanted + axes * each, descriptor)
         self._memory = memory
         self.descriptor = memory.descriptor
         self.lateness = memory.array(_LATENESS, BINS)
@@ -102,6 +105,7 @@ class Mailbox:
         self._text = Newest(memory, _TEXT, TEXT)
         self._stage = Newest(memory, _STAGE, STAGE)
         self._status = Newest(memory, _STATUS, self._status_format.size)
+        self._wanted = [Newest(memory, wanted + axis * each, _WANTED.size) for axis in range(axes)]
         self._put, _ = self._commands.newest()
         self._seen = bytes(self._status_format.size)  # the last status that was whole
         self._seen_text = (0, b"")
@@ -126,6 +130,15 @@ class Mailbox:
     def taken(self, ticket: int) -> bool:
         """Whether the loop has taken the command of this ticket."""
         return self._words[_TAIL // 8] > ticket
+
+    def want(self, axis: int, value: float, time: float) -> None:
+        """The axis' set-point (N*m), as its client wanted it at `time` (s, monotonic); it replaces the one before."""
+        self._wanted[axis].write(_WANTED.pack(value, time))
+
+    def withdraw(self) -> None:
+        """Nobody wants anything any longer."""
+        for register in self._wanted:
+            register.write(_WANTED.pack(0.0, -math.inf))
 
     def request_stop(self) -> None:
         """Ask the loop to end; never queued behind anything."""
@@ -165,6 +178,11 @@ class Mailbox:
             return None
         self._words[_TAIL // 8] = number
         return Command(*_COMMAND.unpack(content))
+
+    def wanted(self, axis: int) -> tuple[float, float] | None:
+        """The axis' newest set-point and its time, once (see `want`); -inf is the time of one that was withdrawn."""
+        content = self._wanted[axis].take()
+        return None if content is None else _WANTED.unpack(content)
 
     @property
     def stop_requested(self) -> bool:

@@ -1,8 +1,9 @@
 """One JSON object per line, strict both ways; what a client may ask and what the server tells.
 
 Requests: {"verb": "status"}, {"verb": "set", "name": "knee.compensation", "value": 0.9}, {"verb": "setpoint",
-"axis": "knee", "value": 0.2}, {"verb": "recover"}, {"verb": "stop"}. Answers: {"ok": true, ...} or {"ok": false,
-"error": "..."}.
+"axis": "knee", "value": 0.2, "time": 1234.5}, {"verb": "recover"}, {"verb": "stop"}. Answers: {"ok": true, ...} or
+{"ok": false, "error": "..."}. A set-point lasts until the next one, until [axis.setpoint] timeout after its time, and
+never longer than its connection.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class SetPointValue(Request, frozen=True, tag="setpoint"):
 
     axis: str
     value: float  # N*m
+    time: float | None = None  # s, CLOCK_MONOTONIC, when it was wanted; without it, when the server reads it
 
 
 class Recover(Request, frozen=True, tag="recover"):

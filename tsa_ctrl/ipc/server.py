@@ -16,13 +16,14 @@ import signal
 import socket
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.ipc.mailbox import RECOVER, SET_POINT, Command, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.protocol import (
     LONGEST_LINE,
     AnyRequest,
@@ -66,7 +67,17 @@ class Client:
 class Server:
     """Answers requests from the mailbox; `step` is one look at everything that can happen."""
 
-    def __init__(self, listener: socket.socket, mailbox: Mailbox, description: Description) -> None:
+    def __init__(
+        self,
+        listener: socket.socket,
+        mailbox: Mailbox,
+        description: Description,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """What a server before this one was told is withdrawn: its clients are gone."""
+        self._clock = clock
+        self._wanting: Client | None = None  # whose set-points the loop follows
+        mailbox.withdraw()
         self._listener = listener
         self._mailbox = mailbox
         self._description = description
@@ -83,14 +94,14 @@ class Server:
         waiting = any(client.pending for client in self._clients.values())
         others: list[int] = []
         for key, _ in self._selector.select(min(timeout, TICK) if waiting else timeout):
-            now = time.monotonic()
+            now = self._clock()
             if key.fileobj is self._listener:
                 self._accept(now)
             elif key.fd in self._clients:
                 self._receive(self._clients[key.fd], now)
             else:
                 others.append(key.fd)
-        now = time.monotonic()
+        now = self._clock()
         for client in list(self._clients.values()):
             self._settle(client, now)
             self._send(client)
@@ -142,7 +153,7 @@ class Server:
             request = _decode(line)
             if isinstance(request, Recover) and client.user not in (0, os.getuid()):
                 raise UsageError("recover: only the user who started the daemon may; ask at the machine")
-            command, answer = self._handle(request)
+            command, answer = self._handle(client, request, now)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             return _line(_error(f"not a request: {error}"))
         except RecursionError:
@@ -157,23 +168,25 @@ class Server:
         client.pending.append((ticket, now, answer))
         return b""
 
-    def _handle(self, request: AnyRequest) -> tuple[Command | None, dict[str, Any]]:
+    def _handle(self, client: Client, request: AnyRequest, now: float) -> tuple[Command | None, dict[str, Any]]:
         """The command that a request means, if any, and the answer once it is taken."""
         match request:
             case Status():
-                return None, {"ok": True, **status_report(self._mailbox, self._description, time.monotonic())}
+                return None, {"ok": True, **status_report(self._mailbox, self._description, now)}
             case Stop():
                 self._mailbox.request_stop()
                 return None, {"ok": True, "waiting_for": self._mailbox.stage()[1] or None}
             case Recover():
                 return Command(0, RECOVER, 0.0), {"ok": True}
-            case SetPointValue(axis=axis, value=value):
+            case SetPointValue(axis=axis, value=value, time=wanted):
                 index = self._axis(axis)
                 limit = self._description.set_point_limit[index]
                 if limit is None:
                     raise UsageError(f"axis '{axis}': its set-point does not come over the socket; see setpoint.kind")
                 _inside("set-point", value, -limit, limit, "N*m")
-                return Command(index, SET_POINT, value), {"ok": True}
+                self._mailbox.want(index, value, now if wanted is None else wanted)
+                self._wanting = client
+                return None, {"ok": True}
             case Set(name=name, value=value):
                 return self._set(name, value)
 
@@ -230,6 +243,9 @@ class Server:
 
     def _drop(self, client: Client) -> None:
         descriptor = client.connection.fileno()
+        if client is self._wanting:
+            self._wanting = None
+            self._mailbox.withdraw()
         if descriptor >= 0:
             self._clients.pop(descriptor, None)
             self._selector.unregister(client.connection)

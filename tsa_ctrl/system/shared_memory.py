@@ -119,6 +119,7 @@ class Newest:
     def __init__(self, memory: SharedMemory, at: int, size: int) -> None:
         self._places = Places(memory, at, 2, size)
         self._number, _ = self.read()
+        self._taken = 0
 
     def write(self, content: bytes) -> None:
         """Only its one writer may; raises ValueError for a content that is too long."""
@@ -131,3 +132,13 @@ class Newest:
         number = one if one > other else other
         content = self._places.read(number) if number else None
         return self._places.newest() if content is None else (number, content)
+
+    def take(self) -> bytes | None:
+        """What this reader has not been given yet, the newest alone; None when there is no such content."""
+        if self._places.claimed(0) <= self._taken and self._places.claimed(1) <= self._taken:
+            return None
+        number, content = self.read()
+        if number <= self._taken:
+            return None
+        self._taken = number
+        return content

@@ -1,0 +1,76 @@
+"""A run in virtual time with the daemon's own socket server beside its loop: real sockets, the run's clock.
+
+Time stands still while a client is served, so the same clients give the same run.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.daemon.assembly import describe
+from tsa_ctrl.ipc.mailbox import Command
+from tsa_ctrl.ipc.server import Server, listen
+from tsa_ctrl.plant.process import check
+from tsa_ctrl.virtual.result import Simulation
+from tsa_ctrl.virtual.simulation import Run
+
+Action = Callable[[float], None]
+Script = Sequence[tuple[Action, float]]
+
+
+class ServedRun(Run):
+    """`at` plans what clients do; `play` then runs it."""
+
+    def __init__(self, controller: Path, plant: Path, seconds: float) -> None:
+        configuration = load_configuration(controller)
+        super().__init__(configuration, check(plant), seconds)
+        description = describe(configuration, self._tuners)
+        self.path = description.path
+        self._server = Server(listen(self.path, None), self._mailbox, description, self._wire.plant.clock)
+        self._planned: list[tuple[Action, float]] = []
+        self._connections: list[socket.socket] = []
+
+    def at(self, time: float, action: Action) -> None:
+        """`action(now)`: s of the log's time, and of the run's clock."""
+        self._planned.append((action, time))
+
+    def connected(self, sent: bytes, ends: bool = False) -> Action:
+        """A client of its own comes and says this; it `ends` right after."""
+
+        def action(now: float) -> None:
+            connection = self.send(sent)
+            if ends:
+                connection.close()
+                self.serve()
+
+        return action
+
+    def send(self, sent: bytes) -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX)
+        connection.connect(self.path)
+        self._connections.append(connection)
+        connection.sendall(sent)
+        self.serve()
+        return connection
+
+    def serve(self) -> None:
+        """Until the server has nothing to do."""
+        for _ in range(8):
+            self._server.step(0.0)
+
+    def simulate(self) -> Simulation:
+        """Run it to its end."""
+        self._every(1e-3, lambda now: self.serve())
+        return self.play((), (), lambda share: None)
+
+    def _schedule(self, script: Script, settings: Sequence[tuple[Command, float]]) -> None:
+        super()._schedule([*script, *self._planned], settings)
+
+    def close(self) -> None:
+        for connection in self._connections:
+            connection.close()
+        self._server.close()
+        super().close()

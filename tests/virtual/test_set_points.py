@@ -1,0 +1,82 @@
+"""Set-points over the socket in virtual time: the daemon's loop and socket server on the plant, one clock for all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.virtual.files import controller, plant, write
+from tests.virtual.serving import ServedRun
+
+BURST = 64  # values, as many as commands may wait
+DIES = 0.4  # s
+RATE = 50.0  # N*m/s, of a set-point: [axis.setpoint] rate
+WANTED = 1.0  # N*m
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[ServedRun]:
+    files = write(
+        tmp_path,
+        controller(setpoint={"kind": "socket", "timeout": 0.2}, file={"socket": {"path": str(tmp_path / "tsa.sock")}}),
+        plant(joint={"load": "held"}),
+    )
+    running = ServedRun(*files, seconds=0.8)
+    yield running
+    running.close()
+
+
+def lines(values: list[float], **more: float) -> bytes:
+    request = {"verb": "setpoint", "axis": "knee", **more}
+    return b"".join(json.dumps({**request, "value": value}).encode() + b"\n" for value in values)
+
+
+def wanted(run: ServedRun) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Time and set-point of every cycle."""
+    log = run.simulate().axes[0].log
+    return log["t"], log["tau_j_des"]
+
+
+def test_a_burst_of_a_client_that_dies_plays_no_longer_than_its_connection(run: ServedRun) -> None:
+    """64 values at once, the client gone: what is left falls to 0 as fast as a set-point may."""
+    sent = lines([WANTED * (n + 1) / BURST for n in range(BURST)])
+    run.at(DIES, run.connected(sent, ends=True))
+    t, tau_j_des = wanted(run)
+    assert np.max(np.abs(tau_j_des[t > DIES])) <= 3e-3 * RATE  # a cycle up at most, then down
+    assert not np.any(tau_j_des[t > DIES + 0.01])
+
+
+def test_a_later_zero_waits_behind_nothing(run: ServedRun) -> None:
+    run.at(DIES - 0.1, run.connected(lines([WANTED])))
+    run.at(DIES, run.connected(lines([WANTED] * BURST + [0.0])))
+    t, tau_j_des = wanted(run)
+    assert tau_j_des[np.searchsorted(t, DIES - 0.01)] == pytest.approx(WANTED)
+    assert not np.any(tau_j_des[t > DIES + WANTED / RATE + 3e-3])
+
+
+def test_a_value_is_as_old_as_its_client_says(run: ServedRun) -> None:
+    """Wanted 0.15 s before it came: it acts for the 0.05 s that are left of its time-out of 0.2 s, not longer."""
+    run.at(DIES, lambda now: run.send(lines([WANTED], time=now - 0.15)))
+    t, tau_j_des = wanted(run)
+    acting = t[np.isclose(tau_j_des, WANTED)]
+    assert acting[0] - DIES == pytest.approx(WANTED / RATE, abs=4e-3)
+    assert acting[-1] - DIES == pytest.approx(0.05, abs=4e-3)
+
+
+def test_one_that_is_too_old_never_acts(run: ServedRun) -> None:
+    run.at(DIES, lambda now: run.send(lines([WANTED], time=now - 0.21)))
+    _, tau_j_des = wanted(run)
+    assert not np.any(tau_j_des)
+
+
+def test_a_client_that_hangs_is_followed_for_the_time_out_alone(run: ServedRun) -> None:
+    """Connected, and silent."""
+    run.at(DIES, run.connected(lines([WANTED] * BURST)))
+    t, tau_j_des = wanted(run)
+    assert t[np.isclose(tau_j_des, WANTED)][-1] - DIES == pytest.approx(0.2, abs=4e-3)
+    assert not np.any(tau_j_des[t > DIES + 0.2 + WANTED / RATE + 4e-3])
