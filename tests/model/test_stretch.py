@@ -1,0 +1,69 @@
+"""Joint torque from stretch and motor torque, against the capstan equation integrated along the tendons."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from tests.control.sliding import actuator
+from tests.model.capstan import Pair
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.curvature import NAMED, Points
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.stretch import compliance_centre, stretch_line, why_not
+
+S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
+
+
+def model_of(points: Points, x: float, **more: float) -> TendonSheath:
+    model = actuator().recalibrated(x).with_effects({"elongation_coupling": {"curvature_profile": points}})
+    return dataclasses.replace(model, axial_stiffness=60e3, **more)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("points", [NAMED["uniform"], NAMED["motor_end"], S_BENT], ids=["uniform", "motor", "s"])
+@pytest.mark.parametrize("sigma", [-1.0, 1.0])
+@pytest.mark.parametrize(("x", "tension"), [(0.05, 20.0), (0.26, 45.0), (0.9, 70.0)])
+def test_the_line_is_that_of_the_capstan(points: Points, sigma: float, x: float, tension: float) -> None:
+    """Exact at any friction angle, pretension and torque, in both directions."""
+    pair = Pair(points, x, tension)
+    tau_m = 0.4
+    t3 = pair.motor_tensions(tau_m, sigma)[1]
+    path = tension * pair.along(0.0)[1]  # m that each tendon is stretched by the pretension alone
+    stretch = t3 * pair.along(-sigma * x)[1] - path
+    line = stretch_line(model_of(points, x, pretension=0.3 * tension))  # its own pretension does not matter
+    assert line.torque(stretch, tau_m) == pytest.approx(pair.joint_torque(tau_m, sigma), abs=1e-6)
+
+
+@pytest.mark.parametrize(("spring", "place"), [("motor_spring", False), ("joint_spring", True)])
+def test_a_series_spring_moves_the_centre(spring: str, place: bool) -> None:
+    """At the motor towards the joint, and the other way; the line stays that of the capstan."""
+    pair = dataclasses.replace(Pair(NAMED["uniform"], 0.26), **{spring: 1.0 / 1e5})
+    t3 = pair.motor_tensions(0.4, 1.0)[1]
+    stretch = t3 * pair.along(-0.26)[1] - 45.0 * pair.along(0.0)[1]
+    model = dataclasses.replace(model_of(NAMED["uniform"], 0.26), series_stiffness=1e5, series_at_joint=place)
+    assert stretch_line(model).torque(stretch, 0.4) == pytest.approx(pair.joint_torque(0.4, 1.0), abs=1e-6)
+    assert compliance_centre(model) == pytest.approx((0.5 * 2e-5 + (0.0 if place else 1e-5)) / 3e-5)
+
+
+def test_friction_hardly_matters() -> None:
+    """From nothing to 0.5 the line moves by less than 2.2 %, the figure of (x/2)/tanh(x/2)."""
+    none, much = (stretch_line(model_of(NAMED["uniform"], x)) for x in (1e-9, 0.5))
+    assert none.per_stretch == pytest.approx(4.0 * 60e3 / 1.2 * 0.025)
+    assert 1.0 < much.per_stretch / none.per_stretch < 1.022
+    assert much.per_torque == pytest.approx(0.025 / 0.020)
+
+
+def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
+    """Where they are singular, and already where they are nearly so; a model that does not say is evenly bent."""
+    near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))
+    assert why_not(actuator()) == ""
+    with pytest.raises(UsageError, match="the bends sit at the joint .* measure it with a joint torque sensor"):
+        stretch_line(model_of(NAMED["joint_end"], 0.26))
+    with pytest.raises(UsageError, match=r"centre of the bends is at 0\.75"):
+        stretch_line(model_of(near, 0.26))
+
+
+def test_angles_become_stretch() -> None:
+    line = stretch_line(actuator())
+    assert line.stretch(1.0, 0.5) == pytest.approx(0.020 - 0.0125)

@@ -1,0 +1,104 @@
+"""Joint torque from the tendons' stretch and the motor's torque, while the tendons slide; no friction, no pretension.
+
+With s = r_M q_M - r_J q_J, tendon b is longer by s and tendon a shorter, so that their mean tensions differ by 2 k_t s.
+With (3.31)-(3.41), while both slide in the direction sigma (rho = sigma x, lengths over that of tendon and spring):
+
+    T3 beta = T_p0 + k_t s,    T1 alpha = T_p0 - k_t s,    tau_M = r_M (T3 - T1),    tau_J = r_J (T3 e^-rho - T1 e^rho)
+
+T_p0 drops out, and what is left is the same line in both directions:
+
+    tau_J = P s - Q tau_M
+    Q = r_J/r_M (e^rho/alpha - e^-rho/beta) / (1/beta - 1/alpha)
+    P = r_J k_t (e^-rho/beta + e^rho/alpha + Q r_M/r_J (1/beta + 1/alpha))
+
+To first order in x, Q = r_J/r_M s_c/(1 - s_c) and P = 2 k_t r_J/(1 - s_c), with s_c the share of the compliance between
+the motor and the centre of the bending: friction, pretension and direction do not matter, stiffness and shape do.
+Evenly bent P = 4 (EA/l) r_J (x/2)/tanh(x/2) exactly. All at the joint s_c = 1, and the stretch says nothing of tau_J.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.composition import Stack
+from tsa_ctrl.model.curvature import Profile
+from tsa_ctrl.model.effects.transmission import Elongating
+from tsa_ctrl.model.functions import SCALARS
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import joint_side_compliance
+
+MOST_CENTRE = 0.7  # 1, s_c; there 5 % of error in s_c is a sixth of tau_J, and it grows with 1/(1 - s_c)
+_SMALL = 1e-4  # 1, friction angle below which its own effect on P and Q is below 1e-8
+
+
+@dataclass(frozen=True)
+class StretchLine:
+    """tau_J = per_stretch (s - zero) - per_torque tau_M; s in m, torques in N*m. The zero is the caller's to learn."""
+
+    per_stretch: float  # P, N
+    per_torque: float  # Q, 1
+    motor_radius: float  # m
+    joint_radius: float  # m
+    centre: float  # s_c, 1
+
+    def stretch(self, q_m: float, q_j: float) -> float:
+        """s, m, by the angles of motor and joint (rad)."""
+        return self.motor_radius * q_m - self.joint_radius * q_j
+
+    def torque(self, stretch: float, tau_m: float) -> float:
+        """tau_J, N*m, by s (m, less its zero) and the motor's torque on the tendons (N*m, less J_M alpha_M)."""
+        return self.per_stretch * stretch - self.per_torque * tau_m
+
+
+def stretch_line(model: TendonSheath) -> StretchLine:
+    """That of a model; raises UsageError where its bends sit too close to the joint for the stretch to say it."""
+    reason = why_not(model)
+    if reason:
+        raise UsageError(f"{model.source or 'model'}: {reason}")
+    centre = compliance_centre(model)
+    r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+    x = model.friction_angle
+    if x < _SMALL:
+        ratio = centre / (1.0 - centre)
+        share = 2.0 / (1.0 - centre)
+    else:
+        alpha, beta = _elongations(model, x), _elongations(model, -x)
+        grown, decayed = math.exp(x) / alpha, math.exp(-x) / beta
+        ratio = (grown - decayed) / (1.0 / beta - 1.0 / alpha)
+        share = decayed + grown + ratio * (1.0 / beta + 1.0 / alpha)
+    return StretchLine(r_j * model.tendon_stiffness * share, ratio * r_j / r_m, r_m, r_j, centre)
+
+
+def why_not(model: TendonSheath) -> str:
+    """Why the stretch cannot tell the joint torque of this model; empty where it can."""
+    centre = compliance_centre(model)
+    if centre <= MOST_CENTRE:
+        return ""
+    found = "the bends sit at the joint" if centre > 0.99 else f"the centre of the bends is at {centre:.2f}"
+    return (
+        f"{found} (0 motor, 1 joint), so the tendons' stretch does not tell the joint torque; up to {MOST_CENTRE:g} it "
+        "does: measure it with a joint torque sensor, or give where the sheath bends ([effects.elongation_coupling])"
+    )
+
+
+def profile_of(model: TendonSheath) -> Profile:
+    """Where the sheath of a model bends; evenly where it does not say."""
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+    return transmission.profile if isinstance(transmission, Elongating) else Profile.of("uniform")
+
+
+def compliance_centre(model: TendonSheath) -> float:
+    """s_c, 1: the share of a tendon's compliance, its series spring included, before the centre of the bending."""
+    profile = profile_of(model)
+    if "elongation_coupling" not in model.effects:
+        model = model.with_effects({"elongation_coupling": {"curvature_profile": profile.points}})
+    return 1.0 - joint_side_compliance(model) * model.tendon_stiffness
+
+
+def _elongations(model: TendonSheath, rho: float) -> float:
+    """alpha at rho, with the series spring, over the length of tendon and spring."""
+    series = model.series_length / model.unstrained_length
+    spring = series * (math.exp(rho) if model.series_at_joint else 1.0)
+    return (profile_of(model).mean_exponential(SCALARS, rho) + spring) / (1.0 + series)
