@@ -58,7 +58,7 @@ def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
     """Where they are singular, and already where they are nearly so; a model that does not say is evenly bent."""
     near: Points = ((0.0, 0.0), (0.5, 0.0), (1.0, 1.0))
     assert why_not(actuator()) == ""
-    with pytest.raises(UsageError, match="the bends sit at the joint .* measure it with a joint torque sensor"):
+    with pytest.raises(UsageError, match=r"the bends sit at the joint .* measure it with a joint torque sensor"):
         stretch_line(model_of(NAMED["joint_end"], 0.26))
     with pytest.raises(UsageError, match=r"centre of the bends is at 0\.75"):
         stretch_line(model_of(near, 0.26))
