@@ -61,7 +61,7 @@ def test_options_that_do_not_go_together_are_refused(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.soak  # five minutes of two processors: the diagnosis of a log with the law's planned turns in it
+@pytest.mark.slow
 def test_a_hidden_effect_is_named_and_compensated(tmp_path: Path) -> None:
     """Nothing of the plant's truth is told: the log of the nominal run names it, and the next run is better for it."""
     options = ("--full", "--hidden", "gravity_load", "--seed", "8", "--seconds", "10", "--rate", "500")

@@ -63,21 +63,34 @@ class Selection:
 
 
 def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Selection:
-    """Causes that the data demand beside those of `start`, which is the recalibrated base."""
+    """Causes that the data demand beside those of `start`, which is the recalibrated base.
+
+    An entry that pruning takes back to causes already looked at is none: it would enter and go again without end.
+    """
     fitted = start
     rounds: list[Round] = []
+    seen = {frozenset(start.names)}
     while True:
         rounds.append(_round(problem, fitted, catalogue, rng))
         if len(fitted.names) >= MOST_CAUSES:
             break
-        tried = chain(rounds[-1].steps, _nominal_steps(problem, fitted, catalogue))
-        entry = next((found for found in tried if enters(problem, fitted, found, rounds[-1].threshold)), None)
-        if entry is None:
+        for found in chain(rounds[-1].steps, _nominal_steps(problem, fitted, catalogue)):
+            if not enters(problem, fitted, found, rounds[-1].threshold):
+                continue
+            entered = _entered(problem, found, catalogue)
+            if (names := frozenset(entered[1].names)) not in seen:
+                seen.add(names)
+                break
+        else:
             break
-        problem, fitted = _under_new_noise(problem, entry, catalogue)
-        fitted = _best_variants(problem, fitted, catalogue)
-        problem, fitted = _pruned(problem, fitted, catalogue)
+        problem, fitted = entered
     return Selection(problem, fitted, _evidence(problem, fitted), tuple(rounds))
+
+
+def _entered(problem: Problem, entry: Fit, catalogue: Catalogue) -> tuple[Problem, Fit]:
+    """Noise model and causes with a new one among them, which may make others unnecessary or be so itself."""
+    problem, fitted = _under_new_noise(problem, entry, catalogue)
+    return _pruned(problem, _best_variants(problem, fitted, catalogue), catalogue)
 
 
 def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.Generator) -> Round:
