@@ -16,7 +16,9 @@ def _fit(*names: str) -> Any:
     return SimpleNamespace(names=names, rss=1.0)
 
 
-def _selected(monkeypatch: pytest.MonkeyPatch, order: Sequence[str], pruned: dict[frozenset[str], tuple[str, ...]]) -> Any:
+def _selected(
+    monkeypatch: pytest.MonkeyPatch, order: Sequence[str], pruned: dict[frozenset[str], tuple[str, ...]]
+) -> Any:
     """Causes selected where each of `order` enters whenever it is tried, and pruning leaves what `pruned` says."""
     rounds: list[int] = []
 
