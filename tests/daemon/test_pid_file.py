@@ -1,0 +1,97 @@
+"""A daemon whose socket server is dead or hangs is still stopped; another process with its number is not."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.daemon.serving import Serving
+from tsa_ctrl.cli import cli
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.ipc import client, pid_file
+
+# Listens as a socket server that hangs would: connections are taken by the kernel, nobody answers.
+DAEMON = """
+import signal, socket, sys
+def end(number, frame):
+    print("told to stop", flush=True)
+    sys.exit(0)
+signal.signal(signal.SIGTERM, end)
+listener = socket.socket(socket.AF_UNIX)
+if sys.argv[2] == "hangs":
+    listener.bind(sys.argv[1])
+    listener.listen(1)
+print("up", flush=True)
+signal.pause()
+"""
+
+
+@pytest.fixture(params=["hangs", "dead"])
+def daemon(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    path = str(tmp_path / "tsa.sock")
+    process = subprocess.Popen([sys.executable, "-c", DAEMON, path, request.param], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "up\n"
+    pid_file.write(path, process.pid)
+    yield path, process
+    process.kill()
+    process.wait()
+
+
+def test_stop_ends_a_daemon_whose_socket_does_not_answer(
+    daemon: tuple[str, subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, process = daemon
+    monkeypatch.setattr(client.Client.__init__, "__defaults__", (0.2,))
+    result = CliRunner().invoke(cli, ["stop", "--socket", path])
+    assert process.communicate(timeout=30)[0] == "told to stop\n"
+    assert f"process {process.pid} got SIGTERM instead" in result.output
+    assert "stopped: the daemon has ended" in result.output
+
+
+def test_the_server_writes_down_who_started_it_and_takes_it_away(tmp_path: Path) -> None:
+    serving = Serving(tmp_path / "tsa.sock", ["knee"])
+    assert pid_file.running(serving.path) == os.getpid()
+    serving.end()
+    assert not pid_file.place(serving.path).exists()
+
+
+def test_a_number_that_another_process_got_is_not_the_daemon(tmp_path: Path) -> None:
+    path = str(tmp_path / "tsa.sock")
+    pid_file.write(path, os.getpid())
+    number, start = pid_file.place(path).read_text().split()
+    pid_file.place(path).write_text(f"{number} {int(start) - 1}\n")
+    assert pid_file.running(path) is None
+    assert pid_file.terminate(path) is None
+
+
+@pytest.mark.parametrize("text", ["", "7", "x y", "-1 -1", "1 2 3", "99999999999999999999 1"])
+def test_a_file_that_says_nothing_stops_nobody(text: str, tmp_path: Path) -> None:
+    path = str(tmp_path / "tsa.sock")
+    pid_file.place(path).write_text(text)
+    assert pid_file.running(path) is None
+    result = CliRunner().invoke(cli, ["stop", "--socket", path])
+    assert isinstance(result.exception, BusError)
+
+
+def test_a_file_that_others_may_write_is_not_trusted(tmp_path: Path) -> None:
+    path = str(tmp_path / "tsa.sock")
+    pid_file.write(path, os.getpid())
+    pid_file.place(path).chmod(0o666)
+    assert pid_file.running(path) is None
+
+
+def test_a_daemon_that_ended_is_not_signalled(tmp_path: Path) -> None:
+    path = str(tmp_path / "tsa.sock")
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    pid_file.write(path, process.pid)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert pid_file.terminate(path) is None
