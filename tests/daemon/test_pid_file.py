@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from tests.daemon.serving import Serving
 from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc import client, pid_file
@@ -56,11 +55,18 @@ def test_stop_ends_a_daemon_whose_socket_does_not_answer(
     assert "stopped: the daemon has ended" in result.output
 
 
-def test_the_server_writes_down_who_started_it_and_takes_it_away(tmp_path: Path) -> None:
-    serving = Serving(tmp_path / "tsa.sock", ["knee"])
-    assert pid_file.running(serving.path) == os.getpid()
-    serving.end()
-    assert not pid_file.place(serving.path).exists()
+def test_only_who_wrote_it_takes_it_away(tmp_path: Path) -> None:
+    path = str(tmp_path / "tsa.sock")
+    pid_file.write(path, os.getpid())
+    pid_file.remove(path, os.getpid() + 1)
+    assert pid_file.running(path) == os.getpid()
+    pid_file.remove(path, os.getpid())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_written_costs_the_file_alone(tmp_path: Path) -> None:
+    pid_file.write(str(tmp_path / "none/tsa.sock"), os.getpid())
+    assert pid_file.running(str(tmp_path / "none/tsa.sock")) is None
 
 
 def test_a_number_that_another_process_got_is_not_the_daemon(tmp_path: Path) -> None:

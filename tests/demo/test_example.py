@@ -8,6 +8,7 @@ import pytest
 
 from tsa_ctrl.cli import main
 from tsa_ctrl.demo import example
+from tsa_ctrl.demo.hidden import EFFECTS, draw
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.parameters import load_model
 
@@ -35,3 +36,9 @@ def test_what_does_not_go_together_is_one_line(line: list[str], said: str, capsy
     err = capsys.readouterr().err
     assert (ended.value.code, err.count("\n")) == (2, 1)
     assert said in err
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_was_hidden_is_told_whatever_it_was(name: str) -> None:
+    """Sizes are numbers or words."""
+    assert example.Example(Path("a"), Path("b"), draw(0, [name])).told().startswith(f"{name} with ")

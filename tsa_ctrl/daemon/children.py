@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Sequence
 
 import msgspec
@@ -12,6 +13,7 @@ from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import describe, log_header
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.log.process import LogProcess
@@ -33,6 +35,7 @@ class Children:
         self.sensors = AxisSensors(file.axes)
         self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters))
         description = describe(configuration, tuners)
+        self._path = description.path
         self._server = child("tsa_ctrl.ipc.server", self.mailbox.descriptor, fd=self.mailbox.descriptor)
         assert self._server.stdin is not None
         assert self._server.stdout is not None
@@ -44,6 +47,7 @@ class Children:
             answer = self._server.stdout.readline()
             if answer != READY:
                 raise UsageError(answer.decode(errors="replace").strip() or "the socket server ended at once")
+            pid_file.write(self._path, os.getpid())
             if self.log is not None:
                 self.log.wait_until_up()
         except BaseException:
@@ -68,6 +72,7 @@ class Children:
         self.sensors.close()
         if self.log is not None and self.log.alive:
             self.log.end()
+        pid_file.remove(self._path, os.getpid())
         with contextlib.suppress(OSError, ValueError):
             self._server.communicate(timeout=PATIENCE)
         if self._server.poll() is None:

@@ -25,7 +25,10 @@ class Example:
     def told(self) -> str:
         """What was hidden, for the end."""
         sizes = "; ".join(
-            f"{name} with " + ", ".join(f"{key} {value:.3g}" for key, value in values.items())
+            f"{name} with "
+            + ", ".join(
+                f"{key} {value}" if isinstance(value, str) else f"{key} {value:.3g}" for key, value in values.items()
+            )
             for name, values in self.hidden.effects.items()
         )
         factors = ", ".join(

@@ -6,6 +6,7 @@ another process got meanwhile is told from the daemon's.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import stat
@@ -23,19 +24,21 @@ def place(socket: str) -> Path:
 
 
 def write(socket: str, process: int) -> None:
-    """Write down the daemon's process; without it only `tsa stop` beside a dead socket server is lost."""
+    """Write down the daemon's process. Where that cannot be written, only `tsa stop` beside a dead server is lost."""
     path = place(socket)
     fresh = path.with_name(f"{path.name}.new")
-    fresh.unlink(missing_ok=True)
-    descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-    with os.fdopen(descriptor, "w", encoding="ascii") as file:
-        file.write(f"{process} {_started(process)}\n")
-    fresh.replace(path)
+    with contextlib.suppress(OSError):
+        fresh.unlink(missing_ok=True)
+        descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+        with os.fdopen(descriptor, "w", encoding="ascii") as file:
+            file.write(f"{process} {_started(process)}\n")
+        fresh.replace(path)
 
 
-def remove(socket: str) -> None:
-    """Take the file away, where it is."""
-    place(socket).unlink(missing_ok=True)
+def remove(socket: str, process: int) -> None:
+    """Take the file away where it names this process."""
+    if running(socket) == process:
+        place(socket).unlink(missing_ok=True)
 
 
 def running(socket: str) -> int | None:

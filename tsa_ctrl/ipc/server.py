@@ -23,7 +23,6 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.protocol import (
     LONGEST_LINE,
@@ -329,8 +328,6 @@ def main(argv: list[str]) -> int:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code
     owned = Path(description.path).stat().st_ino
-    with contextlib.suppress(OSError):  # a folder that nobody may write to: the socket alone has to do
-        pid_file.write(description.path, os.getppid())
     with contextlib.suppress(BrokenPipeError):  # then stdin says the same
         os.write(sys.stdout.fileno(), READY)
     daemon = sys.stdin.fileno()
@@ -345,7 +342,6 @@ def main(argv: list[str]) -> int:
         server.close()
         with contextlib.suppress(OSError):
             if Path(description.path).stat().st_ino == owned:
-                pid_file.remove(description.path)
                 Path(description.path).unlink()
     return 0
 
