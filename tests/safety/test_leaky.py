@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tsa_ctrl.safety.leaky import Leaky
+from tsa_ctrl.safety.leaky import Leaky, Often
 
 
 def test_without_a_break_it_is_the_time_since_it_began() -> None:
@@ -46,3 +46,11 @@ def test_a_reset_forgets() -> None:
 def test_wrong_more_than_a_fifth_of_the_time_is_found_in_the_end(share: float, found: bool) -> None:
     clock = Leaky(0.1)
     assert any(clock.update(0.001 * n, n % 100 < 100 * share) for n in range(10_000)) is found
+
+
+def test_often_is_so_many_times_within_a_second() -> None:
+    counter = Often(3)
+    assert [counter.happened(t) for t in (0.0, 0.5, 1.0001, 1.5, 2.5)] == [False, False, False, True, False]
+    assert [counter.happened(t) for t in (2.6, 2.7)] == [False, True]
+    counter.reset()
+    assert [counter.happened(t) for t in (2.8, 2.9, 3.0)] == [False, False, True]

@@ -362,6 +362,58 @@ def test_tolerated_misses_do_not_stop(misses: int) -> None:
     assert bench.permitted
 
 
+def lose(bench: Bench, every: int, seconds: float, commands: bool = False) -> float | None:
+    """Lose the answers, or commands, of one cycle in `every`; when that was a fault, s from now."""
+    begin = bench.now
+    for n in range(round(1000 * seconds)):
+        lost = n % every == 0
+        if lost and commands:
+            bench.image.dropped += 1
+        elif lost:
+            bench.image.nodes[1].missed += 1
+            bench.image.missed += 1
+        bench.step(Request.ENABLE)
+        if not bench.permitted:
+            return bench.now - begin
+    return None
+
+
+@pytest.mark.parametrize("commands", [False, True])
+@pytest.mark.parametrize(("every", "seconds"), [(6, None), (5, 0.996), (2, 0.399), (1, 0.2)])
+def test_a_fifth_of_a_second_s_cycles_lost_is_a_fault_in_a_row_or_not(
+    every: int, seconds: float | None, commands: bool
+) -> None:
+    bench = enabled()
+    found = lose(bench, every, 5.0, commands)
+    if seconds is None:
+        assert found is None
+        return
+    assert found == pytest.approx(seconds, abs=1e-6)
+    assert bench.cause is Cause.STALE_PDO
+    assert re.search(
+        "200 cycles within a second lost .*(commands|joint encoder node 32) 200", str(bench.supervisor.fault)
+    )
+
+
+def test_a_slow_loop_loses_as_large_a_share_and_never_fewer_than_are_tolerated_in_a_row() -> None:
+    slow = Supervisor(SupervisionSettings(), rate=100.0)
+    patient = Supervisor(SupervisionSettings(tolerated_misses=50), rate=100.0)
+    for supervisor, most in ((slow, 20), (patient, 51)):
+        bench = Bench()
+        bench.supervisor = supervisor
+        bench.step(Request.DISABLE, 5)
+        bench.step(Request.ENABLE, 10)
+        assert lose(bench, 1, 1.0) == pytest.approx(1e-3 * most)
+
+
+def test_a_new_enable_forgets_what_was_lost_before() -> None:
+    bench = enabled()
+    assert lose(bench, 1, 0.19) is None
+    bench.step(Request.DISABLE, 5)
+    bench.step(Request.ENABLE, 10)
+    assert lose(bench, 1, 0.19) is None
+
+
 def test_no_miss_is_tolerated_when_told_so() -> None:
     bench = enabled(settings=SupervisionSettings(tolerated_misses=0))
     bench.image.misses, bench.image.fresh = 1, False

@@ -30,7 +30,7 @@ def write(
     """
     plant = rig.plant(bus, tendon, {"perturbation": TRUTH, **(axis or {})})
     controller = rig.controller(bus, "tune", rate, MODEL, COMPENSATION)
-    controller["bus"]["supervision"] = {"tolerated_misses": 100, "tolerated_drops": 100}
+    controller["bus"]["supervision"] = {"tolerated_misses": 100, "tolerated_drops": 100, "lost_share": 1.0}
     drive = controller["axis"][0]["drive"]
     drive.update(host_timeout=2.0, rpdo_timeout=1.0, heartbeat_timeout=4.0)  # a shared machine may stand still
     for node in ("encoder", "torque_sensor"):

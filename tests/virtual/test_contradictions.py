@@ -18,3 +18,21 @@ def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path, wr
     flaps = [f"reversed_sign duration={wrong}@{0.8 + 0.1 * n}" for n in range(8)]
     result = play(tmp_path, "held", CONSTANT, 1.6, axis=strict, faults=flaps)
     assert result.axes[0].faults[0].startswith("tripped by the controller: the joint torque sensor")
+
+
+@pytest.mark.parametrize("node", ["drive", "encoder"])
+def test_two_of_three_answers_lost_for_ever_stop_the_axis(tmp_path: Path, node: str) -> None:
+    """Never three in a row, which is what is tolerated of a single loss."""
+    result = play(tmp_path, "held", CONSTANT, 1.5, faults=[f"sparse_tpdo value=2 node={node}@0.8"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.text.startswith("stale PDO: 200 cycles within a second lost answers")
+    assert 1.09 < fault.t < 1.11
+
+
+def test_a_twelfth_of_the_answers_lost_is_told_and_goes_on(tmp_path: Path) -> None:
+    losses = [f"missing_tpdo node=encoder duration=0.001@{0.8 + 0.0125 * n}" for n in range(120)]
+    result = play(tmp_path, "held", CONSTANT, 2.6, faults=losses)
+    said = [event.text for event in result.summary.events if "cycles were without all answers" in event.text]
+    assert not result.axes[0].faults
+    assert len(said) == 1
+    assert "joint encoder node 32" in said[0]

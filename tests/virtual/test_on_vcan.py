@@ -51,7 +51,10 @@ def files(folder: Path, vcan: str, load: str) -> tuple[Path, Path]:
         setpoint={"kind": "sine", "amplitude": 1.0, "frequency": 0.5},
         file={
             "controller": {"rate": RATE, "after_fault": "exit"},
-            "bus": {"channel": vcan, "supervision": {"tolerated_misses": 100, "tolerated_drops": 100}},
+            "bus": {
+                "channel": vcan,
+                "supervision": {"tolerated_misses": 100, "tolerated_drops": 100, "lost_share": 1.0},
+            },
             "realtime": {"allow_without": True},
             "log": {"folder": "."},
             "socket": {"path": "tsa.sock"},

@@ -75,7 +75,9 @@ def bench(configuration: Configuration, seconds: float, margin: float, progress:
 def _tolerant(configuration: Configuration) -> Configuration:
     """The same with supervision that counts what is lost, instead of ending the torque."""
     file = configuration.file
-    supervision = msgspec.structs.replace(file.bus.supervision, tolerated_misses=TOLERATED, tolerated_drops=TOLERATED)
+    supervision = msgspec.structs.replace(
+        file.bus.supervision, tolerated_misses=TOLERATED, tolerated_drops=TOLERATED, lost_share=1.0
+    )
     return replace(
         configuration,
         file=msgspec.structs.replace(file, bus=msgspec.structs.replace(file.bus, supervision=supervision)),

@@ -22,7 +22,7 @@ DESK: dict[str, dict[str, dict[str, str]]] = {
     "controller.toml": {
         "controller": {"rate": "250.0", "settle_cycles": "20"},
         "bus": DESK_BUS,
-        "bus.supervision": {"tolerated_misses": "50", "tolerated_drops": "50"},
+        "bus.supervision": {"tolerated_misses": "50", "tolerated_drops": "50", "lost_share": "0.5"},
         "realtime": {"allow_without": "true"},
         "axis.drive": {"host_timeout": "0.5", "rpdo_timeout": "0.2", "heartbeat_timeout": "1.0"},
     },

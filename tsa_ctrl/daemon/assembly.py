@@ -50,7 +50,9 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
             ControlAxis(
                 io=io,
                 model=model,
-                supervisor=Supervisor(supervision, profile.reports_following, profile.mode_shows == "enabled"),
+                supervisor=Supervisor(
+                    supervision, profile.reports_following, profile.mode_shows == "enabled", file.controller.rate
+                ),
                 set_point=SetPoint(
                     settings.setpoint, period, configuration.folder, plan.delay, plan.lead, plan.turn + plan.delay
                 ),

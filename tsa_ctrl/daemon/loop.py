@@ -14,6 +14,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.losses import Losses
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
@@ -72,6 +73,7 @@ class Loop:
         self._faults = [0] * len(axes)
         self._back_offs = [0] * len(axes)
         self._remarks = Remarks(axes, events)
+        self._losses = Losses(axes, events)
         for index, axis in enumerate(axes):
             axis.connect(partial(mailbox.wanted, index))
 
@@ -157,6 +159,7 @@ class Loop:
             self._telemetry.check_sensors(self._t(planned))
             self._telemetry.check_bus(self._t(planned))
             self._telemetry.check_server(self._t(planned))
+            self._losses.update(self._t(planned), self.cycles)
         self._remarks.update(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)

@@ -65,7 +65,7 @@ def controller(bus: BusChoice, name: str, rate: float, model: str, compensation:
         "bus": {
             "interface": bus.interface,
             "channel": bus.channel,
-            "supervision": {"tolerated_misses": 50, "tolerated_drops": 50},
+            "supervision": {"tolerated_misses": 50, "tolerated_drops": 50, "lost_share": 0.5},
         },
         "realtime": {"allow_without": True},
         "log": {"folder": "."},

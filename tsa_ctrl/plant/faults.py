@@ -158,6 +158,10 @@ FAULTS: Mapping[str, FaultKind] = {
     ),
     "late_tpdo": FaultKind("TPDOs are late", lambda t: _swap(t.outlet, "delay", t.value), 2e-3, "s", 0.0, 1.0),
     "missing_tpdo": FaultKind("TPDOs are lost", lambda t: _swap(t.outlet, "loss", t.value), 1.0, "probability", 0, 1),
+    "sparse_tpdo": FaultKind(
+        "so many of each TPDO are lost in a row, then one is sent",
+        lambda t: _swap(t.outlet, "lost_in_a_row", int(t.value)), 2, "TPDOs", 0, 1000,
+    ),
     "wrong_length": FaultKind(
         "TPDOs have a wrong length", lambda t: _swap(t.outlet, "length", int(t.value)), 3, "bytes", 0, 8
     ),

@@ -24,11 +24,13 @@ class Outlet:
     copies: int = 1  # of each TPDO
     delay: float = 0.0  # s, of each TPDO
     loss: float = 0.0  # probability that a TPDO is not sent
+    lost_in_a_row: int = 0  # of each TPDO, before one is sent again
     length: int | None = None  # bytes of each TPDO
     mute: bool = False  # no heartbeat
     history: deque[tuple[float, int, bytes]] = field(default_factory=lambda: deque(maxlen=_HISTORY))
     waiting: deque[tuple[float, int, bytes]] = field(default_factory=deque)
     _last: dict[int, bytes] = field(default_factory=dict)
+    _lost: dict[int, int] = field(default_factory=dict)  # in a row, by identifier
 
     def __call__(self, can_id: int, data: bytes) -> bool:
         if can_id >= _HEARTBEAT:
@@ -44,6 +46,11 @@ class Outlet:
             self._last[can_id] = data
         if self.loss > 0.0 and self.noise.random() < self.loss:
             return False
+        if self.lost_in_a_row:
+            lost = self._lost.get(can_id, 0)
+            self._lost[can_id] = lost + 1 if lost < self.lost_in_a_row else 0
+            if lost < self.lost_in_a_row:
+                return False
         if self.length is not None:
             data = data[: self.length].ljust(self.length, b"\0")
         now = self.clock()

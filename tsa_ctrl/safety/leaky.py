@@ -1,10 +1,12 @@
-"""How long something has been wrong of late: a clock that one good sample does not clear."""
+"""How long, or how often, something has been wrong of late: what one good sample does not clear."""
 
 from __future__ import annotations
 
 import math
+from collections import deque
 
 LEAK = 0.25  # s taken back per s of agreement: what is wrong more than a fifth of the time is found in the end
+SECOND = 1.0  # s in which `Often` counts
 
 
 class Leaky:
@@ -31,3 +33,20 @@ class Leaky:
             left = self._last - self._since - LEAK * (now - self._last)
             self._since, self._last = (now - left, now) if left > 0.0 else (math.inf, now)
         return False
+
+
+class Often:
+    """Counts what happens now and then: whether it did so `most` times within the last second."""
+
+    def __init__(self, most: int) -> None:
+        self._times: deque[float] = deque(maxlen=most)
+
+    def reset(self) -> None:
+        """Nothing has happened."""
+        self._times.clear()
+
+    def happened(self, now: float) -> bool:
+        """It happened in this cycle, at `now` s; whether that is too often."""
+        times = self._times
+        times.append(now)
+        return len(times) == times.maxlen and now - times[0] <= SECOND

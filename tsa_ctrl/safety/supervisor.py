@@ -6,6 +6,7 @@ After it, torque needs a new request: an ENABLE that was standing while the faul
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -14,6 +15,8 @@ from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
+from tsa_ctrl.safety import blame
+from tsa_ctrl.safety.leaky import Often
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
@@ -86,13 +89,20 @@ class Fault:
 
 class Supervisor:
     """Supervises one axis. `reports_following`: the drive has statusword bit 12; `shows_late`: it shows its mode only
-    when it is enabled (see the drive's profile): it is then enabled without, and has no torque before it does.
+    when it is enabled (see the drive's profile): it is then enabled without, and has no torque before it does; `rate`:
+    Hz of the cycles.
 
     Attributes: `phase`, `faults` (the first is the cause), `needs_bring_up` (configure the nodes, then `configured()`),
     `cut_off` (in this cycle the drive is to be stopped by NMT: it did not say that it obeyed).
     """
 
-    def __init__(self, settings: SupervisionSettings, reports_following: bool = True, shows_late: bool = False) -> None:
+    def __init__(
+        self,
+        settings: SupervisionSettings,
+        reports_following: bool = True,
+        shows_late: bool = False,
+        rate: float = 1000.0,
+    ) -> None:
         self._settings = settings
         self._shows_late = shows_late
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
@@ -101,6 +111,11 @@ class Supervisor:
         self._power_bits = 0  # those of the power bits that this drive showed when it was enabled
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
+        self._lost = 0  # cycles without all answers, and commands that were not sent
+        self._too_many = max(
+            settings.tolerated_misses + 1, settings.tolerated_drops + 1, math.ceil(settings.lost_share * rate)
+        )
+        self._losses = Often(self._too_many)
         self._events = 0
         self._emcys: dict[int, int] = {}
         self._since = 0.0
@@ -128,6 +143,7 @@ class Supervisor:
             and image.mode == _TORQUE_MODE
             and image.misses <= self._misses
             and image.drops <= self._drops
+            and image.missed + image.dropped == self._lost
             and image.events == self._events
             and image.silent is None
             and image.bus_fault is None
@@ -183,9 +199,13 @@ class Supervisor:
             silent = image.silent
             self._latch(Cause.HEARTBEAT_LOST, f"{silent}: none for {1e3 * (now - silent.heard):.0f} ms", now)
         if image.misses > self._misses:
-            self._latch(Cause.STALE_PDO, _stale(image), now)
+            self._latch(Cause.STALE_PDO, blame.stale(image), now)
         if image.drops > self._drops:
             self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
+        if image.missed + image.dropped != self._lost:
+            self._lost = image.missed + image.dropped
+            if self._losses.happened(now):
+                self._latch(Cause.STALE_PDO, blame.lossy(image, self._too_many), now)
 
     def _examine(self, image: Image, health: NodeHealth, now: float) -> None:
         if health.boot_ups:
@@ -305,23 +325,9 @@ class Supervisor:
     def _enter(self, phase: Phase, now: float) -> None:
         self.phase = phase
         self._since = now
+        if phase is Phase.STANDBY:
+            self._losses.reset()
 
 
 def _code(error_code: int) -> str:
     return f"error 0x{error_code:04X} ({emcy.text(error_code)})"
-
-
-def _stale(image: Image) -> str:
-    """Which node is to blame, and what came instead of its answers since the start."""
-    silent = [health for health in image.nodes if health.misses]
-    in_all = f"{image.misses} cycles in a row"
-    words = "; ".join(_missing(health) for health in silent)
-    if words and max(health.misses for health in silent) < image.misses:
-        return f"{in_all} without all answers, at the end {words}"
-    return words or in_all
-
-
-def _missing(health: NodeHealth) -> str:
-    counts = (("late", health.late), ("repeated", health.repeated), ("wrong length", health.malformed))
-    instead = ", ".join(f"{name} {count}" for name, count in counts if count)
-    return f"{health}: {health.misses} cycles in a row" + (f" (since the start {instead})" if instead else "")

@@ -31,7 +31,7 @@ torque = 2.0
 {each}
 """
 PATIENT = ("rpdo_timeout = 1.0\nhost_timeout = 2.0\nheartbeat_timeout = 2.0", "heartbeat_timeout = 2.0")  # s
-TOLERANT = "[bus.supervision]\ntolerated_misses = 100"
+TOLERANT = "[bus.supervision]\ntolerated_misses = 100\nlost_share = 1.0"
 
 
 def controller_text(

@@ -50,6 +50,10 @@ FAULTS: tuple[Fault, ...] = (
     Fault("TPDOs 50 ms late", _stops("stale PDO"), "late_tpdo value=0.05"),
     Fault("TPDOs lost", _stops("stale PDO"), "missing_tpdo"),
     Fault("encoder's TPDOs lost", _stops("stale PDO.*joint encoder"), "missing_tpdo node=encoder"),
+    Fault(
+        "two of three TPDOs lost", _stops("stale PDO.*within a second", 0.5, "a fifth of a second's"),
+        "sparse_tpdo value=2", watch=0.8,
+    ),
     Fault("TPDOs of a wrong length", _stops("stale PDO.*wrong length"), "wrong_length"),
     Fault("another mode", _stops("wrong mode"), "wrong_mode"),
     Fault("command ignored, bit 12 low", _stops("ignores the command"), "ignored_command"),

@@ -202,6 +202,7 @@ class Axis:
             self.image.drops = 0
             return True
         self.image.drops += 1
+        self.image.dropped += 1
         return False
 
     def rearm(self, now: float) -> None:

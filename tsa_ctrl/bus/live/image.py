@@ -59,6 +59,7 @@ class Image:
 
     __slots__ = (
         "bus_fault",
+        "dropped",
         "drops",
         "error_code",
         "events",
@@ -99,6 +100,7 @@ class Image:
         self.missed = 0  # such cycles since the start
         self.pdo_age = math.inf  # s, how much older than the last SYNC the values are; 0 when fresh
         self.drops = 0  # commands in a row that could not be sent
+        self.dropped = 0  # such commands since the start
         self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
         self.intruder: int | None = None  # identifier of a frame that only a second master would send
