@@ -263,7 +263,14 @@ def test_reset_alone_suffices_only_when_no_configuration_can_be_lost(failed: tup
     image.fresh, image.mode = True, 10
     bench.step(Request.DISABLE)
     bench.step(Request.RESET, 100)
-    needed = {Cause.BOOT_UP, Cause.NMT_STATE, Cause.HEARTBEAT_LOST, Cause.BUS_FAULT, Cause.SECOND_MASTER}
+    needed = {
+        Cause.REPEATED_PDO,
+        Cause.BOOT_UP,
+        Cause.NMT_STATE,
+        Cause.HEARTBEAT_LOST,
+        Cause.BUS_FAULT,
+        Cause.SECOND_MASTER,
+    }
     assert (bench.supervisor.phase is Phase.FAULT) is (cause in needed)
     assert bench.supervisor.needs_bring_up is (cause in needed)
 
@@ -404,6 +411,21 @@ def test_a_slow_loop_loses_as_large_a_share_and_never_fewer_than_are_tolerated_i
         bench.step(Request.DISABLE, 5)
         bench.step(Request.ENABLE, 10)
         assert lose(bench, 1, 1.0) == pytest.approx(1e-3 * most)
+
+
+@pytest.mark.parametrize(("rate", "most"), [(1000.0, 50), (100.0, 5), (20.0, 3)])
+def test_repeated_pdos_of_a_drive_in_a_twentieth_of_the_cycles_are_a_second_drive(rate: float, most: int) -> None:
+    bench = Bench()
+    bench.supervisor = Supervisor(SupervisionSettings(), rate=rate)
+    bench.step(Request.DISABLE, 5)
+    bench.step(Request.ENABLE, 10)
+    for n in range(most):
+        assert bench.permitted
+        bench.image.nodes[0].repeated += 2
+        bench.image.nodes[1].repeated += 2  # an encoder's do not count
+        bench.step(Request.ENABLE)
+        assert bench.permitted is (n < most - 1)
+    assert (bench.cause, bench.supervisor.needs_bring_up) == (Cause.REPEATED_PDO, True)
 
 
 def test_a_new_enable_forgets_what_was_lost_before() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.virtual.joints import play
+from tsa_ctrl.virtual.script import Change
 
 CONSTANT = {"kind": "constant", "offset": 0.5}
 
@@ -36,3 +37,23 @@ def test_a_twelfth_of_the_answers_lost_is_told_and_goes_on(tmp_path: Path) -> No
     assert not result.axes[0].faults
     assert len(said) == 1
     assert "joint encoder node 32" in said[0]
+
+
+def test_a_second_drive_of_the_same_id_is_found_while_running(tmp_path: Path) -> None:
+    result = play(tmp_path, "held", CONSTANT, 1.2, faults=["repeated_tpdo@0.8"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.text.startswith("repeated PDOs: drive node 1: ")
+    assert fault.t < 0.86
+
+
+def test_a_second_drive_of_the_same_id_is_found_before_a_recovery_enables_anything(tmp_path: Path) -> None:
+    faults = ["heartbeat_lost duration=0.3@0.7", "repeated_tpdo@1.1"]
+    result = play(tmp_path, "held", CONSTANT, 2.5, faults=faults, changes=(Change("recover", 1.0, 1.3),))
+    said = [event.text for event in result.summary.events]
+    assert any(text.startswith("recovery failed: axis 'joint' drive node 1: sent ") for text in said), said
+    assert not result.truth["enabled"][result.truth["clock"] > result.axes[0].start + 1.0].any()
+
+
+def test_a_single_repeated_frame_stops_nothing(tmp_path: Path) -> None:
+    faults = [f"repeated_tpdo duration=0.001@{0.8 + 0.05 * n}" for n in range(8)]
+    assert not play(tmp_path, "held", CONSTANT, 1.2, faults=faults).axes[0].faults

@@ -119,6 +119,7 @@ class Operation:
         try:
             with self._no_loop():
                 self._bring_up(reset_faults=False, resets_later=True)  # the supervisors do it
+                self._prove(self._configuration.period)
         except TsaError as error:  # a drive that was exchanged may contradict the configuration, too
             loop.note(f"recovery failed: {error}")
             loop.run(seconds, LoopPhase.FAULTED)

@@ -1,8 +1,12 @@
-"""Who is to blame for what did not come, in words."""
+"""Who is to blame, and what mends it, in words."""
 
 from __future__ import annotations
 
+from tsa_ctrl.bus.canopen import cia402
+from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
+
+_LATE = 'if it shows its mode only when it is enabled, mode_shows = "enabled" in its profile'
 
 
 def stale(image: Image) -> str:
@@ -26,3 +30,24 @@ def _missing(health: NodeHealth) -> str:
     counts = (("late", health.late), ("repeated", health.repeated), ("wrong length", health.malformed))
     instead = ", ".join(f"{name} {count}" for name, count in counts if count)
     return f"{health}: {health.misses} cycles in a row" + (f" (since the start {instead})" if instead else "")
+
+
+def not_enabled(image: Image, waited: float, in_mode: bool, following: bool, shows_late: bool) -> str:
+    """Where a drive stands still on its way to operation enabled, and what mends that; `waited` in s."""
+    state = cia402.decode(image.statusword)
+    found = f"drive is in {state.value} after {waited:g} s"
+    if not in_mode and (state is PowerState.OPERATION_ENABLED or not shows_late):
+        late = "" if shows_late else f"; {_LATE}"
+        return f"{found}, in mode {image.mode}, wanted is 10 (cyclic torque){late}"
+    if state is PowerState.OPERATION_ENABLED and not following:
+        return (
+            f"{found}, and bit 12 of statusword 0x{image.statusword:04X} is low: it says that it does not follow "
+            "the command; reports_following = false in its profile, if this drive has no such bit"
+        )
+    if state is PowerState.OPERATION_ENABLED:
+        return f"{found}, without fresh PDOs"
+    power = "" if image.statusword & cia402.VOLTAGE_ENABLED else ", without voltage (statusword bit 4 is low)"
+    return (
+        f"{found}{power}; safe torque off, a missing enable input or missing power of the motor keep it there; a "
+        "drive that is only slow needs more enable_timeout in [bus.supervision]"
+    )

@@ -22,8 +22,9 @@ _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
 _TORQUE_MODE = int(Mode.CYCLIC_SYNC_TORQUE)
 _ENABLED_BITS = next(value for _, value, state in cia402.STATUSWORD_PATTERNS if state is PowerState.OPERATION_ENABLED)
-_LATE = 'if it shows its mode only when it is enabled, mode_shows = "enabled" in its profile'
 _POWER_BITS = cia402.VOLTAGE_ENABLED | cia402.REMOTE  # which a drive that shows them must go on showing
+_REPEATED_SHARE = 0.05  # of the cycles of a second; a sound bus repeats a frame when an error hits its last bit
+_LEAST_REPEATED = 3  # cycles, of a slow loop
 _OBEY_TIME = 0.05  # s in which a drive must leave operation enabled once it is told to
 
 
@@ -57,6 +58,7 @@ class Cause(Enum):
     EMERGENCY = "emergency"
     DRIVE_FAULT = "drive fault"
     STALE_PDO = "stale PDO"
+    REPEATED_PDO = "repeated PDOs"
     COMMAND_DROPPED = "commands not sent"
     WRONG_MODE = "wrong mode"
     COMMAND_IGNORED = "drive ignores the command"
@@ -72,7 +74,16 @@ class Cause(Enum):
         return self in _NEED_BRING_UP
 
 
-_NEED_BRING_UP = frozenset({Cause.BUS_FAULT, Cause.SECOND_MASTER, Cause.BOOT_UP, Cause.HEARTBEAT_LOST, Cause.NMT_STATE})
+_NEED_BRING_UP = frozenset(
+    {
+        Cause.BUS_FAULT,
+        Cause.SECOND_MASTER,
+        Cause.BOOT_UP,
+        Cause.HEARTBEAT_LOST,
+        Cause.NMT_STATE,
+        Cause.REPEATED_PDO,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +127,8 @@ class Supervisor:
             settings.tolerated_misses + 1, settings.tolerated_drops + 1, math.ceil(settings.lost_share * rate)
         )
         self._losses = Often(self._too_many)
+        self._repeated = 0  # PDOs of the drive that came twice in a cycle
+        self._twins = Often(max(_LEAST_REPEATED, math.ceil(_REPEATED_SHARE * rate)))
         self._events = 0
         self._emcys: dict[int, int] = {}
         self._since = 0.0
@@ -144,6 +157,7 @@ class Supervisor:
             and image.misses <= self._misses
             and image.drops <= self._drops
             and image.missed + image.dropped == self._lost
+            and image.nodes[0].repeated == self._repeated
             and image.events == self._events
             and image.silent is None
             and image.bus_fault is None
@@ -206,6 +220,11 @@ class Supervisor:
             self._lost = image.missed + image.dropped
             if self._losses.happened(now):
                 self._latch(Cause.STALE_PDO, blame.lossy(image, self._too_many), now)
+        drive = image.nodes[0]
+        if drive.repeated != self._repeated:
+            self._repeated = drive.repeated
+            if self._twins.happened(now):
+                self._latch(Cause.REPEATED_PDO, f"{drive}: {drive.repeated}; another node may have the same id", now)
 
     def _examine(self, image: Image, health: NodeHealth, now: float) -> None:
         if health.boot_ups:
@@ -254,28 +273,10 @@ class Supervisor:
             self._power_bits = image.statusword & _POWER_BITS
             self._enter(Phase.ENABLED, now)
         elif now - self._since > self._settings.enable_timeout:
-            self._latch(Cause.ENABLE_TIMEOUT, self._not_enabled(image, state, in_mode, following), now)
+            waited, late = self._settings.enable_timeout, self._shows_late
+            self._latch(Cause.ENABLE_TIMEOUT, blame.not_enabled(image, waited, in_mode, following, late), now)
         target = PowerState.OPERATION_ENABLED if in_mode or self._shows_late else PowerState.READY_TO_SWITCH_ON
         return cia402.next_controlword(state, target)
-
-    def _not_enabled(self, image: Image, state: PowerState, in_mode: bool, following: bool) -> str:
-        """Where the drive stands still, and what mends that."""
-        found = f"drive is in {state.value} after {self._settings.enable_timeout:g} s"
-        if not in_mode and (state is PowerState.OPERATION_ENABLED or not self._shows_late):
-            late = "" if self._shows_late else f"; {_LATE}"
-            return f"{found}, in mode {image.mode}, wanted is 10 (cyclic torque){late}"
-        if state is PowerState.OPERATION_ENABLED and not following:
-            return (
-                f"{found}, and bit 12 of statusword 0x{image.statusword:04X} is low: it says that it does not follow "
-                "the command; reports_following = false in its profile, if this drive has no such bit"
-            )
-        if state is PowerState.OPERATION_ENABLED:
-            return f"{found}, without fresh PDOs"
-        power = "" if image.statusword & cia402.VOLTAGE_ENABLED else ", without voltage (statusword bit 4 is low)"
-        return (
-            f"{found}{power}; safe torque off, a missing enable input or missing power of the motor keep it there; a "
-            "drive that is only slow needs more enable_timeout in [bus.supervision]"
-        )
 
     def _disable(self, state: PowerState, now: float) -> Controlword:
         if self.phase is not Phase.DISABLING:
@@ -327,6 +328,7 @@ class Supervisor:
         self._since = now
         if phase is Phase.STANDBY:
             self._losses.reset()
+            self._twins.reset()
 
 
 def _code(error_code: int) -> str:

@@ -78,7 +78,7 @@ FAULTS: tuple[Fault, ...] = (
         "TPDOs 3 ms late", Expected("stale PDO", LIE, "if at all", "as old as after a tolerated loss"),
         "late_tpdo value=0.003 duration=0.4", watch=LIE,
     ),
-    Fault("TPDOs sent twice", _goes_on("the first is taken", "repeated PDOs"), "repeated_tpdo duration=0.4"),
+    Fault("TPDOs sent twice", _stops("repeated PDOs"), "repeated_tpdo duration=0.4"),
     Fault(  # 0.1 s of frames at once: a bus that is full of them for three cycles carries no answers
         "stale TPDOs replayed",
         Expected("stale PDO", None, "if at all", "never taken for fresh", "(repeated|late) PDOs"),
