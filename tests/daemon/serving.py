@@ -36,6 +36,7 @@ def description(path: Path, axes: list[str]) -> Description:
         phases=[phase.name.lower() for phase in LoopPhase],
         set_point_limit=[2.0, *(None for _ in axes[1:])],
         figures={"bus": "vcan0"},
+        cures={"stale PDO": "look at the bus"},
     )
 
 

@@ -9,7 +9,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
+
 from tests.daemon.serving import QUARTERS, Serving
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.ipc.mailbox import AxisStatus, Command, General, Parameters
 
 PERIOD = 0.01  # s
@@ -24,6 +27,7 @@ class Played:
         self.path = str(path)
         self.taken: list[Command] = []
         self.compensation = [0.95, 0.95]
+        self.phase = LoopPhase.RUNNING
         self._done = threading.Event()
         self._start = time.monotonic()
         self._thread = threading.Thread(target=self._play)
@@ -39,7 +43,7 @@ class Played:
                 if command.parameter == 0:
                     self.compensation[command.axis] = command.value
             now = time.monotonic()
-            general = General(time=now, start=self._start, phase=2.0, cycles=cycles)
+            general = General(time=now, start=self._start, phase=float(self.phase.value), cycles=cycles)
             self.serving.mailbox.lateness[2] = cycles
             self.serving.mailbox.publish(general, [self._axis(index, now - self._start) for index in range(2)])
 
@@ -47,6 +51,12 @@ class Played:
         wanted = math.sin(2.0 * t)
         axis = QUARTERS._replace(t=t, tau_j_des=wanted, tau_j=0.9 * wanted, tau_m_cmd=0.7 * wanted)
         return axis, (self.compensation[index], 45.0)
+
+    def fail(self, text: str) -> None:
+        """A fault is latched."""
+        self.phase = LoopPhase.FAULTED
+        event = {"number": 0, "t": 1.25, "axis": "knee", "text": text, "fault": True}
+        self.serving.mailbox.publish_text(msgspec.json.encode([event]))
 
     def end(self) -> None:
         self._done.set()

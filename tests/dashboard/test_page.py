@@ -12,7 +12,7 @@ import pytest
 from tests.daemon.serving import until
 from tests.dashboard.chromium import Page, chromium
 from tests.dashboard.playing import Played, played
-from tsa_ctrl.ipc.mailbox import Command
+from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
@@ -60,7 +60,7 @@ def test_shows_what_the_daemon_says(page: Page, tmp_path: Path) -> None:
     assert page.evaluate("document.getElementById('name').textContent") == "rig"
     titles = "[...document.querySelectorAll('article .title')].map((title) => title.textContent).join()"
     assert page.evaluate(titles) == "knee,hip"
-    assert page.evaluate("document.querySelectorAll('article canvas').length") == 4
+    assert page.evaluate("document.querySelectorAll('article canvas').length") == 8
     assert "µs" in page.evaluate("document.getElementById('times').textContent")
     before = page.evaluate("axes.get('knee').data.torque[0].length")
     page.until(f"axes.get('knee').data.torque[0].length > {before + 5}")
@@ -87,13 +87,64 @@ def test_a_change_needs_a_confirmation_and_can_be_undone(page: Page, daemon: Pla
     page.until(f"{NOW} === '0.95' && document.getElementById('changes').hidden")
 
 
-def test_stop_needs_two_clicks(page: Page, daemon: Played) -> None:
-    """The first one asks whether it is meant."""
-    page.evaluate("document.getElementById('stop').click()")
-    assert page.evaluate("document.getElementById('stop').textContent") == "really stop?"
+@pytest.mark.parametrize(
+    "how",
+    ["document.getElementById('stop').click()", "dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape'}))"],
+)
+def test_stop_is_one_press_or_one_key(page: Page, daemon: Played, how: str) -> None:
+    """Nobody is asked again while a torque is on."""
     assert not daemon.serving.mailbox.stop_requested
-    page.evaluate("document.getElementById('stop').click()")
+    page.evaluate(how)
     assert until(lambda: daemon.serving.mailbox.stop_requested)
+    page.until("document.getElementById('message').textContent.startsWith('stopping')")
+
+
+def test_a_stop_that_did_not_arrive_is_said_in_red(page: Page, daemon: Played) -> None:
+    """With what to do instead."""
+    daemon.end()
+    page.errors.clear()
+    page.evaluate("document.getElementById('stop').click()")
+    page.until("document.getElementById('message').textContent.startsWith('NOT STOPPED from here')")
+    assert page.evaluate("document.getElementById('message').classList.contains('error')")
+    assert all("503" in text for text in page.errors)  # the browser logs the refused request
+    page.errors.clear()
+
+
+def test_a_fault_is_shown_with_its_cure_and_recovered_by_two_presses(page: Page, daemon: Played) -> None:
+    """The cause stays in sight; recovering gives torque again, so it asks once."""
+    assert page.evaluate("document.getElementById('faulted').hidden")
+    daemon.fail("stale PDO: drive node 1: 3 cycles in a row")
+    page.until("!document.getElementById('faulted').hidden && !document.getElementById('recover').disabled")
+    said = page.evaluate("document.getElementById('faults').textContent")
+    assert "1.250 s  knee: stale PDO: drive node 1" in said
+    assert "do: look at the bus" in said
+    page.evaluate("document.getElementById('recover').click()")
+    assert daemon.taken == []
+    page.evaluate("document.getElementById('recover').click()")
+    assert until(lambda: daemon.taken == [Command(0, RECOVER, 0.0)])
+
+
+def test_a_number_is_typed_with_round_steps(page: Page, daemon: Played) -> None:
+    typed = f"{ROW}.querySelector('input[type=number]')"
+    assert float(page.evaluate(f"{typed}.step")) == 0.01
+    page.evaluate(f"{typed}.value = '0.7'; {typed}.dispatchEvent(new Event('input'))")
+    page.evaluate(APPLY)
+    assert until(lambda: daemon.taken == [Command(0, 0, 0.7)])
+
+
+@pytest.mark.parametrize("width", [360, 400, 768, 1100])
+def test_nothing_is_wider_than_the_screen(page: Page, width: int) -> None:
+    page.resize(width)
+    page.until(f"innerWidth === {width} && document.documentElement.scrollWidth <= {width}")
+    assert page.evaluate("document.getElementById('stop').getBoundingClientRect().height") >= 44.0
+
+
+def test_every_plot_has_one_unit(page: Page) -> None:
+    """Power is that of the joint: torque times speed."""
+    page.until("axes.get('knee').data.power[0].length > 3")
+    assert page.evaluate("Object.values(CHARTS).map((chart) => chart.unit).join()") == "N·m,rad,rad/s,W"
+    last = "axes.get('knee').data.{kind}[1].at(-1)"
+    page.until(f"{last.format(kind='power')} !== 0")
 
 
 def test_daemon_that_is_gone_is_seen(page: Page, daemon: Played) -> None:

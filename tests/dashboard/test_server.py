@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import socket
 import subprocess
 import sys
@@ -15,7 +16,8 @@ from tests.dashboard.playing import Played, played
 from tsa_ctrl.dashboard.feed import Feed
 from tsa_ctrl.dashboard.server import application, serve
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.mailbox import Command
+from tsa_ctrl.ipc import pid_file
+from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 TOKEN, PORT = "secret-of-the-test", 8402
 ALLOWED = {"x-token": TOKEN}
@@ -99,6 +101,23 @@ def test_stop_asks_the_daemon_to_stop(client: TestClient, daemon: Played) -> Non
     """As `tsa stop` does."""
     assert client.post("/stop", headers=ALLOWED).status_code == 200
     assert daemon.serving.mailbox.stop_requested
+
+
+def test_recover_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
+    assert client.post("/recover").status_code == 403
+    assert client.post("/recover", headers=ALLOWED).status_code == 200
+    assert daemon.taken == [Command(0, RECOVER, 0.0)]
+
+
+def test_stop_ends_a_daemon_whose_socket_does_not_answer(tmp_path: Path) -> None:
+    """By its process; without one the page is told that it was not stopped."""
+    path = str(tmp_path / "tsa.sock")
+    client = TestClient(application(Feed(path), TOKEN, PORT), base_url=f"http://127.0.0.1:{PORT}")
+    assert client.post("/stop", headers=ALLOWED).status_code == 503
+    process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    pid_file.write(path, process.pid)
+    assert client.post("/stop", headers=ALLOWED).json() == {"signalled": process.pid}
+    assert process.wait(30) == -signal.SIGTERM
 
 
 def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:

@@ -26,6 +26,7 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.simplified import SimplifiedFeedforward
+from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -146,6 +147,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
             for axis, model in zip(file.axes, configuration.models, strict=True)
         ],
         figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
+        cures=dict(CURES),
     )
 
 

@@ -8,10 +8,12 @@ import threading
 from typing import Any
 
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.protocol import Set, Status, Stop
+from tsa_ctrl.ipc.protocol import Recover, Set, Status, Stop
 
 TIMEOUT = 2.0  # s for an answer
+STOP_TIMEOUT = 0.5  # s: a server that works answers within ms; then the daemon's process is told
 LONGEST_NAME = 64
 
 
@@ -39,14 +41,28 @@ class Feed:
         return self._ask(Set(name, float(value)))
 
     def stop(self) -> dict[str, Any]:
-        """Ramp the torque to 0 and end the daemon."""
-        return self._ask(Stop())
+        """Ramp the torque to 0 and end the daemon; by its process where its socket does not answer.
+
+        Raises BusError when neither could be told.
+        """
+        try:
+            with Client(self.path, STOP_TIMEOUT) as client:  # of its own: who waits for a status does not hold it up
+                return client.ask(Stop())
+        except BusError:
+            process = pid_file.terminate(self.path)
+            if process is None:
+                raise
+            return {"signalled": process}
+
+    def recover(self) -> dict[str, Any]:
+        """Recover from a latched fault. Raises UsageError when refused, BusError."""
+        return self._ask(Recover())
 
     def close(self) -> None:
         with self._lock:
             self._drop()
 
-    def _ask(self, request: Status | Set | Stop) -> dict[str, Any]:
+    def _ask(self, request: Status | Set | Recover) -> dict[str, Any]:
         with self._lock:
             try:
                 if self._client is None:

@@ -1,7 +1,8 @@
 """The page's server: loopback only, a token for everything, and nothing is answered to a page of somebody else.
 
-GET / the page; GET /events the status as server-sent events; POST /set {"name", "value"}; POST /stop. The token stands
-in the page's address and comes back with each request; requests whose Host or Origin is not this server are refused.
+GET / the page; GET /events the status as server-sent events; POST /set {"name", "value"}, /stop, /recover. The token
+stands in the page's address and comes back with each request; requests whose Host or Origin is not this server are
+refused.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from tsa_ctrl.dashboard.feed import Feed
 from tsa_ctrl.errors import BusError, UsageError
 
 STATIC = Path(__file__).parent / "static"
-RATE = 20.0  # Hz of events
+RATE = 40.0  # Hz of events: the page draws at 30, what waits between two is dropped
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
 HEADERS = {
@@ -97,6 +98,14 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
         except BusError as error:
             return JSONResponse({"error": str(error)}, 503)
 
+    async def recover(request: Request) -> Response:
+        try:
+            return JSONResponse(await run_in_threadpool(feed.recover))
+        except UsageError as error:
+            return JSONResponse({"error": str(error)}, 400)
+        except BusError as error:
+            return JSONResponse({"error": str(error)}, 503)
+
     hosts = frozenset({f"{LOOPBACK}:{port}", f"localhost:{port}"})
     return Starlette(
         routes=[
@@ -104,6 +113,7 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
             Route("/events", events),
             Route("/set", change, methods=["POST"]),
             Route("/stop", stop, methods=["POST"]),
+            Route("/recover", recover, methods=["POST"]),
             Mount("/static", StaticFiles(directory=STATIC)),
         ],
         middleware=[Middleware(Guard, token=token, hosts=hosts)],

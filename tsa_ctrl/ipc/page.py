@@ -102,6 +102,8 @@ class Page:
         for event in [*status["events"], *status["faults"]][-8:]:
             where = f"{event['axis']}: " if event["axis"] else ""
             parts.append(Text(f"{event['t']:.3f} s  {where}{event['text']}", style="red" if event["fault"] else ""))
+        if status["faults"] and status["faults"][0].get("cure"):
+            parts.append(Text(f"do: {status['faults'][0]['cure']}", style="bold red"))
         if self.message:
             parts.append(Text(self.message, style="yellow"))
         return Group(*parts)

@@ -81,6 +81,7 @@ class Description(msgspec.Struct, frozen=True):
     phases: list[str]
     set_point_limit: list[float | None]  # N*m per axis, None where it does not come over the socket
     figures: dict[str, Any]  # bus load and the like, constant for the run
+    cures: dict[str, str] = {}  # what to do about a fault, by words in its message; the first that is found counts
 
 
 def default_path() -> str:

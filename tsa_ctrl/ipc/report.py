@@ -37,7 +37,7 @@ def status_report(mailbox: Mailbox, description: Description, now: float) -> dic
         "waiting_for": stage or None,
         "waiting": max(0.0, now - since) if stage else None,
         "axes": [_axis(description, index, *axis) for index, axis in enumerate(axes)],
-        "faults": [event for event in events if event["fault"]],
+        "faults": [event | {"cure": _cure(description, event["text"])} for event in events if event["fault"]],
         "events": [event for event in events if not event["fault"]],
         "cycles": {
             "period": description.period,
@@ -53,6 +53,10 @@ def status_report(mailbox: Mailbox, description: Description, now: float) -> dic
         "figures": description.figures,
     }
     return report
+
+
+def _cure(description: Description, text: str) -> str | None:
+    return next((cure for words, cure in description.cures.items() if words in text), None)
 
 
 def _axis(description: Description, index: int, axis: AxisStatus, live: Parameters) -> dict[str, Any]:

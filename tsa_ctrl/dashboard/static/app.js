@@ -4,13 +4,22 @@
 const token = new URLSearchParams(location.search).get("token") || "";
 const SECONDS = 20; // of the charts
 const STALE = 0.5; // s without news from the loop
+const REFRESH = 1000 / 30; // ms between two looks of the charts
+const TENFOLD = 10; // of the smallest step that a number field knows per press of an arrow
+// kind: unit, height in px, lines (field or function of the axis, words, colour); a line whose field is not there is left out
 const CHARTS = {
-  torque: [["tau_j_des", "wanted", "#888"], ["tau_j", "delivered", "#1f6fc4"], ["tau_m_cmd", "command (motor)", "#d35400"]],
-  motion: [["omega_j", "joint speed, rad/s", "#2e7d32"], ["friction_term", "friction term, N·m", "#8e44ad"]],
+  torque: { unit: "N·m", height: 260, lines: [
+    ["tau_j_des", "wanted", "#888"], ["tau_j", "delivered, by sensor", "#1f77d4"],
+    ["tau_j_stretch", "delivered, by stretch", "#12a594"], ["tau_m_cmd", "command (motor)", "#d35400"],
+    ["friction_term", "friction term", "#8e44ad"]] },
+  angle: { unit: "rad", height: 150, lines: [["q_j", "joint angle", "#2e9d38"]] },
+  speed: { unit: "rad/s", height: 150, lines: [["omega_j", "joint speed", "#2e9d38"]] },
+  power: { unit: "W", height: 150, lines: [[(axis) => product(delivered(axis), axis.omega_j), "power to the joint", "#c2185b"]] },
 };
 const $ = (id) => document.getElementById(id);
 const axes = new Map(); // name -> what is shown of it
 const changes = []; // {name, before, value, unit}, the last one is undone first
+let latest = null; // the newest status
 
 
 function element(tag, properties = {}, ...children) {
@@ -28,6 +37,19 @@ function number(value, digits = 4) {
   return value === null || value === undefined ? "–" : Number(value.toPrecision(digits)).toString();
 }
 
+function product(a, b) {
+  return a === null || a === undefined || b === null || b === undefined ? null : a * b;
+}
+
+function delivered(axis) {
+  return axis.tau_j ?? axis.tau_j_stretch ?? null;
+}
+
+function value_of(axis, field) {
+  const found = typeof field === "function" ? field(axis) : axis[field];
+  return found === undefined ? null : found;
+}
+
 async function ask(path, body) {
   const response = await fetch(path, {
     method: "POST",
@@ -42,17 +64,21 @@ async function ask(path, body) {
 function addAxis(axis) {
   const article = $("axis").content.firstElementChild.cloneNode(true);
   $("axes").append(article);
-  const shown = { article, charts: {}, data: {}, sliders: new Map() };
-  for (const [kind, lines] of Object.entries(CHARTS)) {
-    const target = article.querySelector(`.${kind}`);
-    shown.data[kind] = [[], ...lines.map(() => [])];
+  const shown = { article, charts: {}, data: {}, lines: {}, sliders: new Map() };
+  const colour = getComputedStyle(document.documentElement).getPropertyValue("--plain");
+  const style = { stroke: colour, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884", width: 1 } };
+  for (const [kind, { unit, height, lines }] of Object.entries(CHARTS)) {
+    const target = article.querySelector(".charts").appendChild(element("div", { className: `chart ${kind}` }));
+    const known = lines.filter(([field]) => typeof field === "function" || field in axis);
+    shown.lines[kind] = known;
+    shown.data[kind] = [[], ...known.map(() => [])];
     shown.charts[kind] = new uPlot(
       {
         width: target.clientWidth || 900,
-        height: kind === "torque" ? 260 : 160,
+        height,
         scales: { x: { time: false } },
-        axes: [{ label: "s" }, { label: kind === "torque" ? "N·m" : "" }],
-        series: [{ label: "t" }, ...lines.map(([, label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
+        axes: [{ ...style, label: kind === "torque" ? "s" : undefined }, { ...style, label: unit, size: 64 }],
+        series: [{ label: "s" }, ...known.map(([, label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
       },
       shown.data[kind],
       target,
@@ -60,6 +86,20 @@ function addAxis(axis) {
   }
   axes.set(axis.name, shown);
   addParameters(axis, shown);
+}
+
+function fit() { // the charts to the width that there is
+  for (const { charts } of axes.values()) {
+    for (const [kind, chart] of Object.entries(charts)) {
+      const width = chart.root.parentElement.clientWidth;
+      if (width && width !== chart.width) chart.setSize({ width, height: CHARTS[kind].height });
+    }
+  }
+}
+addEventListener("resize", fit);
+
+function step(low, high) { // a round one, about a hundredth of the range
+  return 10 ** Math.floor(Math.log10((high - low) / TENFOLD ** 2));
 }
 
 function addParameters(axis, shown) {
@@ -70,29 +110,39 @@ function addParameters(axis, shown) {
     const slider = element("input", { type: "range", min: figures.low, max: figures.high, step: "any", value: figures.value });
     slider.setAttribute("aria-label", full);
     const now = element("td", { className: "number" });
-    const wanted = element("output");
+    const wanted = element("input", { type: "number", min: figures.low, max: figures.high, step: step(figures.low, figures.high), value: number(figures.value) });
+    wanted.setAttribute("aria-label", `${full}, number`);
     const apply = element("button", { textContent: "apply" });
     const cancel = element("button", { textContent: "cancel" });
     const row = element(
       "tr", {},
       element("th", { textContent: name }),
       now,
-      element("td", { textContent: figures.unit }),
+      element("td", { textContent: figures.unit === "1" ? "" : figures.unit }),
       element("td", {}, slider),
-      element("td", { className: "decide" }, wanted, " ", apply, " ", cancel),
+      element("td", {}, wanted),
+      element("td", { className: "decide" }, apply, " ", cancel),
     );
     row.dataset.parameter = full;
+    const decide = () => {
+      row.classList.remove("pending");
+      change(full, Number(wanted.value), true);
+    };
     slider.addEventListener("input", () => {
       row.classList.add("pending");
-      wanted.textContent = `${number(Number(slider.value))} ${figures.unit}`;
+      wanted.value = number(Number(slider.value));
+    });
+    wanted.addEventListener("input", () => {
+      row.classList.add("pending");
+      slider.value = wanted.value;
+    });
+    wanted.addEventListener("keydown", (event) => {
+      if (event.key === "Enter" && row.classList.contains("pending")) decide();
     });
     cancel.addEventListener("click", () => row.classList.remove("pending"));
-    apply.addEventListener("click", () => {
-      row.classList.remove("pending");
-      change(full, Number(slider.value), true);
-    });
+    apply.addEventListener("click", decide);
     table.append(row);
-    shown.sliders.set(name, { row, slider, now });
+    shown.sliders.set(name, { row, slider, wanted, now });
   }
 }
 
@@ -118,21 +168,51 @@ $("undo").addEventListener("click", () => {
   if (last) change(last.name, last.before, false);
 });
 
-$("stop").addEventListener("click", async () => {
-  const button = $("stop");
-  if (button.dataset.sure !== "yes") { // a second click within 3 s
-    button.dataset.sure = "yes";
-    button.textContent = "really stop?";
-    setTimeout(() => { button.dataset.sure = ""; button.textContent = "stop"; }, 3000);
+async function stop() {
+  say("stop: asking ...");
+  try {
+    const answer = await ask("stop");
+    say(answer.signalled ? `its socket does not answer: process ${answer.signalled} got SIGTERM instead; the torque ramps to 0` : "stopping: the torque ramps to 0");
+  } catch (error) {
+    const reason = error instanceof TypeError ? "this page's own server does not answer" : String(error.message);
+    say(`NOT STOPPED from here: ${reason}. Use the emergency stop, or in a terminal: tsa stop`, true);
+  }
+}
+$("stop").addEventListener("click", stop);
+addEventListener("keydown", (event) => {
+  if (event.key === "Escape" && !event.repeat) stop();
+});
+
+let sure = 0; // until when a second press on recover counts, ms
+$("recover").addEventListener("click", async () => {
+  if (performance.now() > sure) {
+    sure = performance.now() + 5000;
+    $("recover").textContent = "recover: press again, keep clear of the joint";
+    setTimeout(() => { $("recover").textContent = "recover"; }, 5000);
     return;
   }
+  sure = 0;
+  $("recover").textContent = "recover";
   try {
-    await ask("stop");
-    say("stopping: the torque ramps to 0");
+    await ask("recover");
+    say("recovery asked for; see events for how it ends");
   } catch (error) {
     say(String(error.message), true);
   }
 });
+
+function showFaults(status) {
+  const faulted = status.phase === "faulted" || status.axes.some((axis) => axis.state === "fault");
+  $("faulted").hidden = !status.faults.length;
+  $("recover").disabled = !faulted;
+  $("recover-words").textContent = faulted ? "resets the fault; the drive is enabled and torque comes back" : "over: torque is on again";
+  $("faults").replaceChildren(...status.faults.slice(0, 4).map((event) => element("li", { className: "fault", textContent: spoken(event) },
+    ...(event.cure ? [element("span", { className: "cure", textContent: `do: ${event.cure}` })] : []))));
+}
+
+function spoken(event) {
+  return `${event.t.toFixed(3)} s  ${event.axis ? event.axis + ": " : ""}${event.text}`;
+}
 
 function showAxis(axis) {
   if (!axes.has(axis.name)) addAxis(axis);
@@ -142,20 +222,24 @@ function showAxis(axis) {
     `${axis.state.replaceAll("_", " ")}; limiter: ${axis.limit_reason.replaceAll("_", " ")}; ` +
     `estimate: ${axis.estimate_state}; x ${number(axis.friction_angle)}, T_p ${number(axis.pretension)} N; ` +
     `${axis.missed} cycles without answer`;
-  for (const [kind, lines] of Object.entries(CHARTS)) {
+  for (const [kind, lines] of Object.entries(shown.lines)) {
     const data = shown.data[kind];
     if (data[0].length && axis.t < data[0][data[0].length - 1]) data.forEach((column) => (column.length = 0)); // a new run
     if (!data[0].length || axis.t > data[0][data[0].length - 1]) {
       data[0].push(axis.t);
-      lines.forEach(([field], i) => data[i + 1].push(axis[field]));
+      lines.forEach(([field], i) => data[i + 1].push(value_of(axis, field)));
     }
-    while (data[0].length && data[0][0] < axis.t - SECONDS) data.forEach((column) => column.shift());
+    const old = data[0].findIndex((t) => t >= axis.t - SECONDS);
+    if (old > 0) data.forEach((column) => column.splice(0, old));
     shown.charts[kind].setData(data);
   }
-  for (const [name, { row, slider, now }] of shown.sliders) {
+  for (const [name, { row, slider, wanted, now }] of shown.sliders) {
     const value = axis.parameters[name].value;
     now.textContent = number(value);
-    if (!row.classList.contains("pending") && document.activeElement !== slider) slider.value = value;
+    if (!row.classList.contains("pending") && ![slider, wanted].includes(document.activeElement)) {
+      slider.value = value;
+      wanted.value = number(value);
+    }
   }
 }
 
@@ -197,16 +281,24 @@ function show(status) {
     : status.age > STALE ? `no news for ${status.age.toFixed(1)} s: the loop hangs or is gone` : "";
   status.axes.forEach(showAxis);
   showTimes(status);
+  showFaults(status);
+  fit();
   const lines = [...status.events, ...status.faults].sort((a, b) => b.number - a.number).slice(0, 12);
   $("events").replaceChildren(
     element("li", { textContent: `${cycles.cycles} cycles, ${cycles.skipped} skipped, ${cycles.dropped} frames dropped, ${cycles.log_lost} records lost` }),
     ...lines.map((event) => element("li", {
       className: event.fault ? "fault" : "",
-      textContent: `${event.t.toFixed(3)} s  ${event.axis ? event.axis + ": " : ""}${event.text}`,
+      textContent: spoken(event),
     })),
   );
 }
 
 const source = new EventSource(`events?token=${encodeURIComponent(token)}`);
-source.onmessage = (event) => show(JSON.parse(event.data));
-source.onerror = () => show({ error: "the dashboard's own server does not answer; start `tsa dashboard` again" });
+source.onmessage = (event) => { latest = JSON.parse(event.data); };
+source.onerror = () => { latest = { error: "the dashboard's own server does not answer; start `tsa dashboard` again. To stop: emergency stop, or tsa stop" }; };
+setInterval(() => { // what came since the last look, at most as often as the charts can be drawn
+  if (latest === null) return;
+  const status = latest;
+  latest = null;
+  show(status);
+}, REFRESH);

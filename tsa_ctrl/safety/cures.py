@@ -1,0 +1,56 @@
+"""What to do about a fault, by the words that its message begins with or holds: for the status, the page, the manual.
+
+The order counts: a contradiction found by the controller comes before the cause that latches it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from tsa_ctrl.safety.supervisor import Cause
+
+_BRING_UP = "then recover: the nodes are configured anew"
+
+_HELD_UP = "the loop was held up for longer than the drive's time-out: tsa doctor, a lower rate; then recover"
+
+CURES: Mapping[str, str] = MappingProxyType(
+    {
+        "over-speed at the limiter": (
+            "look at the tendons before anything else: torn or off the pulley; then the joint encoder; "
+            "then [axis.limits] speed"
+        ),
+        "moved apart": (
+            "look at the tendons: torn, loose or slipped; then coupling, counts and signs of the encoders "
+            "(torque_sign, position_sign)"
+        ),
+        "feedback is frozen": "the drive repeats old values: its firmware, or what sits between it and the bus",
+        "the drive reports": "it gives another torque than is asked: its limits, derating, torque constant, sign",
+        "the joint torque sensor says": (
+            "compare sensor and motor at a small torque: zero, gain and sign of both, then the model (tsa calibrate)"
+        ),
+        Cause.BUS_FAULT.value: f"cable, termination, bit rate, or the interface was taken down; {_BRING_UP}",
+        Cause.SECOND_MASTER.value: f"another program commands this bus: end it (who sends is said above); {_BRING_UP}",
+        Cause.BOOT_UP.value: f"the node lost its power or was reset: supply, plug, brown-out; {_BRING_UP}",
+        Cause.HEARTBEAT_LOST.value: f"the node's power and plug; bus load (tsa doctor); {_BRING_UP}",
+        Cause.NMT_STATE.value: f"somebody or the node itself left the operational state; {_BRING_UP}",
+        "EMCY 0x8130": _HELD_UP,
+        "EMCY 0x8250": _HELD_UP,
+        Cause.EMERGENCY.value: "the code in the drive's manual; take away what it names, then recover",
+        Cause.DRIVE_FAULT.value: "read the drive's error code (0x603F) in its manual; take it away, then recover",
+        Cause.STALE_PDO.value: "bus load, a late node, or a computer that stalls: tsa doctor; then recover",
+        Cause.COMMAND_DROPPED.value: "the send queue is full: nobody acknowledges, or the bus is too slow: tsa doctor",
+        Cause.WRONG_MODE.value: "another tool or the drive changed its mode: end that, then recover",
+        Cause.COMMAND_IGNORED.value: (
+            "the drive does not follow: its enable input, quick stop, internal limits; "
+            "if it never sets bit 12: reports_following = false in its profile"
+        ),
+        Cause.STATE_LOST.value: "safe torque off, a switch at the drive, a warning that became a fault; then recover",
+        Cause.ENABLE_TIMEOUT.value: (
+            "safe torque off, main power, enable input; a slow drive: enable_timeout in its profile"
+        ),
+        Cause.DISABLE_TIMEOUT.value: "take its power: nobody knows whether it gives torque; then look at the drive",
+        Cause.RESET_TIMEOUT.value: "the reason of the drive's fault is still there: its manual; power cycle it",
+        Cause.TRIPPED.value: "what the message names; then recover",
+    }
+)
