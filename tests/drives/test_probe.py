@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from tests.conftest import ROOT
 from tests.drives.rig import Foreign, refused
 from tests.plant.bench import plant_file
+from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.probe import Probe, probe
 from tsa_ctrl.bus.drive.probe_text import profile_text
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
@@ -30,6 +31,7 @@ FINISH = {  # what the one who knows the drive writes into the profile: line bef
         "torque = 1000.0 ": "torque = 16380.0 ",
         'velocity = "counts/s"': 'velocity = "1/65.536 counts/s"',
         'mode_shows = "written"': 'mode_shows = "enabled"',
+        "# [torque_clamp]": '[torque_clamp]\nindex = 0x207F\ntype = "u16"\nrated = 16387\nzero = 32767',
     },
     "kinco": {
         'velocity = "counts/s"': 'velocity = "1/16.384 counts/s"',
@@ -119,6 +121,16 @@ def test_what_a_drive_does_otherwise_is_found(tmp_path: Path, quirks: list[str],
     assert any(found.startswith(line) for found in text.splitlines()), text
 
 
+def test_a_drive_whose_only_watchdog_is_life_guarding_is_guarded(tmp_path: Path) -> None:
+    """It makes a heartbeat, and hears none."""
+    found = looked_at(Foreign(tmp_path))
+    for entry in (objects.HEARTBEAT_CONSUMERS, objects.RPDO_EVENT_TIMER):
+        del found.values[entry]
+    assert 'supervision = "guarding"' not in profile_text(found, "here")
+    found.values[objects.LIFE_TIME_FACTOR] = 0
+    assert 'supervision = "guarding"        # its only watchdog is life guarding 0x100D' in profile_text(found, "here")
+
+
 def test_a_device_of_several_axes_names_its_slots(tmp_path: Path) -> None:
     axes = "".join(
         f"[[axis]]\nname = '{name}'\nmotion.kind = 'still'\ndrive.node_id = 1\ndrive.slot = {slot}\n"
@@ -176,6 +188,19 @@ def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -
     controller.write_text(text, encoding="utf-8")
     checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
     assert checked.exit_code == 0, checked.output
+
+
+def test_what_a_profile_does_not_know_is_told_by_the_check(tmp_path: Path) -> None:
+    for name in ("controller.toml", "actuator.toml"):
+        shutil.copy(ROOT / "config" / name, tmp_path)
+    shutil.copytree(ROOT / "config" / "drives", tmp_path / "drives")
+    controller = tmp_path / "controller.toml"
+    text = controller.read_text(encoding="utf-8").replace('# profile = "generic"', 'profile = "copley"')
+    controller.write_text(text, encoding="utf-8")
+    checked = CliRunner().invoke(cli, ["run", "--check", str(controller)])
+    assert checked.exit_code == 0, checked.output
+    told = [line for line in checked.output.splitlines() if "the profile of Copley Controls does not know: " in line]
+    assert len(told) == len(load_profile("copley", tmp_path).unknown) > 0
 
 
 def test_nobody_there_is_one_line() -> None:

@@ -33,6 +33,9 @@ def command(controller: Path, check: bool, seconds: float | None, reset_faults: 
     if check:
         check_drives(configuration)
         click.echo(_checked(configuration))
+        for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
+            for line in profile.unknown:
+                click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
         return 0
     from rich.console import Console
 

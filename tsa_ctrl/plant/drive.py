@@ -19,7 +19,7 @@ from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, AxisValues, mode_numbers, 
 from tsa_ctrl.plant.emergency import EmcyCode
 from tsa_ctrl.plant.nmt import NmtState
 from tsa_ctrl.plant.node import Node
-from tsa_ctrl.plant.persona import CURRENT, LIMIT, PERSONAS
+from tsa_ctrl.plant.persona import PERSONAS
 from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
 
@@ -71,6 +71,8 @@ class Drive:
             )
         if persona.rated_torque_unit is not None:
             settings = msgspec.structs.replace(settings, rated_torque_unit=persona.rated_torque_unit)
+        if persona.guarded:
+            settings = msgspec.structs.replace(settings, node_guarding=True)
         self.settings = settings
         self._noise = noise
         self.readings = readings
@@ -216,8 +218,11 @@ class Drive:
     def _clamp(self) -> int:
         """Largest torque in digits of 0x6071."""
         values = self.values
-        if self.persona.limited_by_current:
-            return values[LIMIT] * 1000 // max(1, values[CURRENT])
+        clamp = self.persona.clamp
+        if clamp is not None:
+            rated = values[clamp.rated] if isinstance(clamp.rated, tuple) else clamp.rated
+            share = (values[clamp.key] - clamp.zero) / ((rated - clamp.zero) or 1)
+            return math.floor(max(0.0, share) * self.persona.torque_digits + 1e-9)
         return round(values.get((0x6072, 0), _NO_CLAMP) * self.persona.torque_digits / 1000.0)
 
     def _velocity_digit(self) -> float:

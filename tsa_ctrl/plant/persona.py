@@ -11,12 +11,18 @@ elmo_gold  Elmo DSP 402 Implementation Guide MAN-CAN402IG: 0x6076 in mN*m; veloc
            0; 0x6502 is 0x3ED. Vendor 0x9A, product code 0x30924 as its drives report it.
 technosoft_ipos  Technosoft iPOS CANopen Programming User Manual P091.063.iPOS.STO.UM: velocities and torques in
            internal units (2^-16 counts per loop; 65520/2 at the peak current, here twice the rated one), the mode shows
-           once it is enabled; no 0x60A9, no 0x6076.
+           once it is enabled. Its EDS iPOS.D.v1.04 (github.com/ros-industrial/ros_canopen, canopen_402_driver): vendor
+           0x1A3; 0x100C and 0x100D, no 0x1016 and no RPDO timer; no 0x603F, 0x6072, 0x6076, 0x6080, 0x60A9. The current
+           limit 0x207F is 32767 less the current (github.com/roboticslab-uc3m/yarp-devices).
+ingenia    The EDS of the EVE-XCR-C 1.8.1 (github.com/ingeniamc/ingenialink-python): vendor 0x29C, product 46342145;
+           0x100C, 0x100D and 0x1400:5, no 0x1016; 0x6073 = 40, no 0x6072, 0x603F, 0x6080, 0x60A9, 0x605B, 0x605C,
+           0x605E; 0x6502 is 0x301A5, without cyclic synchronous torque.
 kinco      Kinco FD5 user manual: velocities in DEC = rpm * 512 * resolution / 1875; the mode is 0 while disabled.
 nanotec    Nanotec PD4-E CANopen manual: 0x60C2:2 is -3; the rated torque is that of the rated current 0x203B:1, and
            there is no 0x6076.
 copley     Copley CANopen Programmer's Manual 16-01195: velocities in 0.1 counts/s, no 0x60A9.
-The last four keep the vendor and product of the settings: no document at hand states theirs.
+Elmo's EDS "CANeds Gold V002" (github.com/ipa320/cob_robots): no RPDO event timer, no 0x1007, no 0x1019.
+kinco, nanotec and copley keep the vendor and product of the settings: no document at hand states theirs.
 """
 
 from __future__ import annotations
@@ -34,12 +40,21 @@ _RPM_PREFIXES = frozenset(prefix << 24 | RPM for prefix in (0x00, 0xFF, 0xFE, 0x
 
 
 @dataclass(frozen=True)
+class Clamp:
+    """An object that limits the torque: `rated` in it is the rated torque, `zero` none; or another object says so."""
+
+    key: Key
+    rated: int | Key
+    zero: int = 0
+
+
+@dataclass(frozen=True)
 class Persona:
     """`vendor` and `product` None: those of the settings. `mode_shows` as the quirk of that name.
 
     `fixed`: objects with one value that they take, or a few. `added`: objects of the maker. `read_only`: objects that
-    cannot be written. `off_only`: objects that can be written while the power stage is off. `limited_by_current`: the
-    torque's clamp is the current limit.
+    cannot be written. `off_only`: objects that can be written while the power stage is off. `clamp`: what limits its
+    torque in place of 0x6072.
     """
 
     name: str
@@ -49,7 +64,8 @@ class Persona:
     velocity_digits: float | None = None  # of 0x606C per count/s; None: by 0x60A9
     torque_digits: float = 1000.0  # of 0x6071 and 0x6077 at rated torque
     mode_shows: str | None = None  # as the quirk; None: that of the settings
-    limited_by_current: bool = False
+    clamp: Clamp | None = None  # None: 0x6072
+    guarded: bool = False  # the quirk node_guarding
     absent: tuple[tuple[int, int | None], ...] = ()  # index and sub-index, None for all
     added: tuple[Entry, ...] = ()
     fixed: Mapping[Key, frozenset[int]] = field(default_factory=dict)
@@ -58,14 +74,17 @@ class Persona:
     off_only: frozenset[Key] = frozenset()
 
 
+_NO_TIMER = tuple((0x1400 + number, 5) for number in range(4))
+_NO_SYNC_SETTINGS = ((0x1007, None), (0x1019, None))
+
 _GENERIC = Persona("simulated drive")
 _EPOS4 = Persona(
     "EPOS4",
     vendor=0x000000FB,
     product=0x69500000,
     rated_torque_unit=1e-6,
-    limited_by_current=True,
-    absent=((0x6072, None), *((0x1400 + number, 5) for number in range(4))),
+    clamp=Clamp(LIMIT, CURRENT),
+    absent=((0x6072, None), *_NO_TIMER),
     added=(
         Entry(0x3001, 0, Type.U8, Access.CONST, 5),
         Entry(*CURRENT, Type.U32, Access.RW, _NOMINAL),
@@ -86,17 +105,26 @@ _ELMO_GOLD = Persona(
     product=0x00030924,
     rated_torque_unit=1e-3,
     velocity_digits=1.0,
-    absent=((0x60A9, None),),
+    absent=((0x60A9, None), *_NO_TIMER, *_NO_SYNC_SETTINGS),
     fixed={(0x605E, 0): frozenset({0})},
     defaults={(0x605E, 0): 0, (0x6502, 0): 0x3ED},
 )
 
 _IPOS = Persona(
     "iPOS",
+    vendor=0x000001A3,
+    product=27014101,
     velocity_digits=65.536,
     torque_digits=16380.0,
     mode_shows="enabled",
-    absent=((0x60A9, None), (0x6076, None), (0x60C2, None)),
+    guarded=True,
+    clamp=Clamp((0x207F, 0), 32767 - 16380, 32767),
+    absent=(
+        *((index, None) for index in (0x1016, 0x1029, 0x603F, 0x6072, 0x6076, 0x6080, 0x60A9)),
+        *_NO_TIMER,
+        *_NO_SYNC_SETTINGS,
+    ),
+    added=(Entry(0x207F, 0, Type.U16, Access.RW, 32767 - 2 * 16380),),
 )
 _KINCO = Persona(
     "Kinco servo",
@@ -114,6 +142,20 @@ _COPLEY = Persona(
     velocity_digits=10.0,
     absent=((0x60A9, None),),
 )
+_INGENIA = Persona(
+    "EVE-XCR-C",
+    vendor=0x0000029C,
+    product=46342145,
+    velocity_digits=1.0,
+    clamp=Clamp((0x6073, 0), 1000),
+    absent=(
+        *((index, None) for index in (0x1006, 0x1016, 0x1029, 0x603F, 0x605B, 0x605C, 0x605E, 0x6072, 0x6080, 0x60A9)),
+        *_NO_SYNC_SETTINGS,
+    ),
+    added=(Entry(0x6073, 0, Type.U16, Access.RW, 40),),
+    guarded=True,
+    defaults={(0x6502, 0): 0x301A5, (0x605A, 0): 5, (0x60C2, 2): 0},
+)
 
 PERSONAS: Mapping[str, Persona] = {
     "generic": _GENERIC,
@@ -123,4 +165,5 @@ PERSONAS: Mapping[str, Persona] = {
     "kinco": _KINCO,
     "nanotec": _NANOTEC,
     "copley": _COPLEY,
+    "ingenia": _INGENIA,
 }

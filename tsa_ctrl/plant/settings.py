@@ -43,7 +43,7 @@ class PhysicsSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     start: Literal["power_on", "first_enable"] = "power_on"  # when imposed motion and time-dependent effects begin
 
 
-DriveKind = Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley"]
+DriveKind = Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley", "ingenia"]
 
 
 class DriveSettings(Quirks, frozen=True, kw_only=True):
@@ -51,9 +51,7 @@ class DriveSettings(Quirks, frozen=True, kw_only=True):
 
     node_id: NodeId | None = None  # default: 1 + place of the axis
     slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device of several axes, which share a node id
-    kind: Literal["generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley"] = (
-        "generic"  # the drive that it impersonates, see `persona`
-    )
+    kind: DriveKind = "generic"  # the drive that it impersonates, see `persona`
     name: str = "simulated drive"
     vendor: Word = 0x00000F0F
     product: Word = 0x0402

@@ -85,7 +85,12 @@ def test_the_right_profile_comes_up(tmp_path: Path, plants: list[Plant], kind: s
     assert not lacking & {"max torque", "reaction to a lost connection", "heartbeat consumer"}
     values = plants[0].machine.axes[0].drive.values
     assert values[0x6060, 0] == 10
-    clamp = values[0x3001, 2] / values[0x3001, 1] if kind == "epos4" else values[0x6072, 0] / 1000
+    if kind == "epos4":
+        clamp = values[0x3001, 2] / values[0x3001, 1]
+    elif kind == "technosoft_ipos":
+        clamp = (32767 - values[0x207F, 0]) / 16380  # rated current is half of the peak
+    else:
+        clamp = values[0x6072, 0] / 1000
     assert clamp == pytest.approx(2.0, rel=1e-3)
 
 

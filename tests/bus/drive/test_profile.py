@@ -11,9 +11,9 @@ import pytest
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.plan import drive_plan, interpolation_period
-from tsa_ctrl.bus.drive.profile import DriveProfile, VelocityUnit, load_profile
+from tsa_ctrl.bus.drive.profile import DriveProfile, TorqueClamp, Units, VelocityUnit, load_profile
 from tsa_ctrl.bus.drive.scale import drive_scale
-from tsa_ctrl.bus.settings import BusSettings, DriveSettings
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).parents[3] / "config"
@@ -32,11 +32,41 @@ def test_every_profile_limits_the_drives_torque_and_speed_and_sets_the_mode(name
     profile, axis = load_profile(name, CONFIG), axis_nodes()
     scale = drive_scale(axis.drive, profile, "axis")
     plan = drive_plan(axis, profile, scale, BusSettings(), 0.001)
-    clamps = [write for write in plan if write.entry is objects.MAX_TORQUE or write.rated is not None]
+    instead = profile.torque_clamp
+    clamp = objects.MAX_TORQUE.key if instead is None else (instead.index, instead.subindex)
     written = [write.entry for write in plan]
-    assert len(clamps) == 1
-    assert objects.MAX_MOTOR_SPEED in written
+    assert [write.entry.key for write in plan].count(clamp) == 1
+    assert (objects.MAX_MOTOR_SPEED in written) is profile.has(objects.MAX_MOTOR_SPEED)
     assert written[-1] is objects.MODE
+
+
+@pytest.mark.parametrize(("share", "value"), [(0.0011, 32751), (0.5, 24577), (1.0, 16387), (2.0, 7)])
+def test_a_clamp_that_counts_downwards_is_rounded_towards_no_torque(share: float, value: int) -> None:
+    """0x207F of an iPOS: 32767 less the current, 16380 digits of it at the rated one."""
+    clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
+    profile = DriveProfile(absent=["max torque"], torque_clamp=clamp, units=Units(torque=16380.0))
+    drive = DriveSettings(node_id=1, max_torque=share)
+    axis = AxisNodes(name="knee", drive=drive)
+    plan = drive_plan(axis, profile, drive_scale(drive, profile, "axis"), BusSettings(), 0.001)
+    assert [write.value for write in plan if write.entry.index == 0x207F] == [value]
+
+
+def test_a_clamp_beyond_its_object_is_refused() -> None:
+    clamp = TorqueClamp(index=0x207F, type="u16", rated=32767 - 16380, zero=32767)
+    profile = DriveProfile(absent=["max torque"], torque_clamp=clamp)
+    drive = DriveSettings(node_id=1, max_torque=2.1)
+    with pytest.raises(UsageError, match=r"which takes 0 to 65535; lower max_torque in \[axis.drive\]"):
+        drive_plan(
+            AxisNodes(name="knee", drive=drive), profile, drive_scale(drive, profile, "axis"), BusSettings(), 0.001
+        )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_profile_of_a_make_says_what_its_documents_do_not(name: str) -> None:
+    text = (CONFIG / "drives" / f"{name}.toml").read_text(encoding="utf-8")
+    assert "\nunknown = [" in text
+    for line in load_profile(name, CONFIG).unknown:
+        assert line
 
 
 def test_generic_file_says_what_is_assumed_without_one() -> None:
@@ -56,6 +86,8 @@ def test_unknown_profile_is_answered_with_the_known_ones() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("[torque_clamp]\nindex = 0x207F", "torque_clamp: give rated_index, the object that holds its value"),
+        ("[torque_clamp]\nindex = 0x207F\nrated = 1\nrated_index = 0x2000", "and not both"),
         ("absent = ['max torqe']", "absent: unknown object 'max torqe'; did you mean 'max torque'?"),
         ("absent = ['max torque']", "no object limits the drive's torque"),
         ("[units]\nvelocity = 'furlong'", "units.velocity: invalid enum value 'furlong'"),

@@ -94,6 +94,11 @@ class DriveLayout:
     def tpdo_ids(self) -> tuple[int, int]:
         return self.motion.cob_id(self.node_id), self.position.cob_id(self.node_id)
 
+    def without(self, entry: Object) -> DriveLayout:
+        """The same PDOs without an object that the drive does not have."""
+        left = tuple(kept for kept in self.position.objects if kept.name != entry.name)
+        return replace(self, position=replace(self.position, objects=left))
+
 
 def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None) -> DriveLayout:
     """PDOs of the axis in this slot of a device.

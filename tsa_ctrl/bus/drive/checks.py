@@ -300,7 +300,8 @@ def check_watchdog(node: Node, plan: Sequence[Write], report: NodeReport) -> Non
     if node.axis.drive.require_watchdog:
         raise BusError(
             f"{node.name}: has neither a heartbeat consumer (0x1016) nor an RPDO event timer (0x1400:5), so it would "
-            "go on when this computer dies; use another drive, or accept it with require_watchdog = false"
+            f'go on when this computer dies; write supervision = "guarding" in {node.profile_file}, if it has life '
+            "guarding (0x100D); else use another drive, or accept it with require_watchdog = false"
         )
     report.notes.append("has no watchdog: it would go on when this computer dies")
 

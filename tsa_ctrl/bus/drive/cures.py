@@ -89,6 +89,11 @@ def _of_a_pdo(entry: Object, code: int | None) -> str:
     if entry.subindex == 5 and received:
         name = objects.RPDO_EVENT_TIMER.name
         return f'correct rpdo_timeout in [axis.drive], or write absent = ["{name}"] in {{profile}}'
+    if "mapped object" in entry.name and code in _NOT_MAPPABLE | _NO_OBJECT and not received and number == 2:
+        return (
+            f'write absent = ["{objects.ERROR_CODE.name}"] in {{profile}}, if it has no 0x603F; else look for another '
+            "firmware: it cannot map what this controller needs into one PDO"
+        )
     if code in _NOT_MAPPABLE:
         return "look for another firmware: it cannot map what this controller needs into one PDO"
     return (

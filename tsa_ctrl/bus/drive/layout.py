@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.pdo import DriveLayout, drive_layout
+from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
 from tsa_ctrl.errors import UsageError
 
 _OWN_IDENTIFIERS = 2  # axes of a device for which its own PDO identifiers suffice
 
 
-def layout_of(drive: DriveSettings) -> DriveLayout:
-    """The PDOs of a drive by its place in its device."""
-    return drive_layout(drive.node_id, drive.slot, drive.pdo_node_id)
+def layout_of(drive: DriveSettings, profile: DriveProfile | None = None) -> DriveLayout:
+    """The PDOs of a drive by its place in its device, and by what its profile says that it lacks."""
+    layout = drive_layout(drive.node_id, drive.slot, drive.pdo_node_id)
+    if profile is None or profile.has(objects.ERROR_CODE):
+        return layout
+    return layout.without(objects.ERROR_CODE)
 
 
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:

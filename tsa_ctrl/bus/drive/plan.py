@@ -12,7 +12,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.scale import DriveScale
+from tsa_ctrl.bus.drive.scale import PER_MILLE, DriveScale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
 from tsa_ctrl.errors import UsageError
 
@@ -37,7 +37,7 @@ def drive_plan(
     _check_timeouts(drive, settings, period, where)
     mantissa, exponent = interpolation_period(period)
     transmission = Transmission.EVERY_SYNC if settings.rpdo == "sync" else Transmission.ON_ARRIVAL
-    layout = layout_of(drive)
+    layout = layout_of(drive, profile)
     reactions = profile.reactions
     options = (
         (objects.ERROR_BEHAVIOUR, reactions.communication_error, _LEAVES_OPERATIONAL),
@@ -74,7 +74,7 @@ def drive_plan(
         ),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
-        _torque_clamp(profile, scale),
+        _torque_clamp(profile, scale, where),
         Write(objects.MAX_MOTOR_SPEED, scale.max_speed_digits),
         *(
             Write(Object(extra.index, extra.subindex, Type[extra.type.upper()], extra.name), extra.value)
@@ -126,13 +126,24 @@ def emcy_writes(node_id: int) -> list[Write]:
     ]
 
 
-def _torque_clamp(profile: DriveProfile, scale: DriveScale) -> Write:
-    clamp = profile.torque_clamp
+def _torque_clamp(profile: DriveProfile, scale: DriveScale, where: str) -> Write:
+    clamp, per_mille = profile.torque_clamp, scale.max_torque_digits
     if clamp is None:
-        return Write(objects.MAX_TORQUE, scale.max_torque_digits)
+        return Write(objects.MAX_TORQUE, per_mille)
     type_ = Type[clamp.type.upper()]
-    rated = Object(clamp.rated_index, clamp.rated_subindex, type_, f"{clamp.name} at rated torque")
-    return Write(Object(clamp.index, clamp.subindex, type_, clamp.name), scale.max_torque_digits, rated=rated)
+    entry = Object(clamp.index, clamp.subindex, type_, clamp.name)
+    if clamp.rated_index is not None:
+        rated = Object(clamp.rated_index, clamp.rated_subindex, type_, f"{clamp.name} at rated torque")
+        return Write(entry, per_mille, rated=rated)
+    assert clamp.rated is not None  # load_profile sees to it
+    value = clamp.zero + int((clamp.rated - clamp.zero) * per_mille / PER_MILLE)  # towards no torque
+    if not type_.low <= value <= type_.high:
+        raise UsageError(
+            f"{where}: max_torque is {per_mille} per mille of the rated torque, {value} of '{clamp.name}', which takes "
+            f"{type_.low} to {type_.high}; lower max_torque in [axis.drive], or correct rated in its profile's "
+            "[torque_clamp]"
+        )
+    return Write(entry, value)
 
 
 def encoder_plan(encoder: EncoderSettings, period: float) -> list[Write]:

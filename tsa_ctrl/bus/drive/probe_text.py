@@ -99,7 +99,9 @@ def _state(found: Probe) -> Iterator[str]:
 
 def _absent(found: Probe) -> Iterator[str]:
     """Objects that must be declared, and, as a comment, those that are merely not there."""
-    needed = [objects.MAX_TORQUE, objects.MAX_MOTOR_SPEED, objects.VELOCITY_UNIT, objects.RATED_TORQUE]
+    needed = [
+        objects.MAX_TORQUE, objects.MAX_MOTOR_SPEED, objects.VELOCITY_UNIT, objects.RATED_TORQUE, objects.ERROR_CODE,
+    ]  # fmt: skip
     names = [entry.name for entry in needed if not found.has(entry)]
     if not found.has(objects.SUPPORTED_MODES):
         names.append(objects.SUPPORTED_MODES.name)
@@ -140,6 +142,8 @@ def _watchdogs(found: Probe) -> Iterator[str]:
     yield "# Reaction to a lost connection 0x6007: " + ("not there" if reaction is None else f"{reaction} as found")
     if not found.has(objects.HEARTBEAT_PRODUCER):
         yield 'supervision = "guarding"        # there is no heartbeat 0x1017'
+    elif not consumers and held is None and found.has(objects.LIFE_TIME_FACTOR):
+        yield 'supervision = "guarding"        # its only watchdog is life guarding 0x100D'
 
 
 def _sync(found: Probe) -> Iterator[str]:
@@ -216,7 +220,7 @@ def _clamp(found: Probe) -> Iterator[str]:
         yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "output current limit", "")
         return
     yield f"# {_ASK}there is no 0x6072: name the object that limits the torque, and the one that holds its value at"
-    yield "# rated torque; without them this profile does not load."
+    yield "# rated torque (or that value itself: rated = ..., and zero = ... at none); without them this does not load."
     yield "# [torque_clamp]"
     yield from _clamp_lines(CURRENT_LIMIT, CURRENT_NOMINAL, "what it is", "# ")
 

@@ -99,12 +99,17 @@ class Reactions(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only
 
 
 class TorqueClamp(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """The object that limits torque on a drive without 0x6072; its value at rated torque is that of another object."""
+    """The object that limits torque on a drive without 0x6072, and what it holds at rated torque.
+
+    That is what another object says (`rated_index`), or a number, `rated`; then `zero` is what it holds at no torque.
+    """
 
     index: Index
     subindex: Subindex = 0
-    rated_index: Index
+    rated_index: Index | None = None
     rated_subindex: Subindex = 0
+    rated: int | None = None
+    zero: int = 0
     type: IntegerType = "u32"
     name: str = "torque clamp"
 
@@ -124,6 +129,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     name: str = "generic CiA 402 drive"
     sources: list[str] = []  # documents that the figures come from
+    unknown: list[str] = []  # what they do not say, and who uses it must find out
     eds: str | None = None  # EDS file beside the profile; default: none, the built-in dictionary is enough
     identity: Identity = Identity()
     units: Units = Units()
@@ -164,6 +170,12 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
             raise UsageError(f"{path}: absent: unknown object '{absent}'; {advice}")
     if not profile.has(objects.MAX_TORQUE) and profile.torque_clamp is None:
         raise UsageError(f"{path}: no object limits the drive's torque; give [torque_clamp] for a drive without 0x6072")
+    clamp = profile.torque_clamp
+    if clamp is not None and (clamp.rated_index is None) is (clamp.rated is None):
+        raise UsageError(
+            f"{path}: torque_clamp: give rated_index, the object that holds its value at rated torque, or that value "
+            "itself as rated, and not both"
+        )
     if profile.eds is None:
         return profile
     from tsa_ctrl.bus.canopen.eds import load_eds  # canopen is slow to import

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from tsa_ctrl.bus.canopen import cia301, emcy, pdo
+from tsa_ctrl.bus.canopen import cia301, emcy, objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.pdo import Pdo
 from tsa_ctrl.bus.drive.layout import layout_of
@@ -128,13 +128,14 @@ class Axis:
         self.tau_m_sent = 0.0  # N*m, the last command as the drive was given it
         self.stands_off = True
 
-        layout = layout_of(drive)
+        layout = layout_of(drive, profile)
         health = _health(Role.DRIVE, drive)
         health.told = frozenset(profile.warnings)
         guarded = [health]
+        store_position = self._store_position if profile.has(objects.ERROR_CODE) else self._store_bare_position
         self.inboxes = [
             Inbox(layout.motion, health, self._store_motion),
-            Inbox(layout.position, health, self._store_position),
+            Inbox(layout.position, health, store_position),
         ]
         self._control_inboxes = list(self.inboxes)  # without whose answers the axis is not fresh
         self._watched = [(health, tuple(self.inboxes))]  # the answers of each node
@@ -231,6 +232,13 @@ class Axis:
     def _store_position(self, values: tuple[Any, ...]) -> None:
         image = self.image
         self._motor_count, image.mode, image.error_code = values
+
+    def _store_bare_position(self, values: tuple[Any, ...]) -> None:
+        """Of a drive without 0x603F: the code of its last emergency stands for it."""
+        image = self.image
+        self._motor_count, image.mode = values
+        said = image.nodes[0].emcy
+        image.error_code = 0 if said is None else said.code
 
     def _store_encoder(self, values: tuple[Any, ...]) -> None:
         self._joint_count = values[0]
