@@ -62,6 +62,7 @@ class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
     path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else /tmp/tsa-UID/tsa.sock
     group: str | None = None  # this group may use it too; default: the user who started the daemon alone
+    watch_group: str | None = None  # this group may read status, measurements and events
 
 
 class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ import math
 import re
 import struct
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -263,6 +264,33 @@ def test_set_point_without_torque_is_forgotten(build: Build) -> None:
     machine.mailbox.want(0, 0.5, machine.bus.clock.now)
     machine.run(seconds=0.5)
     assert not any(machine.drive.torques)
+
+
+def test_what_the_socket_tells_of_its_lease_becomes_events_once_a_second(build: Build) -> None:
+    """However often clients change: the newest of each second."""
+    machine = build(CONSTANT)
+    machine.drive.at_sync.update({n: partial(machine.mailbox.tell, 5.0, f"lease {n}") for n in range(100, 1000, 10)})
+    machine.run(seconds=2.5)
+    told = [event.text for event in machine.events.all if event.text.startswith("lease")]
+    assert len(told) == 2
+    assert (told[0], told[-1]) == ("lease 100", "lease 990")
+
+
+def test_every_cycle_is_told_to_clients(build: Build) -> None:
+    """What it measured, with its time, number and phase."""
+    machine = build(CONSTANT)
+    seen: list[tuple[float, int, int, float]] = []
+
+    def look() -> None:
+        time, cycle, phase, axes = machine.mailbox.measured()
+        seen.append((machine.bus.clock.now - time, cycle, phase, axes[0].tau_j_des))
+
+    machine.drive.at_sync.update(dict.fromkeys((600, 601), look))
+    machine.run(seconds=1.0)
+    (age, cycle, phase, wanted), (_, after, *_) = seen
+    assert 0.0 < age < 1.5e-3
+    assert after == cycle + 1
+    assert (phase, wanted) == (LoopPhase.RUNNING.value, 0.5)
 
 
 def test_disable_resets_everything(build: Build) -> None:

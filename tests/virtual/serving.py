@@ -56,6 +56,11 @@ class ServedRun(Run):
         self.serve()
         return connection
 
+    def again(self, sent: bytes) -> None:
+        """The client that came last says something more."""
+        self._connections[-1].sendall(sent)
+        self.serve()
+
     def serve(self) -> None:
         """Until the server has nothing to do."""
         for _ in range(8):

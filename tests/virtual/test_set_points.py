@@ -53,7 +53,7 @@ def test_a_burst_of_a_client_that_dies_plays_no_longer_than_its_connection(run: 
 
 def test_a_later_zero_waits_behind_nothing(run: ServedRun) -> None:
     run.at(DIES - 0.1, run.connected(lines([WANTED])))
-    run.at(DIES, run.connected(lines([WANTED] * BURST + [0.0])))
+    run.at(DIES, lambda now: run.again(lines([WANTED] * BURST + [0.0])))
     t, tau_j_des = wanted(run)
     assert tau_j_des[np.searchsorted(t, DIES - 0.01)] == pytest.approx(WANTED)
     assert not np.any(tau_j_des[t > DIES + WANTED / RATE + 3e-3])

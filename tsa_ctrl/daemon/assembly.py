@@ -146,6 +146,8 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
             else None
             for axis, model in zip(file.axes, configuration.models, strict=True)
         ],
+        set_point_timeout=[axis.setpoint.timeout for axis in file.axes],
+        watch_group=file.socket.watch_group,
         figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
         cures=dict(CURES),
     )

@@ -143,6 +143,7 @@ class Loop:
             telemetry.record(
                 (planned - start) * 1e-9, (planned - start) // period, (woke - planned) * 1e-9, (done - woke) * 1e-9
             )
+            telemetry.measure(now, (planned - start) // period, self.phase.value)
             self.cycles += 1
             self._take_command(planned)
             self._judge(planned, seconds)

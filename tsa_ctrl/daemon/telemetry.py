@@ -13,7 +13,7 @@ from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
-from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters
+from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters, Reading
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import Record
@@ -23,6 +23,7 @@ from tsa_ctrl.system.notify import Notifier
 
 _STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
 _NAN = math.nan
+LEASE_APART = 1.0  # s between two events of it
 
 
 class Telemetry:
@@ -60,6 +61,7 @@ class Telemetry:
         self._log_alive = log is not None
         self._trouble = ""
         self._written = 0
+        self._lease_told = -LEASE_APART
         self._events = events
 
     def record(self, t: float, cycle: float, lateness: float, work: float) -> None:
@@ -121,10 +123,21 @@ class Telemetry:
             loop = LoopPhase(phase)
             self._notifier.update(now, loop.name.lower(), loop.up, loop.ending)
         self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
+        self.tell_lease(now - start, start)
         if self._events.changed:
             self._events.changed = False
             self._mailbox.publish_text(self._events.encoded())
             self._note_events()
+
+    def measure(self, now: float, cycle: int, phase: int) -> None:
+        """What this cycle measured, for clients that control by it; `now` in s, monotonic."""
+        self._mailbox.measure(now, cycle, phase, [_reading(axis) for _, axis in self._axes])
+
+    def tell_lease(self, t: float, start: float) -> None:
+        """Who owns the set-point, or no longer, in the server's words: once a second at most, whatever clients do."""
+        if t - self._lease_told >= LEASE_APART and (found := self._mailbox.told()) is not None:
+            self._lease_told = t
+            self._events.add(found[0] - start, "", found[1])
 
     def last_words(self, t: float, cause: str, unconfirmed: Sequence[str]) -> None:
         """To the log: why the run ended, and which drives did not confirm that they are off."""
@@ -221,3 +234,19 @@ class Telemetry:
             self._log_alive = False
             self._written = health.written + health.lost
             self._events.add(t, "", "log: its process is gone; the loop goes on, records are lost from here")
+
+
+def _reading(axis: ControlAxis) -> Reading:
+    image, terms = axis.image, axis.terms
+    return Reading(
+        tau_j_des=terms.tau_j_des,
+        tau_m_cmd=terms.tau_m_cmd,
+        tau_m=image.tau_m,
+        tau_j=axis.instruments.tau_j,
+        q_j=terms.q_j,
+        omega_j=terms.omega_j,
+        q_m=image.q_m,
+        omega_m=image.omega_m,
+        permitted=terms.permitted,
+        limit_reason=terms.reason.value,
+    )

@@ -11,7 +11,8 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.ipc.protocol import AnyRequest, default_path, user_of
+from tsa_ctrl.ipc.peers import user_of
+from tsa_ctrl.ipc.protocol import AnyRequest, default_path
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -58,6 +58,21 @@ class AxisStatus(NamedTuple):
     malformed: float = 0.0
 
 
+class Reading(NamedTuple):
+    """What one axis measured and did in a cycle; N*m, rad, rad/s, codes."""
+
+    tau_j_des: float = 0.0
+    tau_m_cmd: float = 0.0
+    tau_m: float = 0.0
+    tau_j: float = 0.0
+    q_j: float = 0.0
+    omega_j: float = 0.0
+    q_m: float = 0.0
+    omega_m: float = 0.0
+    permitted: float = 0.0  # whether torque is
+    limit_reason: float = 0.0  # code
+
+
 COUNTS = ("missed", "late", "repeated", "malformed")  # of an axis: whole numbers since the start
 Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the description
 
@@ -94,7 +109,10 @@ class Mailbox:
         self._status_format = struct.Struct(f"={len(General._fields) + axes * axis}d")
         wanted = _STATUS + space(2, self._status_format.size)
         each = space(2, _WANTED.size)
-        memory = SharedMemory(wanted + axes * each, descriptor)
+        measured = wanted + axes * each
+        self._reading_format = struct.Struct(f"=dqq{axes * len(Reading._fields)}d")  # time, number, phase
+        told = measured + space(2, self._reading_format.size)
+        memory = SharedMemory(told + space(2, STAGE), descriptor)
         self._memory = memory
         self.descriptor = memory.descriptor
         self.lateness = memory.array(_LATENESS, BINS)
@@ -106,6 +124,8 @@ class Mailbox:
         self._stage = Newest(memory, _STAGE, STAGE)
         self._status = Newest(memory, _STATUS, self._status_format.size)
         self._wanted = [Newest(memory, wanted + axis * each, _WANTED.size) for axis in range(axes)]
+        self._measured = Newest(memory, measured, self._reading_format.size)
+        self._told = Newest(memory, told, STAGE)
         self._put, _ = self._commands.newest()
         self._seen = bytes(self._status_format.size)  # the last status that was whole
         self._seen_text = (0, b"")
@@ -140,6 +160,19 @@ class Mailbox:
         for register in self._wanted:
             register.write(_WANTED.pack(0.0, -math.inf))
 
+    def tell(self, now: float, text: str) -> None:
+        """What people should know of the socket, for the events; the newest alone. `now` in s, monotonic."""
+        self._told.write(_timed(now, text))
+
+    def measured(self) -> tuple[float, int, int, list[Reading]]:
+        """Time (s, monotonic), number and phase of the newest cycle, and what each axis measured; zeros before it."""
+        number, content = self._measured.read()
+        if number == 0:
+            return 0.0, 0, 0, [Reading() for _ in range(self._axes)]
+        time, cycle, phase, *values = self._reading_format.unpack(content)
+        size = len(Reading._fields)
+        return time, cycle, phase, [Reading(*values[n * size : (n + 1) * size]) for n in range(self._axes)]
+
     def request_stop(self) -> None:
         """Ask the loop to end; never queued behind anything."""
         self._words[_STOP // 8] = 1
@@ -164,9 +197,7 @@ class Mailbox:
         """Since when (s, monotonic) the start waits, and for what; empty while the loop runs."""
         found = self._stage.read()
         self._seen_stage = found[1] if found[0] else self._seen_stage
-        if len(self._seen_stage) < _SINCE.size:
-            return 0.0, ""
-        return _SINCE.unpack_from(self._seen_stage)[0], self._seen_stage[_SINCE.size :].decode(errors="replace")
+        return _of_time(self._seen_stage)
 
     # The loop's side
 
@@ -188,6 +219,16 @@ class Mailbox:
     def stop_requested(self) -> bool:
         return self._words[_STOP // 8] != 0
 
+    def told(self) -> tuple[float, str] | None:
+        """What `tell` was given, once, and when."""
+        content = self._told.take()
+        return None if content is None else _of_time(content)
+
+    def measure(self, now: float, cycle: int, phase: int, axes: Iterable[Reading]) -> None:
+        """Write what a cycle measured; `now` in s, monotonic."""
+        values = [value for axis in axes for value in axis]
+        self._measured.write(self._reading_format.pack(now, cycle, phase, *values))
+
     def publish(self, general: General, axes: Sequence[tuple[AxisStatus, Parameters]]) -> None:
         """Write a new status."""
         values = [value for axis, parameters in axes for value in (*axis, *parameters)]
@@ -195,8 +236,18 @@ class Mailbox:
 
     def publish_stage(self, now: float, text: str) -> None:
         """Say what the start waits for since `now`; empty when it is over."""
-        self._stage.write(_SINCE.pack(now) + text.encode()[: STAGE - _SINCE.size])
+        self._stage.write(_timed(now, text))
 
     def publish_text(self, text: bytes) -> None:
         """Write the events, cut to what fits by the caller (`TEXT` bytes)."""
         self._text.write(text)
+
+
+def _timed(now: float, text: str) -> bytes:
+    return _SINCE.pack(now) + text.encode()[: STAGE - _SINCE.size]
+
+
+def _of_time(content: bytes) -> tuple[float, str]:
+    if len(content) < _SINCE.size:
+        return 0.0, ""
+    return _SINCE.unpack_from(content)[0], content[_SINCE.size :].decode(errors="replace")

@@ -1,17 +1,24 @@
 """One JSON object per line, strict both ways; what a client may ask and what the server tells.
 
-Requests: {"verb": "status"}, {"verb": "set", "name": "knee.compensation", "value": 0.9}, {"verb": "setpoint",
-"axis": "knee", "value": 0.2, "time": 1234.5}, {"verb": "recover"}, {"verb": "stop"}. Answers: {"ok": true, ...} or
-{"ok": false, "error": "..."}. A set-point lasts until the next one, until [axis.setpoint] timeout after its time, and
-never longer than its connection.
+Requests: {"verb": "status"}, {"verb": "measure"}, {"verb": "events", "since": 0}, {"verb": "stop"},
+{"verb": "set", "name": "knee.compensation", "value": 0.9}, {"verb": "lease", "seconds": 0.2}, {"verb": "release"},
+{"verb": "setpoint", "axis": "knee", "value": 0.2, "time": 1234.5, "quiet": true}, {"verb": "recover"}. Answers:
+{"ok": true, ...} or {"ok": false, "error": "..."}, in the order of the requests but for set and recover, which the loop
+has to take first.
+
+A set-point lasts until the next one, until [axis.setpoint] timeout after its time, and no longer than its connection.
+One that is quiet has no answer. Who asked for the lease is told what happens by further lines, which have no "ok":
+
+* {"event": "lease", "held": true, "time": 1234.5}: the value of that time has arrived; four times in a lease's time
+* {"event": "lease", "held": false, "why": "..."}: it is lost
+* {"event": "refused", "error": "..."}: a quiet set-point was refused
+* {"event": "told", "number": 3, "t": 1.5, "axis": "knee", "text": "...", "fault": true}: an event of the daemon
 """
 
 from __future__ import annotations
 
 import os
-import socket
 import stat
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +50,27 @@ class SetPointValue(Request, frozen=True, tag="setpoint"):
     axis: str
     value: float  # N*m
     time: float | None = None  # s, CLOCK_MONOTONIC, when it was wanted; without it, when the server reads it
+    quiet: bool = False  # without an answer
+
+
+class Lease(Request, frozen=True, tag="lease"):
+    """Own the set-points of all axes, or renew that."""
+
+    seconds: float  # s without a set-point or a renewal, after which it is lost
+
+
+class Release(Request, frozen=True, tag="release"):
+    """Give the lease back: what was wanted is withdrawn."""
+
+
+class Measure(Request, frozen=True, tag="measure"):
+    """Ask for what the last cycle measured."""
+
+
+class Events(Request, frozen=True, tag="events"):
+    """Ask for what happened."""
+
+    since: int = 0  # number of the first event that is wanted
 
 
 class Recover(Request, frozen=True, tag="recover"):
@@ -53,7 +81,7 @@ class Stop(Request, frozen=True, tag="stop"):
     """Ramp down, disable, end."""
 
 
-AnyRequest = Status | Set | SetPointValue | Recover | Stop
+AnyRequest = Status | Measure | Events | Set | Lease | SetPointValue | Release | Recover | Stop
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -82,6 +110,8 @@ class Description(msgspec.Struct, frozen=True):
     set_point_limit: list[float | None]  # N*m per axis, None where it does not come over the socket
     figures: dict[str, Any]  # bus load and the like, constant for the run
     cures: dict[str, str] = {}  # what to do about a fault, by words in its message; the first that is found counts
+    set_point_timeout: list[float] = []  # s per axis
+    watch_group: str | None = None
 
 
 def default_path() -> str:
@@ -104,15 +134,6 @@ def make_private(folder: str) -> None:
             raise UsageError(
                 f"{folder}: is not a folder of this user alone (mode 0700); remove it, or give a [socket] path"
             ) from None
-
-
-_PEER = struct.Struct("=3i")  # struct ucred: process, user, group
-
-
-def user_of(connection: socket.socket) -> int:
-    """The user at the other end of a local socket, by the kernel's word (SO_PEERCRED)."""
-    user: int = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))[1]
-    return user
 
 
 def is_socket(path: str) -> bool:

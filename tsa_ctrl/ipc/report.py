@@ -20,8 +20,10 @@ from tsa_ctrl.system.histogram import coarse, distribution
 SCHEMA = 1
 
 
-def status_report(mailbox: Mailbox, description: Description, now: float) -> dict[str, Any]:
-    """What `tsa status --json` prints; `now` in s, monotonic."""
+def status_report(
+    mailbox: Mailbox, description: Description, now: float, lease: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """What `tsa status --json` prints; `now` in s, monotonic; `lease`: who owns the set-point."""
     general, axes = mailbox.status()
     _, text = mailbox.text()
     since, stage = mailbox.stage()
@@ -51,12 +53,36 @@ def status_report(mailbox: Mailbox, description: Description, now: float) -> dic
         "lateness": _histogram(mailbox.lateness),
         "work": _histogram(mailbox.work),
         "figures": description.figures,
+        "lease": lease,
     }
     return report
 
 
 def _cure(description: Description, text: str) -> str | None:
     return next((cure for words, cure in description.cures.items() if words in text), None)
+
+
+def measurement(mailbox: Mailbox, description: Description, now: float) -> dict[str, Any]:
+    """What the newest cycle measured; `now` in s, monotonic."""
+    time, cycle, phase, axes = mailbox.measured()
+    return {
+        "time": time,
+        "age": max(0.0, now - time) if cycle else None,
+        "cycle": cycle,
+        "phase": description.phases[phase],
+        "axes": [
+            {"name": name}
+            | {key: _known(value) for key, value in axis._asdict().items()}
+            | {"permitted": axis.permitted != 0.0, "limit_reason": description.reasons[int(axis.limit_reason)]}
+            for name, axis in zip(description.axes, axes, strict=True)
+        ],
+    }
+
+
+def events_since(mailbox: Mailbox, number: int) -> list[dict[str, Any]]:
+    """The kept events from this number on."""
+    _, text = mailbox.text()
+    return [event for event in (msgspec.json.decode(text) if text else []) if event["number"] >= number]
 
 
 def _axis(description: Description, index: int, axis: AxisStatus, live: Parameters) -> dict[str, Any]:

@@ -1,15 +1,14 @@
 """The process behind the local socket: `python -m tsa_ctrl.ipc.server FD`, its description as JSON on stdin.
 
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Whatever clients do costs this
-process, never the loop, which takes at most one command per cycle from the mailbox. It ends with the daemon: their pipe
-closes however the daemon dies.
+process, never the loop, which takes at most one command per cycle from the mailbox; and whoever gives set-points waits
+for no more than one request of one other client. It ends with the daemon: their pipe closes however the daemon dies.
 """
 
 from __future__ import annotations
 
 import contextlib
-import difflib
-import grp
+import math
 import os
 import selectors
 import signal
@@ -23,45 +22,28 @@ from typing import Any
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc.connection import Connection, may
+from tsa_ctrl.ipc.lease import Lease
+from tsa_ctrl.ipc.listener import CLIENTS, group_number, listen
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
-from tsa_ctrl.ipc.protocol import (
-    LONGEST_LINE,
-    AnyRequest,
-    Description,
-    Recover,
-    Set,
-    SetPointValue,
-    Status,
-    Stop,
-    is_socket,
-    make_private,
-    private_folder,
-    user_of,
-)
-from tsa_ctrl.ipc.report import EventPrinter, status_report
+from tsa_ctrl.ipc.parameters import axis_index, change, check_bounds
+from tsa_ctrl.ipc.peers import Role, peer_of, role_of
+from tsa_ctrl.ipc.protocol import AnyRequest, Description
+from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
 from tsa_ctrl.system.signals import ignore
 
-CLIENTS = 16
-UNSENT = 256 * 1024  # bytes of answers that a client may leave unread
+WATCHERS = CLIENTS // 2  # of them at most, so that who commands finds room
 IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way
+LOOK = 0.02  # s between looks at events and cycles while somebody holds the lease
 ANSWER_TIME = 1.0  # s for the loop to take a command
+HANGS = 0.5  # s without a cycle, after which nobody is followed
+AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
+ENDING = ("stopping", "ended")  # phases
 READY = b"ready\n"
 
 _decode = msgspec.json.Decoder(AnyRequest).decode
-_encode = msgspec.json.encode
-
-
-class Client:
-    """One connection: bytes received and not yet a line, bytes not yet sent."""
-
-    def __init__(self, connection: socket.socket, now: float) -> None:
-        self.connection = connection
-        self.user = user_of(connection)
-        self.received = b""
-        self.unsent = b""
-        self.last = now
-        self.pending: list[tuple[int, float, dict[str, Any]]] = []  # ticket, since when, answer
 
 
 class Server:
@@ -74,14 +56,20 @@ class Server:
         description: Description,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """What a server before this one was told is withdrawn: its clients are gone."""
+        """What a server before this one was told is withdrawn: its clients are gone. Raises UsageError."""
+        groups = (("group", description.group), ("watch_group", description.watch_group))
+        self._command, self._watch = ({group_number(name, key)} if name else set() for key, name in groups)
         self._clock = clock
-        self._wanting: Client | None = None  # whose set-points the loop follows
-        mailbox.withdraw()
         self._listener = listener
         self._mailbox = mailbox
         self._description = description
-        self._clients: dict[int, Client] = {}
+        self._clients: dict[int, Connection] = {}
+        self._turn: list[Connection] = []  # whose lines are looked at next, one of each
+        self._lease = Lease(self._withdraw, lambda text: mailbox.tell(self._clock(), text))
+        self._told = 0  # number of the next event for the lease's holder
+        self._read = 0  # number of the events that were looked at
+        self._looked = -math.inf  # s
+        self._withdraw()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener, selectors.EVENT_READ)
 
@@ -91,227 +79,217 @@ class Server:
 
     def step(self, timeout: float) -> list[int]:
         """Handle what is there within `timeout` s; returns the watched descriptors that became readable."""
-        waiting = any(client.pending for client in self._clients.values())
         others: list[int] = []
-        for key, _ in self._selector.select(min(timeout, TICK) if waiting else timeout):
+        for key, _ in self._selector.select(self._patience(timeout)):
             now = self._clock()
             if key.fileobj is self._listener:
                 self._accept(now)
             elif key.fd in self._clients:
-                self._receive(self._clients[key.fd], now)
+                client = self._clients[key.fd]
+                if not client.lines:  # what it has asked comes first
+                    client.receive(now)
             else:
                 others.append(key.fd)
         now = self._clock()
+        self._answer_all(self._lease.holder, now)
+        self._lease.check(now)
+        self._answer_next(now)
+        self._look(now)
         for client in list(self._clients.values()):
             self._settle(client, now)
-            self._send(client)
-            if now - client.last > IDLE and not client.pending:
+            client.send()
+            if client.gone or (now - client.last > IDLE and not client.pending):
                 self._drop(client)
         return others
 
     def close(self) -> None:
+        """The daemon has ended: who holds the lease is told so."""
+        if self._lease.listener is not None:
+            self._lease.end("the daemon has ended")
         for client in list(self._clients.values()):
+            client.send()
             self._drop(client)
         self._selector.close()
         self._listener.close()
+
+    def _patience(self, timeout: float) -> float:
+        """s for which nothing has to be done unless somebody speaks."""
+        clients = self._clients.values()
+        if any(client.lines for client in clients):
+            return 0.0
+        if any(client.pending for client in clients):
+            return min(timeout, TICK)
+        if self._lease.holder is not None:
+            return max(0.0, min(timeout, LOOK, self._lease.left(self._clock())))
+        return timeout
 
     def _accept(self, now: float) -> None:
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()
             connection.setblocking(False)
-            if len(self._clients) >= CLIENTS:
-                with contextlib.suppress(OSError):
-                    connection.send(_line(_error(f"{CLIENTS} clients are connected already; try again later")))
+            peer = peer_of(connection)
+            role = role_of(peer, self._command, self._watch)
+            watching = sum(client.role is Role.WATCH for client in self._clients.values())
+            refusal = None
+            if role is None:
+                refusal = f"user {peer.user} may not use this socket; see [socket] group and watch_group"
+            elif len(self._clients) >= CLIENTS or (role is Role.WATCH and watching >= WATCHERS):
+                refusal = f"{len(self._clients)} clients are connected already; try again later"
+            client = Connection(connection, peer, role or Role.WATCH, now)
+            if refusal is not None:
+                client.refuse(refusal)
+                client.send()
                 connection.close()
                 return
-            self._clients[connection.fileno()] = Client(connection, now)
+            self._clients[connection.fileno()] = client
+            self._turn.append(client)
             self._selector.register(connection, selectors.EVENT_READ)
 
-    def _receive(self, client: Client, now: float) -> None:
-        try:
-            data = client.connection.recv(LONGEST_LINE)
-        except BlockingIOError:
-            return
-        except OSError:
-            data = b""
-        if not data:
-            self._drop(client)
-            return
-        client.received += data
-        *lines, client.received = client.received.split(b"\n")
-        for line in lines:
-            client.last = now
-            client.unsent += self._answer(client, line, now)
-        if len(client.received) > LONGEST_LINE:
-            client.unsent += _line(_error(f"a request is longer than {LONGEST_LINE} bytes; send one object per line"))
-            self._send(client)
-            self._drop(client)
+    def _answer_all(self, client: Connection | None, now: float) -> None:
+        """Everything that this client has asked."""
+        while client is not None and client.lines:
+            self._answer(client, client.lines.popleft(), now)
 
-    def _answer(self, client: Client, line: bytes, now: float) -> bytes:
-        """The answer's bytes, or nothing while the loop has to take a command first."""
+    def _answer_next(self, now: float) -> None:
+        """One request of one client, in turn."""
+        for place, client in enumerate(self._turn):
+            if client.lines:
+                self._turn.append(self._turn.pop(place))
+                self._answer(client, client.lines.popleft(), now)
+                return
+
+    def _answer(self, client: Connection, line: bytes, now: float) -> None:
+        """Answer, or have the loop take a command first."""
         try:
             request = _decode(line)
-            if isinstance(request, Recover) and client.user not in (0, os.getuid()):
-                raise UsageError("recover: only the user who started the daemon may; ask at the machine")
-            command, answer = self._handle(client, request, now)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            return _line(_error(f"not a request: {error}"))
+            client.refuse(f"not a request: {error}")
+            return
         except RecursionError:
-            return _line(_error("not a request: nested too deeply; one flat object per line"))
+            client.refuse("not a request: nested too deeply; one flat object per line")
+            return
+        quiet = isinstance(request, protocol.SetPointValue) and request.quiet
+        try:
+            found = self._handle(client, request, now)
         except UsageError as error:
-            return _line(_error(str(error)))
-        if command is None:
-            return _line(answer)
+            if quiet:
+                client.push({"event": "refused", "error": str(error)})
+            else:
+                client.refuse(str(error))
+            return
+        if isinstance(found, dict):
+            if not quiet:
+                client.push({"ok": True, **found})
+            return
+        command, answer = found
         ticket = self._mailbox.put(command)
         if ticket is None:
-            return _line(_error("too many commands are waiting; try again"))
-        client.pending.append((ticket, now, answer))
-        return b""
+            client.refuse("too many commands are waiting; try again")
+        else:
+            client.pending.append((ticket, now, {"ok": True, **answer}))
 
-    def _handle(self, client: Client, request: AnyRequest, now: float) -> tuple[Command | None, dict[str, Any]]:
-        """The command that a request means, if any, and the answer once it is taken."""
+    def _handle(
+        self, client: Connection, request: AnyRequest, now: float
+    ) -> dict[str, Any] | tuple[Command, dict[str, Any]]:
+        """The answer; with a command, the answer once the loop has taken it."""
+        mailbox, lease = self._mailbox, self._lease
         match request:
-            case Status():
-                return None, {"ok": True, **status_report(self._mailbox, self._description, now)}
-            case Stop():
-                self._mailbox.request_stop()
-                return None, {"ok": True, "waiting_for": self._mailbox.stage()[1] or None}
-            case Recover():
-                return Command(0, RECOVER, 0.0), {"ok": True}
-            case SetPointValue(axis=axis, value=value, time=wanted):
-                index = self._axis(axis)
-                limit = self._description.set_point_limit[index]
-                if limit is None:
-                    raise UsageError(f"axis '{axis}': its set-point does not come over the socket; see setpoint.kind")
-                _inside("set-point", value, -limit, limit, "N*m")
-                self._mailbox.want(index, value, now if wanted is None else wanted)
-                self._wanting = client
-                return None, {"ok": True}
-            case Set(name=name, value=value):
-                return self._set(name, value)
+            case protocol.Status():
+                return status_report(mailbox, self._description, now, lease.report(now))
+            case protocol.Measure():
+                return measurement(mailbox, self._description, now)
+            case protocol.Events(since=since):
+                return {"events": events_since(mailbox, since)}
+            case protocol.Set(name=name, value=value):
+                may(client, "set", Role.COMMAND)
+                return change(mailbox, self._description, name, value)
+            case protocol.SetPointValue():
+                may(client, "setpoint", Role.COMMAND)
+                self._set_point(client, request, now)
+            case protocol.Lease(seconds=seconds):
+                may(client, "lease", Role.COMMAND)
+                self._grant(client, seconds, now)
+            case protocol.Release():
+                if client is lease.holder:
+                    lease.end("it was given back")
+            case protocol.Stop():
+                may(client, "stop", Role.COMMAND)
+                mailbox.request_stop()
+                return {"waiting_for": mailbox.stage()[1] or None}
+            case protocol.Recover():
+                if client.role < Role.OWNER and client is not lease.listener:
+                    raise UsageError(
+                        "recover: only who holds the set-point's lease or started the daemon may; ask at the machine"
+                    )
+                return Command(0, RECOVER, 0.0), {}
+        return {}
 
-    def _set(self, name: str, value: float) -> tuple[Command, dict[str, Any]]:
-        axis, dot, parameter = name.rpartition(".")
-        description = self._description
-        if not dot and len(description.axes) > 1:
-            raise UsageError(f"'{name}': say of which axis: {', '.join(f'{axis}.{name}' for axis in description.axes)}")
-        index = self._axis(axis) if dot else 0
-        ranges = description.parameters[index]
-        for number, known in enumerate(ranges):
-            if known.name == parameter:
-                if known.low is None or known.high is None:
-                    raise UsageError(f"'{parameter}' cannot be set with this axis' estimator; see estimator.kind")
-                _inside(parameter, value, known.low, known.high, known.unit)
-                before = self._mailbox.status()[1][index][1][number]
-                answer = {"ok": True, "axis": description.axes[index], "name": parameter, "unit": known.unit}
-                return Command(index, number, value), {**answer, "before": before, "value": value}
-        names = [known.name for known in ranges]
-        near = difflib.get_close_matches(parameter, names, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
-        raise UsageError(f"no parameter '{parameter}'; {advice}")
+    def _grant(self, client: Connection, seconds: float, now: float) -> None:
+        if not any(limit is not None for limit in self._description.set_point_limit):
+            raise UsageError('lease: no axis takes its set-point from here; see setpoint.kind = "socket"')
+        self._lease.take(client, seconds, now)
+        events = events_since(self._mailbox, 0)
+        self._told = events[-1]["number"] + 1 if events else 0
 
-    def _axis(self, name: str) -> int:
-        try:
-            return self._description.axes.index(name)
-        except ValueError:
-            raise UsageError(f"no axis '{name}'; known are {', '.join(self._description.axes)}") from None
+    def _set_point(self, client: Connection, request: protocol.SetPointValue, now: float) -> None:
+        description, axis, value = self._description, request.axis, request.value
+        index = axis_index(description, axis)
+        limit, timeout = description.set_point_limit[index], description.set_point_timeout[index]
+        if limit is None:
+            raise UsageError(f"axis '{axis}': its set-point does not come over the socket; see setpoint.kind")
+        check_bounds("set-point", value, -limit, limit, "N*m")
+        wanted = now if request.time is None else request.time
+        if not now - timeout <= wanted <= now + AHEAD:
+            raise UsageError(
+                f"the set-point's time is {abs(now - wanted):.3g} s {'ago' if wanted < now else 'ahead'}; allowed is "
+                f"{timeout:g} s ago to now, by CLOCK_MONOTONIC of this machine in s"
+            )
+        self._lease.use(client, timeout, now)
+        if wanted < self._newest[index]:
+            raise UsageError("the set-point was wanted before the one that is there; send them in the order of time")
+        self._newest[index] = wanted
+        self._mailbox.want(index, value, wanted)
+        self._lease.confirm(wanted, now)
 
-    def _settle(self, client: Client, now: float) -> None:
+    def _withdraw(self) -> None:
+        self._newest = [-math.inf] * len(self._description.axes)  # s, when what is wanted of each axis was
+        self._mailbox.withdraw()
+
+    def _look(self, now: float) -> None:
+        """After the loop, and events, for who holds the lease."""
+        lease = self._lease
+        if lease.listener is None or now - self._looked < LOOK:
+            return
+        self._looked = now
+        cycle, _, phase, _ = self._mailbox.measured()
+        if cycle and now - cycle > HANGS and not self._mailbox.stage()[1]:
+            ending = self._description.phases[phase] in ENDING
+            lease.end("the daemon has ended" if ending else f"the loop hangs, there was no cycle for {HANGS:g} s")
+        elif (found := self._mailbox.text())[0] != self._read:
+            self._read = found[0]
+            for event in events_since(self._mailbox, self._told):
+                self._told = event["number"] + 1
+                lease.listener.push({"event": "told", **event})
+
+    def _settle(self, client: Connection, now: float) -> None:
         """Answer what the loop has taken, or not taken in time."""
         waiting = []
         for ticket, since, answer in client.pending:
             if self._mailbox.taken(ticket):
-                client.unsent += _line(answer)
+                client.push(answer)
             elif now - since > ANSWER_TIME:
-                client.unsent += _line(_error(f"the loop did not take the command within {ANSWER_TIME:g} s"))
+                client.refuse(f"the loop did not take the command within {ANSWER_TIME:g} s")
             else:
                 waiting.append((ticket, since, answer))
         client.pending = waiting
 
-    def _send(self, client: Client) -> None:
-        if not client.unsent or client.connection.fileno() < 0:
-            return
-        try:
-            sent = client.connection.send(client.unsent)
-            client.unsent = client.unsent[sent:]
-        except BlockingIOError:
-            pass
-        except OSError:
-            self._drop(client)
-        if len(client.unsent) > UNSENT:
-            self._drop(client)
-
-    def _drop(self, client: Client) -> None:
-        descriptor = client.connection.fileno()
-        if client is self._wanting:
-            self._wanting = None
-            self._mailbox.withdraw()
-        if descriptor >= 0:
-            self._clients.pop(descriptor, None)
-            self._selector.unregister(client.connection)
-            client.connection.close()
-
-
-def _inside(name: str, value: float, low: float, high: float, unit: str) -> None:
-    if not low <= value <= high:
-        of = "" if unit == "1" else f" {unit}"
-        raise UsageError(f"{name} {value:g}{of} is out of bounds; allowed is {low:g} to {high:g}{of}")
-
-
-def _error(text: str) -> dict[str, Any]:
-    return {"ok": False, "error": text}
-
-
-def _line(answer: dict[str, Any]) -> bytes:
-    return _encode(answer) + b"\n"
-
-
-def listen(path: str, group: str | None) -> socket.socket:
-    """A listening socket for its owner alone (0600), or also for a group (0660); raises UsageError."""
-    place = Path(path)
-    if str(place.parent) == private_folder():
-        make_private(str(place.parent))
-    if is_socket(path):
-        probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        with probe:
-            try:
-                probe.connect(path)
-            except OSError:  # left over from a daemon that was killed
-                try:
-                    place.unlink()
-                except OSError as error:
-                    raise UsageError(
-                        f"{path}: is left over and cannot be removed ({error.strerror}); remove it, or give another "
-                        "[socket] path"
-                    ) from None
-            else:
-                raise UsageError(f"{path}: another daemon answers there; stop it, or give another [socket] path")
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    bound = False
-    try:
-        before = os.umask(0o177)
-        try:
-            listener.bind(path)
-        finally:
-            os.umask(before)
-        bound = True
-        if group is not None:
-            os.chown(path, -1, grp.getgrnam(group).gr_gid)
-            place.chmod(0o660)
-        listener.listen(CLIENTS)
-        listener.setblocking(False)
-    except (KeyError, OSError) as error:
-        listener.close()
-        if bound:  # else it is another's
-            place.unlink(missing_ok=True)
-        if isinstance(error, KeyError):
-            raise UsageError(f"[socket] group '{group}': no such group; give one that exists") from None
-        if bound and isinstance(error, PermissionError):
-            raise UsageError(
-                f"[socket] group '{group}': {path} cannot be given to it ({error.strerror}); give a group of this user"
-            ) from None
-        raise UsageError(f"[socket] path {path}: cannot listen there ({error.strerror}); give another path") from None
-    return listener
+    def _drop(self, client: Connection) -> None:
+        if client is self._lease.holder:
+            self._lease.end("its connection ended")
+        del self._clients[client.socket.fileno()]
+        self._turn.remove(client)
+        self._selector.unregister(client.socket)
+        client.socket.close()
 
 
 def main(argv: list[str]) -> int:
@@ -323,7 +301,7 @@ def main(argv: list[str]) -> int:
     description = msgspec.json.decode(asked, type=Description)
     mailbox = Mailbox(len(description.axes), len(description.parameters[0]), int(argv[0]))
     try:
-        server = Server(listen(description.path, description.group), mailbox, description)
+        server = Server(listen(description.path, description.group, description.watch_group), mailbox, description)
     except TsaError as error:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code

@@ -1,0 +1,392 @@
+"""Who may do what on the local socket, and the lease of the set-point: one owner, in his time. The clock is ours."""
+
+from __future__ import annotations
+
+import grp
+import json
+import math
+import os
+import socket
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from tests.daemon.serving import QUARTERS, description
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.listener import listen
+from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
+from tsa_ctrl.ipc.peers import Peer, Role, peer_of, role_of
+from tsa_ctrl.ipc.server import HANGS, WATCHERS, Server
+
+COMMAND, WATCH = 4001, 4002  # numbers of groups
+SET_POINT = {"verb": "setpoint", "axis": "knee"}
+GROUP = grp.getgrgid(os.getgid()).gr_name
+
+
+class Talk:
+    """One client: what it says is handled before it goes on."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.connect(desk.path)
+        self.socket.setblocking(False)
+        desk.steps()
+
+    def say(self, **request: Any) -> None:
+        self.socket.sendall(json.dumps(request).encode() + b"\n")
+
+    def told(self) -> list[dict[str, Any]]:
+        """Everything that has come."""
+        self._desk.steps()
+        data = b""
+        try:
+            while part := self.socket.recv(1 << 16):
+                data += part
+        except BlockingIOError:
+            pass
+        return [json.loads(line) for line in data.splitlines()]
+
+    def ask(self, verb: str, **more: Any) -> dict[str, Any]:
+        self.say(verb=verb, **more)
+        return next(line for line in self.told() if "ok" in line)
+
+
+class Desk:
+    """The server with its mailbox, and the time."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        self.path = str(folder / "tsa.sock")
+        self.mailbox = Mailbox(2, 2)
+        self.mailbox.publish(General(time=self.now, phase=2.0), [(QUARTERS, (0.95, 45.0))] * 2)
+        self.peer = Peer(4711, os.getuid(), frozenset())
+        self.server = Server(
+            listen(self.path, None), self.mailbox, description(Path(self.path), ["knee", "hip"]), lambda: self.now
+        )
+        self.server._command, self.server._watch = {COMMAND}, {WATCH}
+        monkeypatch.setattr("tsa_ctrl.ipc.server.peer_of", lambda connection: self.peer)
+        self._talks: list[Talk] = []
+
+    def client(self, *groups: int, process: int = 4711) -> Talk:
+        """Of the user who started the daemon; or of a stranger in these groups."""
+        self.peer = Peer(process, 12345 if groups else os.getuid(), frozenset(groups))
+        self._talks.append(Talk(self))
+        return self._talks[-1]
+
+    def steps(self) -> None:
+        for _ in range(30):
+            self.server.step(0.0)
+
+    def wanted(self) -> tuple[float, float] | None:
+        return self.mailbox.wanted(0)
+
+    def said(self) -> str | None:
+        """What the loop would make an event of."""
+        found = self.mailbox.told()
+        return None if found is None else found[1]
+
+    def close(self) -> None:
+        for talk in self._talks:
+            talk.socket.close()
+        self.server.close()
+        self.mailbox.close()
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    made = Desk(tmp_path, monkeypatch)
+    made.wanted()  # what a server before it was told is withdrawn
+    yield made
+    made.close()
+
+
+VERBS: dict[str, tuple[dict[str, Any], Role]] = {
+    "status": ({}, Role.WATCH),
+    "measure": ({}, Role.WATCH),
+    "events": ({}, Role.WATCH),
+    "set": ({"name": "knee.compensation", "value": 0.5}, Role.COMMAND),
+    "setpoint": ({"axis": "knee", "value": 0.1}, Role.COMMAND),
+    "lease": ({"seconds": 0.2}, Role.COMMAND),
+    "stop": ({}, Role.COMMAND),
+    "recover": ({}, Role.OWNER),
+}
+
+
+@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("role", Role)
+def test_who_may_do_what(desk: Desk, verb: str, role: Role) -> None:
+    """What one may not do has no effect, and the refusal names the user."""
+    more, least = VERBS[verb]
+    groups = {Role.WATCH: (WATCH,), Role.COMMAND: (COMMAND, WATCH), Role.OWNER: ()}[role]
+    client = desk.client(*groups)
+    client.say(verb=verb, **more)
+    refused = [line["error"] for line in client.told() if line.get("ok") is False]
+    effects = (desk.mailbox.take(), desk.wanted(), desk.mailbox.stop_requested, desk.said())
+    assert bool(refused) is (role < least)
+    if refused:
+        assert "12345 may only watch here" in refused[0] or "or started the daemon may" in refused[0]
+        assert effects == (None, None, False, None)
+
+
+def test_who_is_in_no_group_is_refused_at_the_door(desk: Desk) -> None:
+    stranger = desk.client(99)
+    assert stranger.told() == [
+        {"ok": False, "error": "user 12345 may not use this socket; see [socket] group and watch_group"}
+    ]
+
+
+def test_watchers_leave_room_for_who_commands(desk: Desk) -> None:
+    watching = [desk.client(WATCH) for _ in range(WATCHERS + 1)]
+    assert watching[-2].ask("status")["ok"]
+    assert "clients are connected already" in watching[-1].told()[0]["error"]
+    assert desk.client(COMMAND).ask("lease", seconds=0.2)["ok"]
+
+
+def test_the_kernel_says_who_a_peer_is() -> None:
+    one, other = socket.socketpair()
+    with one, other:
+        peer = peer_of(one)
+    assert (peer.process, peer.user) == (os.getpid(), os.getuid())
+    assert os.getgid() in peer.groups
+    assert str(peer).startswith(f"process {os.getpid()} (")
+    assert role_of(peer, set(), set()) is Role.OWNER
+    assert role_of(Peer(1, 12345, frozenset({1, 2})), {2}, {1}) is Role.COMMAND
+    assert role_of(Peer(1, 12345, frozenset({1})), {2}, {1}) is Role.WATCH
+    assert role_of(Peer(1, 12345, frozenset({3})), {2}, {1}) is None
+
+
+@pytest.mark.parametrize(
+    ("group", "watch", "mode"), [(None, None, 0o600), (GROUP, None, 0o660), (None, GROUP, 0o660), (GROUP, GROUP, 0o666)]
+)
+def test_the_socket_file_lets_in_no_more_than_it_must(
+    tmp_path: Path, group: str | None, watch: str | None, mode: int
+) -> None:
+    """Two groups are more than a file can have: then the server asks the kernel about each that connects."""
+    with listen(str(tmp_path / "tsa.sock"), group, watch):
+        assert stat.S_IMODE((tmp_path / "tsa.sock").stat().st_mode) == mode
+
+
+def test_a_watch_group_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"\[socket\] watch_group 'no-such': no such group"):
+        listen(str(tmp_path / "tsa.sock"), None, "no-such")
+    assert not (tmp_path / "tsa.sock").exists()
+
+
+# The lease
+
+
+def test_the_set_point_has_one_owner_whom_a_refusal_names(desk: Desk) -> None:
+    owner, other = desk.client(process=4711), desk.client(process=815)
+    assert owner.ask("lease", seconds=0.2) == {"ok": True}
+    desk.now += 0.15
+    for answer in (other.ask("lease", seconds=0.2), other.ask("setpoint", axis="knee", value=0.1)):
+        assert "the set-point is held by process 4711" in answer["error"]
+        assert "lease of 0.2 s, 0.05 s of it left" in answer["error"]
+    assert desk.wanted() is None
+    assert owner.ask("status")["lease"] == {
+        "process": 4711, "user": os.getuid(), "seconds": 0.2, "left": pytest.approx(0.05)
+    }  # fmt: skip
+
+
+def test_a_value_renews_it_and_silence_ends_it(desk: Desk) -> None:
+    """Its holder and people are told why; what it wanted is withdrawn; the next may have it."""
+    owner, other = desk.client(process=4711), desk.client(process=815)
+    owner.ask("lease", seconds=0.2)
+    assert "process 4711 of user" in str(desk.said())
+    for _ in range(5):
+        desk.now += 0.15
+        assert owner.ask(**SET_POINT, value=0.5)["ok"]
+    assert desk.wanted() == (0.5, desk.now)
+    desk.now += 0.201
+    assert owner.told() == [{"event": "lease", "held": False, "why": "no set-point came for 0.2 s"}]
+    assert desk.wanted() == (0.0, -math.inf)
+    assert "no longer holds its lease: no set-point came for 0.2 s" in str(desk.said())
+    assert other.ask("status")["lease"] is None
+    assert other.ask("lease", seconds=0.2)["ok"]
+
+
+@pytest.mark.parametrize("how", ["release", "disconnect"])
+def test_a_lease_that_is_given_back_is_free_at_once(desk: Desk, how: str) -> None:
+    owner, other = desk.client(), desk.client()
+    owner.ask("lease", seconds=10.0)
+    owner.ask(**SET_POINT, value=0.5)
+    if how == "release":
+        assert owner.ask("release") == {"ok": True}
+    else:
+        owner.socket.close()
+        desk.steps()
+    assert desk.wanted() == (0.0, -math.inf)
+    assert other.ask("lease", seconds=0.2) == {"ok": True}
+
+
+def test_only_its_holder_gives_it_back(desk: Desk) -> None:
+    owner, other = desk.client(), desk.client()
+    owner.ask("lease", seconds=0.2)
+    other.ask("release")
+    assert "held by" in other.ask("lease", seconds=0.2)["error"]
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, 0.019, 10.1, 1e300])
+def test_a_time_out_of_bounds_is_refused(desk: Desk, seconds: float) -> None:
+    assert "allowed is 0.02 to 10 s" in desk.client().ask("lease", seconds=seconds)["error"]
+
+
+def test_a_value_without_a_lease_owns_the_set_point_while_it_acts(desk: Desk) -> None:
+    """And its client, who never asked for a lease, is told nothing."""
+    owner, other = desk.client(), desk.client()
+    owner.ask(**SET_POINT, value=0.5)
+    assert "held by" in other.ask(**SET_POINT, value=-0.5)["error"]
+    desk.now += 0.201
+    assert other.ask(**SET_POINT, value=-0.5)["ok"]
+    assert desk.wanted() == (-0.5, desk.now)
+    assert owner.told() == []
+    assert desk.said() is None
+
+
+def test_who_holds_the_lease_may_recover(desk: Desk) -> None:
+    """A member of the group that commands, while it does."""
+    member = desk.client(COMMAND)
+    assert "only who holds the set-point's lease" in member.ask("recover")["error"]
+    member.ask("lease", seconds=0.2)
+    member.say(verb="recover")
+    desk.steps()
+    assert desk.mailbox.take() is not None
+
+
+def test_values_are_confirmed_four_times_in_a_leases_time(desk: Desk) -> None:
+    """Of a stream whose values have no answers: the newest that has arrived."""
+    owner = desk.client()
+    owner.ask("lease", seconds=0.2)
+    for _ in range(120):
+        desk.now += 2e-3
+        owner.say(**SET_POINT, value=0.1, time=desk.now, quiet=True)
+        desk.steps()
+    told = owner.told()
+    assert {(line["event"], line["held"]) for line in told} == {("lease", True)}
+    assert len(told) == 4  # in 0.24 s, each with the first value after 0.05 s
+    assert told[0]["time"] == pytest.approx(100.05, abs=3e-3)
+
+
+@pytest.mark.parametrize(
+    ("late", "words"),
+    [(0.201, "0.201 s ago; allowed is 0.2 s ago to now"), (-0.101, "0.101 s ahead"), (-1e9, "ahead"), (1e9, "ago")],
+)
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_time_of_another_clock_is_refused(desk: Desk, late: float, words: str, quiet: bool) -> None:
+    """Also where values have no answers."""
+    owner = desk.client()
+    owner.ask("lease", seconds=0.2)
+    owner.say(**SET_POINT, value=0.1, time=desk.now - late, quiet=quiet)
+    told = owner.told()[0]
+    assert words in told["error"]
+    assert (told.get("event"), told.get("ok")) == (("refused", None) if quiet else (None, False))
+    assert desk.wanted() is None
+
+
+def test_values_in_the_wrong_order_are_refused(desk: Desk) -> None:
+    owner = desk.client()
+    owner.ask(**SET_POINT, value=0.5, time=desk.now)
+    assert "before the one that is there" in owner.ask(**SET_POINT, value=0.1, time=desk.now - 1e-3)["error"]
+    assert desk.wanted() == (0.5, desk.now)
+
+
+def measured(desk: Desk, time: float, phase: int = 2, **more: float) -> None:
+    desk.mailbox.measure(time, 7, phase, [Reading(**more), Reading()])
+
+
+def test_a_loop_that_hangs_is_no_longer_commanded(desk: Desk) -> None:
+    owner = desk.client()
+    owner.ask("lease", seconds=10.0)
+    measured(desk, desk.now)
+    desk.now += HANGS
+    assert owner.told() == []
+    desk.now += 0.1
+    assert owner.told() == [{"event": "lease", "held": False, "why": "the loop hangs, there was no cycle for 0.5 s"}]
+
+
+def test_a_new_bring_up_is_no_hanging_loop(desk: Desk) -> None:
+    owner = desk.client()
+    owner.ask("lease", seconds=10.0)
+    measured(desk, desk.now)
+    desk.mailbox.publish_stage(desk.now, "waiting for node 1")
+    desk.now += 2.0
+    assert owner.told() == []
+
+
+@pytest.mark.parametrize("how", ["stopping", "closed"])
+def test_the_end_of_the_daemon_is_told_as_that(desk: Desk, how: str) -> None:
+    owner = desk.client()
+    owner.ask("lease", seconds=10.0)
+    measured(desk, desk.now, phase=description(Path("x"), ["knee"]).phases.index("stopping"))
+    if how == "stopping":
+        desk.now += 1.0
+        told = owner.told()
+    else:
+        desk.server.close()
+        told = [json.loads(line) for line in owner.socket.recv(4096).splitlines()]
+        desk.server._selector, desk.server._listener = _Closed(), _Closed()  # type: ignore[assignment]
+    assert told == [{"event": "lease", "held": False, "why": "the daemon has ended"}]
+
+
+class _Closed:
+    def close(self) -> None:
+        pass
+
+    def select(self, timeout: float) -> list[Any]:
+        return []
+
+
+def test_its_holder_is_told_what_happens_from_then_on(desk: Desk) -> None:
+    before = {"number": 0, "t": 1.0, "axis": "", "text": "before", "fault": False}
+    after = {"number": 1, "t": 2.0, "axis": "knee", "text": "drive fault", "fault": True}
+    desk.mailbox.publish_text(msgspec.json.encode([before]))
+    owner = desk.client()
+    owner.ask("lease", seconds=10.0)
+    desk.mailbox.publish_text(msgspec.json.encode([before, after]))
+    desk.now += 0.1
+    assert owner.told() == [{"event": "told", **after}]
+    desk.now += 0.1
+    assert owner.told() == []
+    assert owner.ask("events", since=0)["events"] == [before, after]
+    assert owner.ask("events", since=1)["events"] == [after]
+
+
+def test_a_measurement_is_of_the_newest_cycle(desk: Desk) -> None:
+    """Its age by our clock; null for what is not measured."""
+    measured(desk, desk.now - 1e-3, q_j=0.5, tau_j=math.nan, permitted=1.0)
+    answer = desk.client(WATCH).ask("measure")
+    assert (answer["time"], answer["cycle"], answer["phase"]) == (desk.now - 1e-3, 7, "running")
+    assert answer["age"] == pytest.approx(1e-3)
+    knee, hip = answer["axes"]
+    assert (knee["name"], knee["q_j"], knee["tau_j"], knee["permitted"]) == ("knee", 0.5, None, True)
+    assert (hip["name"], hip["permitted"], hip["limit_reason"]) == ("hip", False, "none")
+
+
+def test_before_the_first_cycle_nothing_is_measured(desk: Desk) -> None:
+    answer = desk.client().ask("measure")
+    assert (answer["age"], answer["cycle"], answer["axes"][0]["permitted"]) == (None, 0, False)
+
+
+def test_a_value_waits_for_no_more_than_one_request_of_another(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many others have asked for however much before it."""
+    asked: list[str] = []
+    report = {"schema": 1}
+    monkeypatch.setattr("tsa_ctrl.ipc.server.status_report", lambda *_: asked.append("status") or report)
+    owner, floods = desk.client(), [desk.client() for _ in range(5)]
+    owner.ask("lease", seconds=0.2)
+    for flood in floods:
+        flood.socket.sendall(b'{"verb":"status"}\n' * 100)
+    for _ in range(10):
+        owner.say(**SET_POINT, value=0.1, time=desk.now, quiet=True)
+        before = len(asked)
+        while desk.wanted() is None:
+            desk.server.step(0.0)
+        assert len(asked) - before <= 1
+    for _ in range(600):
+        desk.server.step(0.0)
+    assert len(asked) == 500  # and nobody is forgotten

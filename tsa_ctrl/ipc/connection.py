@@ -1,0 +1,78 @@
+"""One client of the socket server: who it is, what it has asked and was not answered yet, what it has not read yet."""
+
+from __future__ import annotations
+
+import socket
+from collections import deque
+from typing import Any
+
+import msgspec
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.peers import Peer, Role
+from tsa_ctrl.ipc.protocol import LONGEST_LINE
+
+UNSENT = 256 * 1024  # bytes of answers that a client may leave unread
+
+_encode = msgspec.json.encode
+
+
+class Connection:
+    """A non-blocking socket with its lines; `gone` when the other end is, or reads nothing."""
+
+    def __init__(self, connection: socket.socket, peer: Peer, role: Role, now: float) -> None:
+        self.socket = connection
+        self.peer = peer
+        self.role = role
+        self.last = now  # s, of its last request
+        self.lines: deque[bytes] = deque()  # asked, and not looked at yet
+        self.pending: list[tuple[int, float, dict[str, Any]]] = []  # ticket, since when, answer
+        self.gone = False
+        self._received = b""
+        self._unsent = b""
+
+    def receive(self, now: float) -> None:
+        """Read what is there, a bounded part of it."""
+        try:
+            data = self.socket.recv(LONGEST_LINE)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self.gone = True
+            return
+        *lines, self._received = (self._received + data).split(b"\n")
+        if lines:
+            self.last = now
+            self.lines.extend(lines)
+        if len(self._received) > LONGEST_LINE:
+            self.refuse(f"a request is longer than {LONGEST_LINE} bytes; send one object per line")
+            self.send()
+            self.gone = True
+
+    def push(self, message: dict[str, Any]) -> None:
+        """One object, to be sent as soon as the client takes it."""
+        self._unsent += _encode(message) + b"\n"
+
+    def refuse(self, text: str) -> None:
+        self.push({"ok": False, "error": text})
+
+    def send(self) -> None:
+        if not self._unsent or self.gone:
+            return
+        try:
+            sent = self.socket.send(self._unsent)
+            self._unsent = self._unsent[sent:]
+        except BlockingIOError:
+            pass
+        except OSError:
+            self.gone = True
+        if len(self._unsent) > UNSENT:
+            self.gone = True
+
+
+def may(client: Connection, verb: str, role: Role) -> None:
+    """Raises UsageError when this client may not do that."""
+    if client.role < role:
+        raise UsageError(f"{verb}: user {client.peer.user} may only watch here; see [socket] group and watch_group")

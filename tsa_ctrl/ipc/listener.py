@@ -1,0 +1,80 @@
+"""The socket that the server listens on: of its owner alone, or also of groups; never another daemon's."""
+
+from __future__ import annotations
+
+import grp
+import os
+import socket
+from pathlib import Path
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.protocol import is_socket, make_private, private_folder
+
+CLIENTS = 16
+
+
+def listen(path: str, group: str | None, watch_group: str | None = None) -> socket.socket:
+    """A listening socket for its owner alone (0600), or also for a group (0660); raises UsageError.
+
+    A file has one group: where there are two, anybody may connect (0666), and `peers.role_of` says who stays.
+    """
+    place = Path(path)
+    if str(place.parent) == private_folder():
+        make_private(str(place.parent))
+    if is_socket(path):
+        _replace(place)
+    number = None if group is None else group_number(group, "group")
+    watch = None if watch_group is None else group_number(watch_group, "watch_group")
+    both = number is not None and watch is not None
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    bound = False
+    try:
+        before = os.umask(0o177)
+        try:
+            listener.bind(path)
+        finally:
+            os.umask(before)
+        bound = True
+        if both:
+            place.chmod(0o666)
+        elif number is not None or watch is not None:
+            os.chown(path, -1, number if number is not None else watch or 0)
+            place.chmod(0o660)
+        listener.listen(CLIENTS)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        if bound:  # else it is another's
+            place.unlink(missing_ok=True)
+        if bound and isinstance(error, PermissionError):
+            key, name = ("group", group) if group is not None else ("watch_group", watch_group)
+            raise UsageError(
+                f"[socket] {key} '{name}': {path} cannot be given to it ({error.strerror}); give a group of this user"
+            ) from None
+        raise UsageError(f"[socket] path {path}: cannot listen there ({error.strerror}); give another path") from None
+    return listener
+
+
+def group_number(name: str, key: str) -> int:
+    """Of a group by its name; `key` of the configuration is named in the UsageError where there is none."""
+    try:
+        return grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise UsageError(f"[socket] {key} '{name}': no such group; give one that exists") from None
+
+
+def _replace(place: Path) -> None:
+    """Remove a socket that nobody listens on any longer."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            probe.connect(str(place))
+        except OSError:  # left over from a daemon that was killed
+            try:
+                place.unlink()
+            except OSError as error:
+                raise UsageError(
+                    f"{place}: is left over and cannot be removed ({error.strerror}); remove it, or give another "
+                    "[socket] path"
+                ) from None
+        else:
+            raise UsageError(f"{place}: another daemon answers there; stop it, or give another [socket] path")
