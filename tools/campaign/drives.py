@@ -1,6 +1,6 @@
 """Every way in which drives of others differ from the standard, tried in virtual time: the matrix.
 
-Usage: tools/run campaign/drives [--only TEXT]... [--json] [--list]
+Usage: tools/run campaign/drives [--only TEXT]... [--json] [--list] [--diff]
 
 Each variation is a set of keys of the simulated drive ([axis.drive] of plant.toml) and, where one is needed, of lines
 of its profile or of the controller's file. The daemon's own loop brings it up, enables it, pulls, meets a fault of
@@ -8,7 +8,8 @@ the drive and a power cycle, recovers from both, stops, and starts again two sec
 of that; what is refused must be refused before a command was sent, with a message that names the line that mends it.
 
 Prints a table (variation, outcome, message) and ends with the line `N variations, N as they must be`; exit code 1
-unless all are. No bus, no rights: nothing waits for real time.
+unless all are. No bus, no rights: nothing waits for real time. With --diff: what tsa drive diff shows of each make at
+power-on, under the profile that is shipped.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from tools import command
+from tools.campaign.drive.makes import makes
 from tools.campaign.drive.trial import Outcome, run_trial
 from tools.campaign.drive.variations import VARIATIONS
 from tsa_ctrl.errors import UsageError
@@ -31,7 +33,14 @@ def main() -> int:
     parser.add_argument("--only", action="append", default=[], metavar="TEXT", help="variations whose name has TEXT")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.add_argument("--list", action="store_true", help="the names of all variations")
+    parser.add_argument("--diff", action="store_true", help="what tsa drive diff shows of each make, and nothing else")
     options = parser.parse_args()
+    if options.diff:
+        for make in makes():
+            print(f"{make.name}: {make.short}")
+            for difference in make.differences or ():
+                print(f"  {difference}")
+        return 0
     chosen = [v for v in VARIATIONS if not options.only or any(text in v.name for text in options.only)]
     if options.list:
         print("\n".join(variation.name for variation in VARIATIONS))

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from tools.manual import measure
+from tools.manual import drives, measure
 from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
@@ -66,6 +66,18 @@ def errors() -> str:
     return table(("bent", "s_c", *(f"x = {x:g}" for x in ANGLES)), rows)
 
 
+def profiles() -> str:
+    """Drive profiles that are shipped, and what differs at the drive."""
+    head, *rows = drives.profiles()
+    return table(head, rows)
+
+
+def quirks() -> str:
+    """What the simulated drive can do otherwise than the standard."""
+    head, *rows = drives.quirks()
+    return table(head, rows)
+
+
 def verbs() -> str:
     """A verb a line."""
     return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
@@ -96,6 +108,8 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
     "verbs": verbs,
+    "profiles": profiles,
+    "quirks": quirks,
     "figures": figures,
     "licences": licences,
 }

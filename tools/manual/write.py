@@ -24,6 +24,7 @@ PAGES = (
     "tsa_ctrl/model/README.md",
     "tsa_ctrl/identify/README.md",
     "tsa_ctrl/safety/README.md",
+    "tsa_ctrl/bus/drive/README.md",
 )
 _PART = re.compile(
     r"(?P<begin><!-- (?P<name>[a-z-]+): written by tools/run manual/write -->\n).*?(?P<end><!-- end of (?P=name) -->)",

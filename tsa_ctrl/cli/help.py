@@ -13,6 +13,10 @@ from tsa_ctrl.errors import UsageError
 PACKAGE = Path(__file__).parents[1]
 TOPICS = {
     "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
+    "drives": (
+        "bus/drive/README.md",
+        "a drive that is not known yet: probe, profiles and what they do not know",
+    ),
     "safety": ("safety/README.md", "hazards, what detects them, what the condition against a runaway is"),
     "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
     "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
