@@ -68,7 +68,9 @@ class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """What the rig is held to, by `tsa verify-safety` and the fault campaign."""
 
-    zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = None  # s; default: longest time-out + 0.05
+    zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = (
+        None  # s; default: longest of what a fault takes + 0.05
+    )
     torque: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None  # N*m at the motor; default: 0.1 of rated torque
 
 
@@ -128,7 +130,7 @@ class Configuration:
     def zero_torque_within(self) -> float:
         """s, from a fault, a hang or the death of this computer until every drive's torque is zero."""
         given = self.file.safety.zero_torque_within
-        return given if given is not None else longest_timeout(self.file)[0] + MARGIN
+        return given if given is not None else longest_fault(self.file)[0] + MARGIN
 
     @property
     def folder(self) -> Path:
@@ -184,12 +186,24 @@ def longest_timeout(file: ControllerFile) -> tuple[float, str]:
     return max(found)
 
 
+def longest_fault(file: ControllerFile) -> tuple[float, str]:
+    """How long torque may go on after a fault, s, and why: until it shows, and until the others have ramped down."""
+    longest, name = longest_timeout(file)
+    if len(file.axes) == 1:
+        return longest, f"{name} = {longest:g} s, in which nothing happens yet"
+    stop = file.controller.stop_time
+    return longest + stop, (
+        f"{name} = {longest:g} s, in which nothing happens yet, plus [controller] stop_time = {stop:g} s, in which the "
+        "torque of the other axes ends"
+    )
+
+
 def _check_safety(path: Path, file: ControllerFile) -> None:
-    given, (longest, name) = file.safety.zero_torque_within, longest_timeout(file)
+    given, (longest, why) = file.safety.zero_torque_within, longest_fault(file)
     if given is not None and given <= longest:
         raise UsageError(
-            f"{path}: [safety] zero_torque_within {given:g} s is not above {name} = {longest:g} s, in which nothing "
-            "happens yet; lower that time-out, or raise zero_torque_within"
+            f"{path}: [safety] zero_torque_within {given:g} s is not above {why}; lower that, or raise "
+            "zero_torque_within"
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tsa_ctrl.bus.canopen.cia402 import PowerState, decode
 from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
@@ -20,6 +21,7 @@ from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
+_ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
 
 
@@ -91,6 +93,11 @@ class ControlAxis:
     def at_rest(self) -> bool:
         """Whether the drive is known to be disabled, or a fault keeps it so."""
         return self.supervisor.phase in (Phase.STANDBY, Phase.FAULT)
+
+    @property
+    def is_off(self) -> bool:
+        """Whether no torque is permitted, and the drive did not say last that its power stage is on."""
+        return self.at_rest and decode(self.image.statusword) not in _ON
 
     def enable(self) -> None:
         """Ask for torque; it comes when drive and supervisor agree, and fades in."""

@@ -68,6 +68,7 @@ class Loop:
         self._ran = False
         self._since = 0.0
         self._stop_time = settings.stop_time + supervision.disable_timeout + STOP_TIME
+        self._recovery_asked = math.inf  # s
         self._reset_time = supervision.reset_timeout + RESET_TIME
         self._stop: str | None = None
         self._faults = [0] * len(axes)
@@ -170,7 +171,7 @@ class Loop:
         command = self._mailbox.take()
         if command is not None:
             if command.parameter == RECOVER:
-                self._begin_recovery(planned)
+                self._ask_for_recovery(planned)
             else:
                 self._tuners[command.axis].set(command.parameter, command.value)
         for tuner in self._tuners:
@@ -194,6 +195,8 @@ class Loop:
             self._settle(planned)
         elif phase is LoopPhase.RESETTING:
             self._reset(planned)
+        elif phase is LoopPhase.FAULTED:
+            self._begin_recovery(planned)
         elif phase is LoopPhase.STOPPING and (
             all(axis.at_rest for axis in self._axes) or now - self._since > self._stop_time
         ):
@@ -222,10 +225,21 @@ class Loop:
         self._settled = 0
         self._enter(LoopPhase.SETTLING if standby else LoopPhase.FAULTED, planned)
 
+    def _ask_for_recovery(self, planned: int) -> None:
+        """Only from a latched fault."""
+        if self.phase is LoopPhase.FAULTED:
+            self._recovery_asked = planned * 1e-9
+
     def _begin_recovery(self, planned: int) -> None:
-        """On request, and only from a latched fault: reset what can be reset, or have the bus brought up again."""
-        if self.phase is not LoopPhase.FAULTED:
+        """Once asked for, and once no axis has torque any more: reset what can be reset, or have the bus brought up.
+
+        An axis that still ramps to 0 because of another's fault is waited for, and so is its drive's word that it is
+        off; one that does not say so is what a bring-up is for, which switches it off before it resets it.
+        """
+        waited = planned * 1e-9 - self._recovery_asked
+        if not waited >= 0.0 or (not all(axis.is_off for axis in self._axes) and waited < self._stop_time):
             return
+        self._recovery_asked = math.inf
         self.recover = any(axis.supervisor.needs_bring_up for axis in self._axes)
         if not self.recover:
             self.reset_faults()
@@ -265,4 +279,6 @@ class Loop:
 
     def _enter(self, phase: LoopPhase, planned: int) -> None:
         self.phase = phase
+        if phase is not LoopPhase.FAULTED:
+            self._recovery_asked = math.inf
         self._since = planned * 1e-9
