@@ -1,0 +1,124 @@
+"""The README's moving picture: a joint that lifts a weight, from runs of the loop without and with compensation.
+
+Usage: tools/run figures/moving [--out .readme/moving.gif] [--seconds 6] [--rate 12] [--from FOLDER]
+
+Runs `tsa demo --virtual --load weight` (or takes the folder that one left, --from) and draws what its logs say: the
+joint by its encoder, the torque that is wanted and the torque that the joint's sensor says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from tools import command
+from tools.figures import look
+from tsa_ctrl.demo.rig import FADE_IN
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.course import read_course
+from tsa_ctrl.system.processes import tsa
+
+Columns = dict[str, NDArray[np.float64]]
+
+RUNS = {"without": ("without compensation", look.BACKWARD), "with": ("with compensation", look.FORWARD)}
+MARGIN = 2.0  # s more than are shown: fade-in and stop
+ARM = 2.6  # length of the arm in the drawing, in radii of the joint's pulley
+
+
+def run(folder: Path, seconds: float) -> None:
+    """The demo, in virtual time."""
+    line = tsa("demo", "--virtual", "--load", "weight", "--seconds", f"{seconds + MARGIN:g}", "--out", str(folder))
+    subprocess.run(line, check=True, capture_output=True)
+
+
+def course(folder: Path, seconds: float) -> Columns:
+    """What a run measured; `t` from 0. Raises UsageError where there is no log."""
+    logs = sorted(folder.glob("*.mcap"))
+    if not logs:
+        raise UsageError(f"{folder}: no log in it; give a folder that `tsa demo --out` left")
+    columns = read_course(logs[-1], ("q_j",), FADE_IN, FADE_IN + seconds)
+    return {**columns, "t": columns["t"] - columns["t"][0]}
+
+
+class Panel:
+    """One run: the joint on the left, its torque on the right."""
+
+    def __init__(self, drawing: Axes, chart: Axes, columns: Columns, words: str, colour: str, seconds: float) -> None:
+        self._columns = columns
+        drawing.set(xlim=(-3.2, 3.2), ylim=(-3.2, 3.2), aspect="equal")
+        drawing.axis("off")
+        drawing.add_patch(Circle((0.0, 0.0), 1.0, fill=False, lw=1.5, color=look.NEUTRAL))
+        for side in (-1.0, 1.0):
+            drawing.plot([-3.2, 0.0], [side, side], color=look.GUIDE, lw=2.0)
+        (self._arm,) = drawing.plot([], [], color=look.NEUTRAL, lw=3.0, solid_capstyle="round")
+        (self._weight,) = drawing.plot([], [], "s", color=colour, ms=11)
+        chart.set(xlim=(0.0, seconds), ylabel="joint torque (N·m)", title=words)
+        (self._wanted,) = chart.plot([], [], color=look.GUIDE, label="wanted")
+        (self._delivered,) = chart.plot([], [], color=colour, label="delivered")
+        chart.legend(loc="upper right", ncols=2)
+
+    @property
+    def extreme(self) -> float:
+        return float(max(np.abs(self._columns[name]).max() for name in ("tau_j_des", "tau_j")))
+
+    def show(self, t: float) -> list[Artist]:
+        """As it was at `t` s."""
+        until = int(np.searchsorted(self._columns["t"], t, side="right"))
+        angle = float(self._columns["q_j"][max(until - 1, 0)])
+        x, y = ARM * math.sin(angle), -ARM * math.cos(angle)
+        self._arm.set_data([0.0, x], [0.0, y])
+        self._weight.set_data([x], [y])
+        changed: list[Line2D] = [self._arm, self._weight]
+        every = slice(0, until, 10)  # of 1 kHz: more than a pixel has
+        for line, name in ((self._wanted, "tau_j_des"), (self._delivered, "tau_j")):
+            line.set_data(self._columns["t"][every], self._columns[name][every])
+            changed.append(line)
+        return [*changed]
+
+
+def draw(runs: dict[str, Columns], seconds: float, rate: float, out: Path) -> None:
+    """The picture of both runs, `rate` frames a second."""
+    figure, axes = look.grid(len(runs), 2, 6.4, 3.6)
+    panels = [Panel(row[0], row[1], runs[name], *RUNS[name], seconds) for row, name in zip(axes, RUNS, strict=True)]
+    largest = 1.15 * max(panel.extreme for panel in panels)
+    for drawing, chart in axes:
+        drawing.set_box_aspect(1.0)
+        chart.set_ylim(-largest, 1.4 * largest)
+        chart.set_box_aspect(0.42)
+    axes[-1][1].set_xlabel("time (s)")
+    frames = np.arange(0.0, seconds, 1.0 / rate)
+    film = FuncAnimation(
+        figure, lambda t: [artist for panel in panels for artist in panel.show(t)], frames=frames, blit=False
+    )
+    film.save(out, writer=PillowWriter(fps=round(rate)), dpi=100)
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--out", type=Path, default=command.ROOT / ".readme" / "moving.gif")
+    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--rate", type=float, default=12.0, help="frames a second")
+    parser.add_argument("--from", type=Path, dest="folder", help="what tsa demo --out left")
+    asked: argparse.Namespace = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="tsa-moving-") as name:
+        folder = asked.folder or Path(name)
+        if asked.folder is None:
+            run(folder, asked.seconds)
+        draw({run: course(folder / run, asked.seconds) for run in RUNS}, asked.seconds, asked.rate, asked.out)
+    print(f"{asked.out}: {asked.out.stat().st_size / 1000:.0f} kB")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
