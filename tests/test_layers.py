@@ -31,6 +31,7 @@ ROOMS: dict[str, str] = {
     "log": "errors version settings outputs system",
     "sensors": "errors system",
     "model": "errors settings",
+    "observer": "errors model",  # joint torque without its sensor
     # the bus, from frames to SI
     "bus": "",  # its door
     "bus.settings": "",
@@ -40,10 +41,10 @@ ROOMS: dict[str, str] = {
     "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
     # live: torque from a set-point, and what keeps it safe, which knows no law and no model
     "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
-    "control": "errors log.waypoints model bus.canopen bus.live safety",
+    "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "ipc": "errors system",
-    "daemon": "errors settings outputs system log sensors model bus safety control config ipc",
+    "daemon": "errors settings outputs system log sensors model observer bus safety control config ipc",
     # offline: from logs to parameters and causes, without bus and loop
     "identify": "errors version settings system log model",
     # the machine that answers: independent of everything that computes

@@ -55,7 +55,7 @@ class Serving:
         self.path = str(path)
         self.mailbox = Mailbox(len(axes), 2)
         general = General(time=time.monotonic(), phase=2.0, cycles=7.0)
-        axis = QUARTERS._replace(tau_j=float("nan"))
+        axis = QUARTERS._replace(tau_j=float("nan"), tau_j_model=float("nan"))
         self.mailbox.publish(general, [(axis, (0.95, 45.0)) for _ in axes])
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],

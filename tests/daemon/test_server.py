@@ -84,6 +84,8 @@ def test_status_has_the_agreed_keys_and_no_nan(serving: Serving) -> None:
     assert {"state", "tau_j_des", "tau_m_cmd", "tau_m", "omega_j"} <= set(status["axes"][0])
     assert status["axes"][0]["state"] == "operation_enabled"
     assert status["axes"][0]["tau_j"] is None
+    assert status["axes"][0]["tau_j_stretch"] == {"value": 0.25, "low": 0.25, "high": 0.25, "unit": "N*m"}
+    assert status["axes"][0]["tau_j_model"] is None
     assert status["axes"][0]["parameters"]["compensation"] == {"value": 0.95, "low": 0.0, "high": 1.2, "unit": "1"}
     assert status["faults"] == []
     assert status["phase"] == "running"

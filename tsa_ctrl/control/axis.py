@@ -15,6 +15,7 @@ from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import transmitted_by
+from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -54,6 +55,7 @@ class ControlAxis:
         limiter: Limiter,
         monitor: OscillationMonitor,
         plausibility: Plausibility,
+        joint_torque: JointTorque,
         period: float,
         most_age: float,
         stop_time: float,
@@ -73,6 +75,7 @@ class ControlAxis:
         self.limiter = limiter
         self.monitor = monitor
         self.plausibility = plausibility
+        self.joint_torque = joint_torque
         self.most_age = most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
@@ -150,6 +153,7 @@ class ControlAxis:
         """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
+        self.joint_torque.update(image, terms.omega_j, instruments.tau_j)
         terms.theta = theta = self.bending.update()
         if not terms.permitted:
             self.release()
@@ -198,3 +202,4 @@ class ControlAxis:
         if parameters != self._used:
             self._used = parameters
             self.law.set_parameters(*parameters)
+            self.joint_torque.set_parameters(*parameters)

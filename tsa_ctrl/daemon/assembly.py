@@ -21,12 +21,16 @@ from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.simplified import SimplifiedFeedforward
 from tsa_ctrl.safety.cures import CURES
+from tsa_ctrl.observer.by_model import ModelTorque
+from tsa_ctrl.observer.joint_torque import JointTorque
+from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -69,6 +73,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     (model.motor_pulley_radius, model.joint_pulley_radius),
                     settings.encoder is not None,
                 ),
+                joint_torque=joint_torque_of(settings, model, plan.inertia, period),
                 period=period,
                 most_age=most_age,
                 stop_time=file.controller.stop_time,
@@ -96,6 +101,20 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     inverse = inverse_of(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
+
+
+def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:
+    """What tells the joint torque without its sensor: by the model always, by the tendons' stretch where that can."""
+    drive, encoder = settings.drive, settings.encoder
+    by_model = ModelTorque(model, period, inertia)
+    if encoder is None:
+        return JointTorque(by_model, None, "", period)
+    motor = 2.0 * math.pi / (drive.counts_per_revolution * drive.gear_ratio)
+    try:
+        stretch = StretchObserver(model, period, (motor, 2.0 * math.pi / encoder.counts_per_revolution), inertia)
+    except UsageError as error:
+        return JointTorque(by_model, None, f"no joint torque from the tendons' stretch: {error}", period)
+    return JointTorque(by_model, stretch, "", period)
 
 
 def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:

@@ -1,4 +1,4 @@
-"""What the law of an axis has to say to people: at the start what this rig cannot have, later what it had to cut."""
+"""What an axis has to say to people: at the start what this rig cannot have, later what was cut, or contradicts."""
 
 from __future__ import annotations
 
@@ -19,12 +19,15 @@ class Remarks:
         self._cut = [0] * len(axes)
         self._said = [-AGAIN] * len(axes)
         self._slack = [False] * len(axes)
+        self._contradicted = [False] * len(axes)
 
     def begin(self) -> None:
         """Before the first cycle."""
         for axis in self._axes:
             for note in axis.law.notes:
                 self._events.add(0.0, axis.name, note)
+            if axis.joint_torque.why_not:
+                self._events.add(0.0, axis.name, axis.joint_torque.why_not)
 
     def update(self, t: float) -> None:
         """Now and then; `t` in s of the log."""
@@ -39,6 +42,10 @@ class Remarks:
                     f"the set-point asks for more than {law.domain:.3g} N*m at the motor, beyond which one tendon "
                     "would have to push: cut there (DOMAIN); ask for less, or raise the pretension",
                 )
+            known = axis.joint_torque
+            if known.contradicted is not self._contradicted[index]:
+                self._contradicted[index] = known.contradicted
+                self._events.add(t, axis.name, _contradiction(known.contradicted, known.difference))
             if law.near_slack is not self._slack[index]:
                 self._slack[index] = law.near_slack
                 state = "near slack" if law.near_slack else "no longer near slack"
@@ -48,3 +55,12 @@ class Remarks:
                     f"pretension {law.pretension:.3g} N at the present bending: the tendons are {state}, and the motor "
                     f"may give up to {law.domain:.3g} N*m",
                 )
+
+
+def _contradiction(there: bool, difference: float) -> str:
+    if not there:
+        return "the joint torque sensor agrees with the tendons' stretch again"
+    return (
+        f"the joint torque sensor differs from the tendons' stretch, {1e3 * difference:+.0f} mN*m in the mean, beyond "
+        "the band most of the time: check the sensor's gain and zero, or identify stiffness and bending (tsa calibrate)"
+    )

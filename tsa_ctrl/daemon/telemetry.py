@@ -71,6 +71,8 @@ class Telemetry:
             return
         for index, axis in self._axes:
             image, terms, estimator, instruments = axis.image, axis.terms, axis.estimator, axis.instruments
+            joint_torque = axis.joint_torque
+            stretch, low, high = joint_torque.torque
             reason = terms.reason
             if reason is Reason.NONE and axis.monitor.back_off < 1.0:
                 reason = Reason.OSCILLATION
@@ -102,6 +104,12 @@ class Telemetry:
                     pretension=estimator.pretension,
                     estimate_state=estimator.state.value,
                     limit_reason=reason.value,
+                    tau_j_stretch=stretch,
+                    tau_j_stretch_low=low,
+                    tau_j_stretch_high=high,
+                    tau_j_model=joint_torque.model.torque,
+                    tau_j_model_low=joint_torque.model.low,
+                    tau_j_model_high=joint_torque.model.high,
                 ),
             )
 
@@ -155,7 +163,8 @@ class Telemetry:
                 self._note(Note(event.t, event.axis, event.text, event.fault).encoded())
 
     def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[AxisStatus, Parameters]:
-        image, terms, estimator = axis.image, axis.terms, axis.estimator
+        image, terms, estimator, joint_torque = axis.image, axis.terms, axis.estimator, axis.joint_torque
+        stretch, low, high = joint_torque.torque
         status = AxisStatus(
             t=t,
             tau_j_des=terms.tau_j_des,
@@ -176,6 +185,12 @@ class Telemetry:
             late=sum(node.late for node in image.nodes),
             repeated=sum(node.repeated for node in image.nodes),
             malformed=sum(node.malformed for node in image.nodes),
+            tau_j_stretch=stretch,
+            tau_j_stretch_low=low,
+            tau_j_stretch_high=high,
+            tau_j_model=joint_torque.model.torque,
+            tau_j_model_low=joint_torque.model.low,
+            tau_j_model_high=joint_torque.model.high,
         )
         return status, tuple(parameter.value for parameter in self._tuners[index].parameters)
 

@@ -56,6 +56,12 @@ class AxisStatus(NamedTuple):
     late: float = 0.0
     repeated: float = 0.0
     malformed: float = 0.0
+    tau_j_stretch: float = 0.0
+    tau_j_stretch_low: float = 0.0
+    tau_j_stretch_high: float = 0.0
+    tau_j_model: float = 0.0
+    tau_j_model_low: float = 0.0
+    tau_j_model_high: float = 0.0
 
 
 class Reading(NamedTuple):
@@ -74,6 +80,7 @@ class Reading(NamedTuple):
 
 
 COUNTS = ("missed", "late", "repeated", "malformed")  # of an axis: whole numbers since the start
+BANDS = ("tau_j_stretch", "tau_j_model")  # of an axis: a value between two others, N*m
 Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the description
 
 _SINCE = struct.Struct("=d")  # s, monotonic

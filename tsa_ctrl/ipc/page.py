@@ -34,6 +34,8 @@ BARS = " ▁▂▃▄▅▆▇█"
 SHOWN = (
     ("tau_j_des", "N*m"),
     ("tau_j", "N*m"),
+    ("tau_j_stretch", "N*m"),
+    ("tau_j_model", "N*m"),
     ("tau_m_cmd", "N*m"),
     ("tau_m", "N*m"),
     ("omega_j", "rad/s"),
@@ -59,7 +61,7 @@ class Page:
         self._status = status
         for axis in status["axes"]:
             for name, _ in SHOWN:
-                value = axis[name]
+                value = _value(axis[name])
                 self._past[axis["name"], name].append(math.nan if value is None else value)
 
     def parameters(self) -> list[tuple[str, str, dict[str, Any]]]:
@@ -120,10 +122,10 @@ class Page:
             cells: list[str | Text] = ["" for _ in range(3 + past)]
             if row < len(SHOWN):
                 name, unit = SHOWN[row]
-                value = axis[name]
+                value = _value(axis[name])
                 cells = [
                     name,
-                    "-" if value is None else f"{value:.4f}",
+                    "-" if value is None else f"{value:.4f}{_half(axis[name])}",
                     unit,
                 ]
                 if past:
@@ -134,6 +136,16 @@ class Page:
                 cells += [Text(name, style=style), f"{figures['value']:.4g} {figures['unit']}"]
             table.add_row(*cells)
         return table
+
+
+def _value(found: float | dict[str, Any] | None) -> float | None:
+    """Of a number, or of one that has a band."""
+    return found["value"] if isinstance(found, dict) else found
+
+
+def _half(found: float | dict[str, Any] | None) -> str:
+    """The band, as what it is either way."""
+    return f" ± {0.5 * (found['high'] - found['low']):.2g}" if isinstance(found, dict) else ""
 
 
 def _times(status: dict[str, Any]) -> Table:

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from tsa_ctrl.ipc.mailbox import COUNTS, AxisStatus, Mailbox, Parameters
+from tsa_ctrl.ipc.mailbox import BANDS, COUNTS, AxisStatus, Mailbox, Parameters
 from tsa_ctrl.ipc.protocol import Description
 from tsa_ctrl.system.histogram import coarse, distribution
 
@@ -91,6 +91,9 @@ def _axis(description: Description, index: int, axis: AxisStatus, live: Paramete
     values["estimate_state"] = description.estimate_states[int(axis.estimate_state)]
     values["limit_reason"] = description.reasons[int(axis.limit_reason)]
     values |= {name: int(getattr(axis, name)) for name in COUNTS}
+    for name in BANDS:
+        ends = {end: values.pop(f"{name}_{end}") for end in ("low", "high")}
+        values[name] = None if values[name] is None else {"value": values[name], **ends, "unit": "N*m"}
     parameters = {
         known.name: {"value": _known(value), "low": known.low, "high": known.high, "unit": known.unit}
         for known, value in zip(description.parameters[index], live, strict=True)

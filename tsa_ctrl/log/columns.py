@@ -45,6 +45,12 @@ CYCLE: tuple[Column, ...] = (
     Column("pretension", "N", "T_p of the law's model"),
     Column("estimate_state", "1", "state of the estimator, a code", stepped=True),
     Column("limit_reason", "1", "what the limiter did, a code", stepped=True),
+    Column("tau_j_stretch", "N*m", "joint torque from the tendons' stretch and the motor torque"),
+    Column("tau_j_stretch_low", "N*m", "its 95 % band, lower end"),
+    Column("tau_j_stretch_high", "N*m", "its 95 % band, upper end"),
+    Column("tau_j_model", "N*m", "joint torque from the motor torque by the model"),
+    Column("tau_j_model_low", "N*m", "its band, lower end: the friction's at standstill"),
+    Column("tau_j_model_high", "N*m", "its band, upper end"),
 )
 """What the daemon records besides the signals."""
 

@@ -35,6 +35,12 @@ class Record(NamedTuple):
     pretension: float
     estimate_state: float  # code
     limit_reason: float  # code
+    tau_j_stretch: float
+    tau_j_stretch_low: float
+    tau_j_stretch_high: float
+    tau_j_model: float
+    tau_j_model_low: float
+    tau_j_model_high: float
 
 
 FIELD_NAMES: tuple[str, ...] = Record._fields

@@ -75,6 +75,8 @@ class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True
 
     friction_angle: NonNegative = 0.25  # factor either way, minus 1
     pretension: NonNegative = 0.25
+    axial_stiffness: NonNegative = 0.1  # E A, series spring included
+    bending_centre: NonNegative = 0.05  # 1, absolute: s_c, where along the sheath the bends are
 
 
 class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -121,6 +123,8 @@ class TendonSheath:
     series_at_joint: bool = False
     friction_angle_uncertainty: float = 0.25
     pretension_uncertainty: float = 0.25
+    axial_stiffness_uncertainty: float = UncertaintySection().axial_stiffness
+    bending_centre_uncertainty: float = UncertaintySection().bending_centre
     effects: Effects = field(default_factory=dict)
     source: str = ""
 
@@ -237,6 +241,8 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         pretension=0.0,  # resolved below; it needs the stiffness
         friction_angle_uncertainty=file.uncertainty.friction_angle,
         pretension_uncertainty=file.uncertainty.pretension,
+        axial_stiffness_uncertainty=file.uncertainty.axial_stiffness,
+        bending_centre_uncertainty=file.uncertainty.bending_centre,
         source=where,
     )
     pretension = _resolve_pretension(file, model, where)
@@ -304,10 +310,14 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
     if isinstance(model, RigidDrive):
         names = ("inertia", "coulomb_friction", "viscous_friction", "torque_offset")
         return {"actuator": {"kind": "rigid_drive", **{name: getattr(model, name) for name in names}}}
-    uncertainty = {
+    uncertainty: dict[str, float | None] = {
         "friction_angle": model.friction_angle_uncertainty,
         "pretension": model.pretension_uncertainty,
     }
+    place, usual = "joint" if model.series_at_joint else "motor", UncertaintySection()
+    for name in ("axial_stiffness", "bending_centre"):  # only where somebody found them
+        value = getattr(model, f"{name}_uncertainty")
+        uncertainty[name] = None if value == getattr(usual, name) else value
     return {
         "actuator": {
             "motor_pulley_radius": model.motor_pulley_radius,
@@ -318,11 +328,7 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
             "unstrained_length": model.unstrained_length,
             "diameter": model.diameter,
             "series_stiffness": model.series_stiffness,
-            "series_position": None
-            if model.series_stiffness is None
-            else "joint"
-            if model.series_at_joint
-            else "motor",
+            "series_position": None if model.series_stiffness is None else place,
         },
         "sheath": {
             "friction_coefficient": model.friction_coefficient,

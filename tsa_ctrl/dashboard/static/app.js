@@ -42,12 +42,16 @@ function product(a, b) {
 }
 
 function delivered(axis) {
-  return axis.tau_j ?? axis.tau_j_stretch ?? null;
+  return axis.tau_j ?? axis.tau_j_stretch?.value ?? null;
 }
 
 function value_of(axis, field) {
   const found = typeof field === "function" ? field(axis) : axis[field];
-  return found === undefined ? null : found;
+  return found?.value ?? found ?? null; // of a quantity its value
+}
+
+function band(found) { // a value between its ends
+  return found ? `${number(found.value, 3)} (${number(found.low, 3)} to ${number(found.high, 3)}) ${found.unit}` : "–";
 }
 
 async function ask(path, body) {
@@ -221,6 +225,7 @@ function showAxis(axis) {
   shown.article.querySelector(".figures").textContent =
     `${axis.state.replaceAll("_", " ")}; limiter: ${axis.limit_reason.replaceAll("_", " ")}; ` +
     `estimate: ${axis.estimate_state}; x ${number(axis.friction_angle)}, T_p ${number(axis.pretension)} N; ` +
+    `joint torque by stretch ${band(axis.tau_j_stretch)}, by model ${band(axis.tau_j_model)}; ` +
     `${axis.missed} cycles without answer`;
   for (const [kind, lines] of Object.entries(shown.lines)) {
     const data = shown.data[kind];

@@ -1,0 +1,154 @@
+"""Joint torque from stretch against the truth of the distributed plant, in the real loop, in virtual time."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.control.sliding import actuator
+from tests.virtual.joints import GAIT, play, play_case, sine
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.observer.stretch import LONGEST_GAP, RESTART, StretchObserver, StretchState
+from tsa_ctrl.virtual.result import Simulation
+
+SETTLED = 1.5  # s of the log, from which both directions have been slid in
+COUNTS = (2.0 * math.pi / 65_536, 2.0 * math.pi / 1_048_576)
+OFF: dict[str, Any] = {"perturbation": {"friction_coefficient": 1.25, "pretension": 0.85}}  # true over the model's
+
+
+def errors(result: Simulation) -> tuple[np.ndarray, np.ndarray, float]:
+    """Of the stretch's torque, which of the samples slide, and the torque's RMS; N*m."""
+    axis = result.axes[0]
+    log = axis.log
+    kept = axis.counted & (log["t"] > SETTLED)
+    z = axis.truth["z"][np.searchsorted(axis.truth["clock"], axis.start + log["t"] + log["lateness"])]
+    error = (log["tau_j_stretch"] - axis.delivered)[kept]
+    return error, np.abs(z[kept]) > 0.999, float(np.sqrt(np.mean(axis.delivered[kept] ** 2)))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["gait", "held", "weight"])
+@pytest.mark.parametrize("curvature", ["uniform", "motor_end"])
+def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Path, case: str, curvature: str) -> None:
+    """3 % while sliding, 8 % through reversals and on a held joint, where the mean of the tensions has 25 %."""
+    result = play_case(tmp_path, case, curvature=curvature, plant=OFF)
+    error, slides, size = errors(result)
+    assert rms(error[slides]) <= 0.03 * size
+    assert rms(error) <= 0.08 * size
+
+
+@pytest.mark.slow
+def test_the_line_alone_is_far_off_on_a_held_joint(tmp_path: Path) -> None:
+    """What the slip fronts are worth."""
+    from tsa_ctrl.demo.rig import NOMINAL
+    from tsa_ctrl.model.stretch import stretch_line
+
+    result = play_case(tmp_path, "held")
+    line, log, axis = stretch_line(NOMINAL), result.log, result.axes[0]
+    stretch = line.stretch(log["q_m"], log["q_j"])
+    by_line = line.torque(stretch, log["tau_m"])[axis.counted & (log["t"] > SETTLED)]
+    truth = axis.delivered[axis.counted & (log["t"] > SETTLED)]
+    error, _, size = errors(result)
+    assert rms(by_line - truth) > 0.08 * size > 3.0 * rms(error)
+
+
+@pytest.mark.slow
+def test_bends_at_the_joint_are_said_and_nothing_is_guessed(tmp_path: Path) -> None:
+    result = play(tmp_path, "held", sine(0.5, 1.0), 0.6, curvature="joint_end")
+    assert np.isnan(result.log["tau_j_stretch"]).all()
+    assert np.isfinite(result.log["tau_j_model"][50:]).all()
+    assert any("no joint torque from the tendons' stretch" in str(event) for event in result.summary.events)
+
+
+@pytest.mark.slow
+def test_a_wrong_torque_sensor_is_told_and_changes_nothing(tmp_path: Path) -> None:
+    """The sensor only checks; the model's stiffness is said to be known here."""
+    from tests.virtual import joints
+
+    plant = {"torque_sensor": {"offset": 0.4}}
+    found = {}
+    for name, changes in (("right", {}), ("wrong", plant)):
+        folder = tmp_path / name
+        folder.mkdir()
+        found[name] = joints.play(folder, "imposed", GAIT, 5.0, plant=changes)
+    told = [
+        any("joint torque sensor differs from the tendons' stretch" in str(event) for event in result.summary.events)
+        for result in (found["right"], found["wrong"])
+    ]
+    assert told == [False, True]
+    assert np.array_equal(found["right"].log["tau_j_stretch"], found["wrong"].log["tau_j_stretch"], equal_nan=True)
+
+
+def observer(**changes: float) -> StretchObserver:
+    return StretchObserver(actuator(), 1e-3, COUNTS, **changes)
+
+
+def feed(seen: StretchObserver, seconds: float, tau_m: float = 0.0, fresh: bool = True) -> None:
+    for _ in range(round(seconds / 1e-3)):
+        seen.update(tau_m, 0.0, 0.0, 0.0, fresh)
+
+
+def test_what_is_not_known_has_a_wide_band() -> None:
+    """Before anything slid, friction may hide half a loop either way; nothing at all before two measurements."""
+    seen = observer()
+    feed(seen, 1e-3)
+    assert math.isnan(seen.torque)
+    feed(seen, 0.1)
+    assert seen.state is StretchState.UNSLID
+    half_loop = 2.0 * 0.025 * 45.0 * 0.26
+    assert seen.torque == pytest.approx(0.0, abs=1e-6)
+    assert seen.high > 0.9 * half_loop
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_what_is_not_finite_is_passed_over(value: float) -> None:
+    seen = observer()
+    feed(seen, 0.1)
+    before = seen.torque
+    for place in range(4):
+        values = [0.0, 0.0, 0.0, 0.0]
+        values[place] = value
+        seen.update(*values)
+    assert seen.torque == before
+
+
+def test_gaps_lose_the_fronts_and_long_ones_the_zero() -> None:
+    seen = observer()
+    for _ in range(50):
+        seen.update(0.0, 0.0, 0.5, 0.4)
+    zero = seen.zero
+    feed(seen, 2.0 * LONGEST_GAP, fresh=False)
+    assert math.isnan(seen.torque)
+    seen.update(0.0, 0.0, 0.5, 0.4)
+    assert seen.zero == zero
+    feed(seen, 1.1 * RESTART, fresh=False)
+    seen.update(0.0, 0.0, 0.7, 0.4)
+    assert seen.zero == pytest.approx(0.7 * 0.020 - 0.4 * 0.025)
+
+
+def test_beyond_the_domain_nothing_is_told() -> None:
+    """2 T_p r_M = 1.8 N*m, and some more by friction; when it is over, it begins anew with what was learned."""
+    seen = observer()
+    feed(seen, 0.1)
+    feed(seen, 0.01, tau_m=5.0)
+    assert seen.state is StretchState.SLACK
+    assert math.isnan(seen.torque)
+    feed(seen, 0.1)
+    assert math.isfinite(seen.torque)
+
+
+def test_a_model_without_friction_or_pretension_is_refused() -> None:
+    from tsa_ctrl.errors import UsageError
+
+    models: list[TendonSheath] = [actuator().recalibrated(0.0), actuator().recalibrated(pretension=0.0)]
+    for model in models:
+        with pytest.raises(UsageError, match="both must be above 0"):
+            StretchObserver(model, 1e-3, COUNTS)

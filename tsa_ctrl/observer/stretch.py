@@ -1,0 +1,219 @@
+"""Joint torque from two encoders and the motor's torque, on-line, with a 95 % band: no torque sensor, no known load.
+
+The tendons are followed contact by contact (`tendons`), the motor given by its torque less what its own inertia takes,
+tau_M - J_M alpha_M, the joint by its angle. That foretells the stretch s = r_M q_M - r_J q_J; what is measured
+otherwise is friction that the model has not, or a zero of s that has moved. An extended Kalman filter parts them: ln x
+and the zero walk slowly, a third state is friction that does not stay. So the friction angle need not be known: while
+the tendons slide this is the line of `tsa_ctrl.model.stretch`, and inside a reversal, where that line is wrong by up to
+half the friction, the slip fronts say it. x stands for x T_p here, as only the product shows. Stiffness and shape must
+be known: their share of the band is [uncertainty] of the model file.
+
+The joint torque is that of the tendons at the joint's pulley, r_J (T4 - T2), before any friction in the joint.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+import numpy as np
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.stretch import profile_of, stretch_line
+from tsa_ctrl.observer import tendons
+
+CONTACTS = 12  # a tendon; 6 are 1 mN*m worse on the shipped actuator, 24 no better and twice as dear
+NEAR = 1e-3  # 1, of the length, within which bends are one contact, and the shortest spring: far below what x shows
+FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at the start and the most it grows to again
+FRICTION_WALK = 0.1  # 1 per root of s: 40 % within 10 s is 1.3 standard deviations
+PASSING, PASSING_TIME = 0.03, 0.05  # 1 and s: friction that comes and goes, of x
+ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
+FACTOR = 4.0  # of x either way
+TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
+COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
+SLACK = 0.02  # 1, of the pretension, below which a tendon counts as slack
+LONGEST_GAP = 0.05  # s without measurements after which the fronts are not known any longer
+RESTART = 1.0  # s without measurements after which an encoder may have been switched on anew: boot-ups take longer
+BAND = 1.96  # standard deviations of 95 %
+
+
+class StretchState(Enum):
+    """Values are the log's codes."""
+
+    NONE = 0  # no two encoders, or a shape by which the stretch tells nothing
+    UNSLID = 1  # the tendons have not slid all along yet: the band holds all that the friction may hide
+    TOLD = 2
+    SLACK = 3  # a tendon is, or the motor's torque is beyond the domain: nothing is told
+
+
+class StretchObserver:
+    """`torque`, `low`, `high`: N*m at the joint, nan while nothing can be told; a few microseconds a cycle."""
+
+    def __init__(
+        self, model: TendonSheath, period: float, counts: tuple[float, float], motor_inertia: float = 0.0
+    ) -> None:
+        """`period` in s; `counts`: rad of one count at the motor's and the joint's pulley; J_M in kg*m^2.
+
+        Raises UsageError where the shape of the sheath makes the stretch say nothing, or nothing is stretched.
+        """
+        if not (model.friction_angle > 0.0 and model.pretension > 0.0):
+            raise UsageError(
+                f"{model.source or 'model'}: friction angle {model.friction_angle:g} and pretension "
+                f"{model.pretension:g} N: both must be above 0 for the tendons' stretch to be followed"
+            )
+        self._line = stretch_line(model)
+        self._model = model
+        self._period = period
+        self._inertia = motor_inertia
+        r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+        self._r_m, self._r_j = r_m, r_j
+        self._first = _pairs(model)
+        self._pairs = self._first.copy()
+        self._memory = np.zeros(tendons.MEMORY)
+        self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]))
+        self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
+        per_torque = r_j / r_m
+        self._noise = (per_torque * TORQUE_NOISE) ** 2
+        self._soft = (model.axial_stiffness_uncertainty / BAND) ** 2
+        self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
+        self._per_torque = per_torque
+        tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0)  # compiles
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the zero of s, too; the next measurement begins anew."""
+        self.state = StretchState.UNSLID
+        self._gap = 0.0
+        self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
+        self._memory[:] = 0.0
+        settings, memory = self._settings, self._memory
+        memory[tendons.ANGLE] = self._model.friction_angle
+        memory[tendons.P_XX] = settings[tendons.PRIOR_X]
+        memory[tendons.P_FF] = settings[tendons.SPREAD_F]
+        memory[tendons.P_ZZ] = settings[tendons.PRIOR_Z]
+        self._lose()
+
+    def _lose(self) -> None:
+        """Forget where the fronts are; what was learned of friction and zero stays."""
+        self.torque = self.low = self.high = math.nan
+        self._last = math.nan  # m, the joint's way
+        self._omega = math.nan
+
+    def _begin(self, stretch: float) -> None:
+        """Tensions level along each tendon, by the stretch (m) that there is."""
+        if self._origin != self._origin:
+            self._origin = stretch
+        memory, model = self._memory, self._model
+        most = 0.9 * model.pretension / model.tendon_stiffness
+        real = min(most, max(-most, stretch - self._origin - float(memory[tendons.ZERO])))
+        self._pairs[:] = self._first
+        self._pairs[:, 0, tendons.TENSION] -= model.tendon_stiffness * real
+        self._pairs[:, 1, tendons.TENSION] += model.tendon_stiffness * real
+        memory[tendons.WAY] = memory[tendons.WAY_MORE] = real
+        memory[tendons.JOINT_WAY] = memory[tendons.SLID] = memory[tendons.FAST] = 0.0
+        for pair, factor in zip(self._pairs, (1.0, 1.0 + tendons.MORE), strict=True):
+            tendons.grip(pair, factor * memory[tendons.ANGLE])
+
+    @property
+    def friction_angle(self) -> float:
+        """x (1) that goes with the model's pretension: what is told of both is their product."""
+        return float(self._memory[tendons.ANGLE])
+
+    @property
+    def friction_deviation(self) -> float:
+        """Standard deviation of ln x."""
+        return math.sqrt(max(0.0, float(self._memory[tendons.P_XX])))
+
+    @property
+    def zero(self) -> float:
+        """m of stretch that the encoders show where there is none."""
+        return self._origin + float(self._memory[tendons.ZERO])
+
+    @property
+    def innovation(self) -> float:
+        """m by which the last stretch differed from the one foretold."""
+        return float(self._memory[tendons.INNOVATION])
+
+    def update(self, tau_m: float, omega_m: float, q_m: float, q_j: float, fresh: bool = True) -> None:
+        """One cycle's measurements, N*m, rad/s and rad; those that are not `fresh` or not finite are passed over."""
+        way = self._r_j * q_j
+        stretch = self._r_m * q_m - way
+        if not fresh or not math.isfinite(stretch + tau_m + omega_m):
+            self._gap += self._period
+            if self._gap > RESTART:
+                self.reset()
+            elif self._gap > LONGEST_GAP:
+                self._lose()
+            return
+        self._gap = 0.0
+        if self._last != self._last:
+            self._last, self._omega = way, omega_m
+            self._begin(stretch)
+            return
+        taken = self._inertia * (omega_m - self._omega) / self._period
+        difference = (tau_m - taken) / self._r_m
+        memory = self._memory
+        tensions, deviation, code = tendons.observe(
+            self._pairs, memory, self._settings, difference, stretch - self._origin, way - self._last
+        )
+        self._last, self._omega = way, omega_m
+        if code != tendons.OK:
+            self._lose()
+            self.state = StretchState.SLACK
+            return
+        torque = self._r_j * tensions
+        variance = (self._r_j * deviation) ** 2 + self._noise
+        tau = self._per_torque * tau_m
+        variance += self._soft * (torque + tau) ** 2 + self._bent * (torque - tau) ** 2
+        self.state = StretchState.TOLD
+        if memory[tendons.SLID] == 0.0:
+            self.state = StretchState.UNSLID
+            variance += (0.5 * self._friction) ** 2
+        half = BAND * math.sqrt(variance)
+        self.torque, self.low, self.high = torque, torque - half, torque + half
+
+
+def _pairs(model: TendonSheath) -> Array:
+    """The tendons at their pretension, twice: with the model's friction and with `tendons.MORE` of it."""
+    points = np.array(profile_of(model).points, dtype=np.float64)
+    rising = points[:, 1] + 1e-12 * np.arange(len(points))  # where the sheath is straight, the place is the farther one
+    shares = (np.arange(CONTACTS) + 0.5) / CONTACTS
+    places: list[float] = []
+    weights: list[float] = []
+    for place in np.interp(shares, rising, points[:, 0]).tolist():
+        if places and place - places[-1] < NEAR:
+            weights[-1] += 1.0 / CONTACTS
+        else:
+            places.append(place)
+            weights.append(1.0 / CONTACTS)
+    length = model.unstrained_length
+    lengths = np.diff(np.array([0.0, *places, 1.0])) * length
+    lengths[-1 if model.series_at_joint else 0] += model.series_length
+    whole = lengths.sum()
+    lengths = np.maximum(lengths, NEAR * length)
+    lengths *= whole / lengths.sum()
+    pairs = np.zeros((2, 2, tendons.ROWS, len(places) + 1))
+    pairs[:, :, tendons.STIFFNESS] = model.axial_stiffness / lengths
+    pairs[:, :, tendons.TENSION] = model.pretension
+    pairs[:, :, tendons.SHARE, : len(places)] = weights
+    return pairs
+
+
+def _settings(model: TendonSheath, period: float, counts: tuple[float, float]) -> Array:
+    """What the filter is told once; `counts` in m of the two pulleys."""
+    x, stretched = model.friction_angle, model.pretension / model.tendon_stiffness
+    told = np.zeros(tendons.SETTINGS)
+    told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x
+    told[tendons.MOST_ZERO] = stretched
+    told[tendons.PRIOR_X] = FRICTION_PRIOR**2
+    told[tendons.PRIOR_Z] = (0.5 * x * stretched) ** 2  # of a joint at rest: half of what friction can hide
+    told[tendons.SPREAD_F] = PASSING**2
+    told[tendons.WALK_X] = FRICTION_WALK**2 * period
+    told[tendons.WALK_Z] = ZERO_WALK**2 * period
+    told[tendons.KEEP_F] = math.exp(-period / PASSING_TIME)
+    torque = 0.5 * TORQUE_NOISE / model.motor_pulley_radius / model.tendon_stiffness
+    told[tendons.NOISE] = COUNTS * (counts[0] ** 2 + counts[1] ** 2) / 12.0 + torque**2
+    told[tendons.LEAST] = SLACK * model.pretension
+    return told
