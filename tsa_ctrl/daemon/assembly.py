@@ -27,10 +27,10 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.simplified import SimplifiedFeedforward
-from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
+from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
