@@ -62,7 +62,7 @@ ROOMS: dict[str, str] = {
         "errors version settings outputs system log model bus config ipc daemon identify plant virtual "
         "doctor bench drills dashboard tune demo"
     ),
-    "__init__": "version system virtual",
+    "__init__": "errors version system ipc.client virtual",
     "__main__": "system cli",
 }
 

@@ -8,9 +8,11 @@ from tsa_ctrl.system.compile_cache import choose
 from tsa_ctrl.version import __version__
 
 if TYPE_CHECKING:
+    from tsa_ctrl.errors import LeaseLostError
+    from tsa_ctrl.ipc.client import Client
     from tsa_ctrl.virtual.simulation import simulate_loop
 
-__all__ = ["__version__", "simulate_loop"]
+__all__ = ["Client", "LeaseLostError", "__version__", "simulate_loop"]
 
 choose()
 
@@ -21,4 +23,12 @@ def __getattr__(name: str) -> object:
         from tsa_ctrl.virtual.simulation import simulate_loop
 
         return simulate_loop
+    if name == "Client":
+        from tsa_ctrl.ipc.client import Client
+
+        return Client
+    if name == "LeaseLostError":
+        from tsa_ctrl.errors import LeaseLostError
+
+        return LeaseLostError
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -23,3 +23,7 @@ class BusError(TsaError):
     """The machine or the bus failed (exit code 1)."""
 
     exit_code = 1
+
+
+class LeaseLostError(BusError):
+    """The set-point is no longer this client's; the message says why."""

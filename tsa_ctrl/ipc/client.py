@@ -1,31 +1,98 @@
-"""Talking to a running daemon: one request, one answer."""
+"""Talking to a running daemon: requests and answers, measurements, events, and a lease to stream set-points.
+
+`tsa_ctrl.Client` is this one; `tsa help client` is its page.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
+import select
 import socket
+import time
+from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
 from typing import Any
 
 import msgspec
 
-from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
+from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.peers import user_of
 from tsa_ctrl.ipc.protocol import AnyRequest, default_path
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
+PIECE = 65536  # bytes
+MOST_RATE = 4000.0  # Hz: no loop is faster
+
+
+class AxisMeasured(msgspec.Struct, frozen=True):
+    """One axis in one cycle; None where this rig does not measure it."""
+
+    name: str
+    tau_j_des: float | None  # N*m, joint torque wanted
+    tau_m_cmd: float | None  # N*m, motor torque commanded
+    tau_m: float | None  # N*m, motor torque
+    tau_j: float | None  # N*m, of the joint torque sensor
+    q_j: float  # rad, joint
+    omega_j: float  # rad/s
+    q_m: float  # rad, motor
+    omega_m: float  # rad/s
+    permitted: bool  # whether there may be torque
+    limit_reason: str  # of the limiter, "none" while it does nothing
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """What a cycle measured; `measured["knee"]` is one axis."""
+
+    time: float  # s, CLOCK_MONOTONIC, of the cycle
+    age: float | None  # s since then; None before the first cycle
+    cycle: int
+    phase: str  # "settling", "running", "stopping", "faulted", "resetting", ...
+    axes: list[AxisMeasured]
+
+    def __getitem__(self, name: str) -> AxisMeasured:
+        """Raises KeyError for an axis that is not there."""
+        for axis in self.axes:
+            if axis.name == name:
+                return axis
+        raise KeyError(name)
+
+
+class Told(msgspec.Struct, frozen=True):
+    """An event of the daemon: `t` in s since its first cycle, `axis` empty for all."""
+
+    number: int
+    t: float
+    axis: str
+    text: str
+    fault: bool
 
 
 class Client:
-    """A connection; use it as a context manager."""
+    """A connection; use it as a context manager. For one thread."""
 
-    def __init__(self, path: str, timeout: float = 3.0) -> None:
-        """Raises BusError when no daemon answers at `path`."""
-        self._path = path
+    def __init__(
+        self,
+        path: str | None = None,
+        timeout: float = 3.0,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """`path`: the daemon's socket, by default that of this user; `timeout`: s for an answer; `clock`, `sleep`: s.
+
+        Raises BusError when no daemon answers there.
+        """
+        self.clock = clock
+        self._sleep = sleep
+        self._path = path = default_path() if path is None else path
+        self._timeout = timeout
+        self._received = b""
+        self._lease: Lease | None = None
+        self._next_event = 0
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout)
-        self._received = b""
         try:
             self._socket.connect(path)
         except OSError as error:
@@ -38,6 +105,7 @@ class Client:
         if user not in (0, os.getuid()) and path == default_path():
             self._socket.close()
             raise BusError(f"{path}: user {user} answers there, not yours; look who made that file")
+        self._socket.setblocking(False)
 
     def __enter__(self) -> Client:
         return self
@@ -45,22 +113,191 @@ class Client:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """A lease ends with it."""
         self._socket.close()
 
     def ask(self, request: AnyRequest) -> dict[str, Any]:
         """The answer's object; raises UsageError when the request is refused, BusError when no answer comes."""
-        with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # a refusal may wait to be read
-            self._socket.sendall(msgspec.json.encode(request) + b"\n")
-        while b"\n" not in self._received:
+        with contextlib.suppress(OSError):  # a refusal may wait to be read
+            self._write(msgspec.json.encode(request) + b"\n", self._timeout)
+        end = time.monotonic() + self._timeout
+        while True:
+            for message in self._messages():
+                if not self._take(message):
+                    if not message.pop("ok"):
+                        raise UsageError(f"daemon: {message['error']}")
+                    return message
+            self._read(end - time.monotonic())
+
+    def measure(self) -> Measured:
+        """What the newest cycle measured; raises BusError when no answer comes."""
+        return msgspec.convert(self.ask(protocol.Measure()), Measured)
+
+    def cycles(self, rate: float) -> Iterator[Measured]:
+        """`measure`, `rate` (Hz) times a second, for ever; times that have passed meanwhile are left out.
+
+        Raises UsageError for a rate that no loop has, BusError when no answer comes.
+        """
+        if not 0.0 < rate <= MOST_RATE:
+            raise UsageError(f"rate {rate:g} Hz: allowed is above 0 to {MOST_RATE:g}")
+        period, due = 1.0 / rate, self.clock()
+        while True:
+            yield self.measure()
+            due += period
+            now = self.clock()
+            if due < now:
+                due += math.ceil((now - due) / period) * period
+            self._sleep(due - now)
+
+    def events(self) -> list[Told]:
+        """What the daemon told since the last call, faults among it; raises BusError when no answer comes."""
+        found = msgspec.convert(self.ask(protocol.Events(self._next_event))["events"], list[Told])
+        if found:
+            self._next_event = found[-1].number + 1
+        return found
+
+    def lease(self, seconds: float = 0.2) -> Lease:
+        """Own the set-points of all axes; it is lost after `seconds` without one.
+
+        Raises UsageError when somebody else holds it (and says who), or when no axis takes its set-point from here;
+        BusError when no answer comes.
+        """
+        self.ask(protocol.Lease(seconds))
+        self._lease = Lease(self, seconds)
+        return self._lease
+
+    def recover(self) -> None:
+        """Ask for a new start after a latched fault; raises UsageError for who may not, BusError."""
+        self.ask(protocol.Recover())
+
+    def stop(self) -> None:
+        """Ramp the torque to 0 and end the daemon; raises UsageError for who may not, BusError."""
+        self.ask(protocol.Stop())
+
+    def stream(self, lines: bytes, patience: float) -> None:
+        """Send without an answer, and take what has come; for `Lease`.
+
+        Where the server is hundreds of values behind, waits for it: `patience` s, then raises LeaseLostError.
+        """
+        try:
+            self._write(lines, patience)
+        except BusError:
+            self.close()  # half a line cannot be taken back
+            raise self._ended("the socket's server does not read any longer; is it hanging?") from None
+        except OSError:
+            pass  # its end is read next, with what was said before it
+        self._read(0.0)
+        for message in self._messages():
+            self._take(message)
+
+    def _ended(self, why: str) -> BusError:
+        """What is raised when nothing more will come."""
+        if self._lease is None or self._lease.given_back:
+            return BusError(f"{self._path}: {why}")
+        self._lease.why = self._lease.why or why
+        return LeaseLostError(f"{self._path}: the set-point's lease is lost: {self._lease.why}")
+
+    def _write(self, data: bytes, patience: float) -> None:
+        while data:
             try:
-                data = self._socket.recv(65536)
-            except OSError as error:
-                raise BusError(f"{self._path}: the daemon does not answer ({error}); is it hanging?") from None
-            if not data or len(self._received) > LONGEST_ANSWER:
-                raise BusError(f"{self._path}: the daemon closed the connection; see what it printed")
-            self._received += data
-        line, _, self._received = self._received.partition(b"\n")
-        answer: dict[str, Any] = msgspec.json.decode(line)
-        if not answer.pop("ok"):
-            raise UsageError(f"daemon: {answer['error']}")
-        return answer
+                data = data[self._socket.send(data) :]
+            except BlockingIOError:
+                if not select.select([], [self._socket], [], patience)[1]:
+                    raise BusError(f"{self._path}: the daemon does not read; is it hanging?") from None
+
+    def _read(self, patience: float) -> None:
+        """What comes within `patience` s; without any patience, what is there. Raises BusError, LeaseLostError."""
+        if self._socket.fileno() < 0:
+            raise self._ended("the connection is closed")
+        readable = select.select([self._socket], [], [], max(patience, 0.0))[0]
+        if not readable:
+            if patience != 0.0:
+                raise BusError(f"{self._path}: the daemon does not answer (timed out); is it hanging?")
+            return
+        try:
+            data = self._socket.recv(PIECE)
+        except OSError:
+            data = b""
+        if not data or len(self._received) > LONGEST_ANSWER:
+            raise self._ended("the daemon closed the connection; see what it printed")
+        self._received += data
+
+    def _messages(self) -> Iterator[dict[str, Any]]:
+        while b"\n" in self._received:
+            line, _, self._received = self._received.partition(b"\n")
+            yield msgspec.json.decode(line)
+
+    def _take(self, message: dict[str, Any]) -> bool:
+        """Whether that was no answer, but told to the lease's holder."""
+        if "event" not in message:
+            return False
+        if self._lease is not None:
+            self._lease.take(message)
+        return True
+
+
+class Lease:
+    """The right to give set-points, until the end of its `with`, or a LeaseLostError, which says why."""
+
+    def __init__(self, client: Client, seconds: float) -> None:
+        self.seconds = seconds
+        self.why = ""  # it was lost
+        self.given_back = False
+        self._client = client
+        self._refused = ""
+        self._confirmed = client.clock()  # s: of the newest value that has arrived for sure
+
+    def __enter__(self) -> Lease:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with contextlib.suppress(BusError, UsageError):  # what ended it was told, or is being told
+            self.release()
+
+    @property
+    def held(self) -> bool:
+        """As far as this end knows."""
+        return not self.why
+
+    def send(self, values: Mapping[str, float], wanted: float | None = None) -> None:
+        """Joint torque (N*m) by axis, without an answer; its time-out counts from `wanted` (s of `clock`), or from now.
+
+        Each replaces what the axis had. Raises LeaseLostError when the lease is lost; UsageError for a value that is no
+        number, and now or later for one that was refused.
+        """
+        client = self._client
+        now = client.clock()
+        for axis, value in values.items():
+            if not math.isfinite(value):
+                raise UsageError(f"axis '{axis}': a set-point of {value}; a finite number is wanted")
+        if self.held:
+            time = now if wanted is None else wanted
+            requests = (protocol.SetPointValue(axis, value, time, True) for axis, value in values.items())
+            client.stream(b"".join(msgspec.json.encode(request) + b"\n" for request in requests), self.seconds)
+            if now - self._confirmed > self.seconds and self.held:
+                self.why = f"no value was confirmed for {self.seconds:g} s; does the socket's server hang?"
+        if self.why:
+            raise LeaseLostError(f"the set-point's lease is lost: {self.why}")
+        if self._refused:
+            refused, self._refused = self._refused, ""
+            raise UsageError(f"daemon: {refused}")
+
+    def release(self) -> None:
+        """Give it back: what was wanted goes to 0 at the set-point's rate. Nothing, when it is lost already."""
+        if self.held:
+            self.why, self.given_back = "it was given back", True
+            self._client.ask(protocol.Release())
+
+    def take(self, message: Mapping[str, Any]) -> None:
+        """What the server tells of it."""
+        if message["event"] == "refused":
+            self._refused = message["error"]
+        elif message["event"] == "lease" and message["held"]:
+            self._confirmed = message["time"]
+        elif message["event"] == "lease":
+            self.why = self.why or message["why"]

@@ -1,0 +1,220 @@
+"""The client for controllers above this one, with a server process whose loop the test plays."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+import tsa_ctrl
+from tests.daemon.serving import PATIENCE, Serving, until
+from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
+from tsa_ctrl.ipc.client import Client, Lease
+from tsa_ctrl.ipc.mailbox import Reading
+
+EVENT = {"number": 4, "t": 1.5, "axis": "knee", "text": "heartbeat lost", "fault": True}
+
+
+@pytest.fixture
+def serving(tmp_path: Path) -> Iterator[Serving]:
+    running = Serving(tmp_path / "tsa.sock", ["knee", "hip"])
+    assert running.ready, running.greeting
+    yield running
+    with contextlib.suppress(ProcessLookupError):
+        running.process.send_signal(signal.SIGCONT)
+    running.end()
+
+
+def stream(lease: Lease) -> str:
+    """Send until the lease is lost; why."""
+    end = time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        try:
+            lease.send({"knee": 0.1})
+        except LeaseLostError as lost:
+            assert not lease.held
+            return str(lost)
+        time.sleep(0.005)
+    raise AssertionError("it was not lost")
+
+
+def test_it_is_the_packages_own() -> None:
+    assert tsa_ctrl.Client is Client
+    assert tsa_ctrl.LeaseLostError is LeaseLostError
+    assert issubclass(LeaseLostError, BusError)
+
+
+def test_a_measurement_has_types(serving: Serving) -> None:
+    """None for what the rig does not measure."""
+    with Client(serving.path) as client:
+        assert client.measure().age is None
+        reading = Reading(q_j=0.5, omega_j=-2.0, tau_j=float("nan"), permitted=1.0)
+        serving.mailbox.measure(time.monotonic(), 9, 2, [reading, Reading()])
+        measured = client.measure()
+    assert measured.age is not None
+    assert measured.age >= 0.0
+    assert (measured.cycle, measured.phase) == (9, "running")
+    knee = measured["knee"]
+    assert (knee.q_j, knee.omega_j, knee.tau_j, knee.permitted, knee.limit_reason) == (0.5, -2.0, None, True, "none")
+    with pytest.raises(KeyError, match="toe"):
+        measured["toe"]
+
+
+def test_values_are_streamed_without_waiting_for_an_answer(serving: Serving) -> None:
+    """More than any queue has room for; the newest is what the loop finds, with its own time."""
+    with Client(serving.path) as client, client.lease() as lease:
+        for n in range(1000):
+            lease.send({"knee": n * 1e-3}, wanted := time.monotonic())
+        client.measure()  # answered after all of them
+        assert serving.mailbox.wanted(0) == (0.999, wanted)
+        assert lease.held
+
+
+def test_a_lease_is_given_back_with_what_was_wanted(serving: Serving) -> None:
+    """However its block ends; the next may have it at once."""
+    with Client(serving.path) as client, Client(serving.path) as other:
+        with contextlib.suppress(ZeroDivisionError), client.lease(10.0) as lease:
+            lease.send({"knee": 0.5})
+            with pytest.raises(UsageError, match=rf"held by process {os.getpid()} \(.*\) of user {os.getuid()}"):
+                other.lease()
+            raise ZeroDivisionError
+        found = serving.mailbox.wanted(0)
+        assert found is not None
+        assert found[0] == 0.0
+        other.lease()
+        with pytest.raises(LeaseLostError, match="given back"):
+            lease.send({"knee": 0.5})
+
+
+def test_a_client_that_is_silent_for_too_long_learns_it_at_its_next_value(serving: Serving) -> None:
+    with Client(serving.path) as client, client.lease(0.05) as lease:
+        lease.send({"knee": 0.1})
+        time.sleep(0.2)
+        assert "no set-point came for 0.05 s" in stream(lease)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ("end", "the daemon has ended"),
+        ("SIGKILL", "the daemon closed the connection"),
+        ("SIGSTOP", "no value was confirmed for"),
+    ],
+)
+def test_a_daemon_that_goes_or_hangs_ends_the_lease(serving: Serving, how: str, words: str) -> None:
+    """The message says how; whoever asks meanwhile gets a BusError, too."""
+    with Client(serving.path, timeout=0.2) as client, client.lease(0.2) as lease:
+        lease.send({"knee": 0.1})
+        if how == "end":
+            serving.end()
+        else:
+            serving.process.send_signal(getattr(signal, how))
+        assert words in stream(lease)
+        with pytest.raises(BusError, match=r"lease is lost|does not answer"):
+            client.measure()
+
+
+def test_a_server_that_reads_no_more_ends_the_lease_at_once_when_its_buffer_is_full(serving: Serving) -> None:
+    """Not after the last value that fits, and without a traceback for who asks then."""
+    with Client(serving.path) as client, client.lease(0.05) as lease:
+        serving.process.send_signal(signal.SIGSTOP)
+        client.stream(b"", 0.05)
+        with pytest.raises(LeaseLostError, match="does not read any longer"):
+            client.stream(b" " * 10_000_000, 0.05)
+        with pytest.raises(LeaseLostError, match="does not read any longer"):
+            lease.send({"knee": 0.1})
+        with pytest.raises(LeaseLostError, match="does not read any longer"):
+            client.measure()
+
+
+def test_after_a_restart_a_new_client_takes_a_new_lease(serving: Serving) -> None:
+    """Nothing is taken up again by itself."""
+    with Client(serving.path) as client:
+        lease = client.lease()
+        serving.end()
+        stream(lease)
+        again = Serving(Path(serving.path), ["knee"])
+        with Client(again.path) as other, other.lease() as new:
+            new.send({"knee": 0.25})
+            other.measure()
+            assert (again.mailbox.wanted(0) or (0.0,))[0] == 0.25
+        with pytest.raises(LeaseLostError):
+            lease.send({"knee": 0.5})
+        again.end()
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_what_is_no_number_is_not_sent(serving: Serving, value: float) -> None:
+    with Client(serving.path) as client, client.lease() as lease:
+        with pytest.raises(UsageError, match="a finite number is wanted"):
+            lease.send({"knee": value})
+        client.measure()
+        assert serving.mailbox.wanted(0) in (None, (0.0, -float("inf")))
+
+
+def test_a_value_that_is_refused_is_told_at_a_later_one(serving: Serving) -> None:
+    """And the lease goes on."""
+    with Client(serving.path) as client, client.lease(10.0) as lease:
+        with contextlib.suppress(UsageError):  # as soon as it is known
+            lease.send({"knee": 99.0})
+            client.measure()
+            lease.send({"knee": 0.5})
+            raise AssertionError("it was not refused")
+        lease.send({"knee": 0.25})
+        client.measure()
+        assert (serving.mailbox.wanted(0) or (0.0,))[0] == 0.25
+
+
+def test_events_come_once(serving: Serving) -> None:
+    with Client(serving.path) as client:
+        assert client.events() == []
+        serving.mailbox.publish_text(msgspec.json.encode([EVENT]))
+        told = client.events()
+        assert [(event.axis, event.text, event.fault) for event in told] == [("knee", "heartbeat lost", True)]
+        assert client.events() == []
+
+
+def test_what_the_holder_is_told_meanwhile_does_not_disturb_its_requests(serving: Serving) -> None:
+    with Client(serving.path) as client, client.lease(10.0) as lease:
+        serving.mailbox.publish_text(msgspec.json.encode([EVENT]))
+        for _ in range(20):
+            lease.send({"knee": 0.1})
+            assert client.measure().cycle == 0
+            time.sleep(0.005)
+        assert [event.number for event in client.events()] == [4]
+
+
+def test_stop_and_recover(serving: Serving) -> None:
+    with Client(serving.path) as client:
+        with pytest.raises(UsageError, match="did not take the command"):
+            client.recover()
+        assert serving.mailbox.take() is not None
+        client.stop()
+    assert until(lambda: serving.mailbox.stop_requested)
+
+
+def test_cycles_keep_their_grid_and_leave_out_what_has_passed(serving: Serving) -> None:
+    """200 Hz; the third takes 12 ms."""
+    now = [10.0]
+    slept: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        now[0] += seconds
+
+    with Client(serving.path, clock=lambda: now[0], sleep=sleep) as client:
+        for n, _ in zip(range(5), client.cycles(200.0), strict=False):
+            now[0] += 0.012 if n == 2 else 0.001
+    assert slept[:4] == pytest.approx([0.004, 0.004, 0.003, 0.004])
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 1e9, float("nan")])
+def test_a_rate_that_no_loop_has_is_refused(serving: Serving, rate: float) -> None:
+    with Client(serving.path) as client, pytest.raises(UsageError, match="allowed is above 0 to 4000"):
+        next(client.cycles(rate))
