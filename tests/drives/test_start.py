@@ -162,7 +162,7 @@ def test_a_slow_boot_is_told_apart_from_a_dead_wire(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_slow_answers_need_patience(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "answer_time = 0.7")
-    with refused("within 0.5 s;", "answer_timeout gives a slow one more time"):
+    with refused("within 0.5 s;", "a slow one needs more answer_timeout"):
         foreign.start()
     foreign.wait(5.0)
     foreign.bring_up(answer_timeout=1.0)

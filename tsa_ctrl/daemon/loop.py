@@ -19,7 +19,8 @@ from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, Mailbox
-from tsa_ctrl.safety.supervisor import Phase, Request
+from tsa_ctrl.safety.cures import CURES, cure
+from tsa_ctrl.safety.supervisor import Cause, Phase, Request
 from tsa_ctrl.system.histogram import count
 from tsa_ctrl.system.realtime import Ticker
 
@@ -211,8 +212,9 @@ class Loop:
             self._ran = True
             self._enter(LoopPhase.RUNNING, planned)
         elif planned * 1e-9 - self._since > self._settings.settle_cycles * self._period + SETTLE_TIME:
-            self.events.add(self._t(planned), "", "the nodes do not answer every SYNC", fault=True)
-            self.stop("the nodes do not answer every SYNC")
+            text = f"the nodes do not answer every SYNC; {CURES[Cause.STALE_PDO.value]}"
+            self.events.add(self._t(planned), "", text, fault=True)
+            self.stop(text)
 
     def _reset(self, planned: int) -> None:
         """Hold the reset until every supervisor is back in standby, then settle anew."""
@@ -270,7 +272,9 @@ class Loop:
         for axis in self._axes:
             axis.stop()
         if self._settings.after_fault == "exit" or not self._ran:  # a start that fails is not worth waiting for
-            self.stop(f"fault: {self.events.faults[0].text}")
+            text = self.events.faults[0].text
+            mended_by = "" if self._ran else cure(text)
+            self.stop(f"fault: {text}" + (f"; {mended_by}" if mended_by else ""))
         if self.phase not in (LoopPhase.STOPPING, LoopPhase.RESETTING):
             self._enter(LoopPhase.FAULTED, planned)
 

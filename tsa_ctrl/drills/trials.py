@@ -76,7 +76,7 @@ class ListenerProcess:
             self.end()
             reason = said.decode(errors="replace").strip() or "it ended at once"
             raise BusError(
-                f"the listener beside the loop cannot listen: {reason}; the bus must be one that two processes can "
+                f"the listener beside the loop cannot listen: {reason}; choose a bus that two processes can "
                 "open, as SocketCAN is"
             )
 

@@ -39,6 +39,9 @@ CURES: Mapping[str, str] = MappingProxyType(
         Cause.EMERGENCY.value: "the code in the drive's manual; take away what it names, then recover",
         Cause.DRIVE_FAULT.value: "read the drive's error code (0x603F) in its manual; take it away, then recover",
         Cause.STALE_PDO.value: "bus load, a late node, or a computer that stalls: tsa doctor; then recover",
+        Cause.REPEATED_PDO.value: (
+            "two nodes of one id: give each its own (switches, maker's tool, tsa drive set-node-id); then recover"
+        ),
         Cause.COMMAND_DROPPED.value: "the send queue is full: nobody acknowledges, or the bus is too slow: tsa doctor",
         Cause.WRONG_MODE.value: "another tool or the drive changed its mode: end that, then recover",
         Cause.COMMAND_IGNORED.value: (
@@ -47,10 +50,17 @@ CURES: Mapping[str, str] = MappingProxyType(
         ),
         Cause.STATE_LOST.value: "safe torque off, a switch at the drive, a warning that became a fault; then recover",
         Cause.ENABLE_TIMEOUT.value: (
-            "safe torque off, main power, enable input; a slow drive: enable_timeout in its profile"
+            "safe torque off, main power, enable input; a slow drive: enable_timeout in [bus.supervision]"
         ),
         Cause.DISABLE_TIMEOUT.value: "take its power: nobody knows whether it gives torque; then look at the drive",
         Cause.RESET_TIMEOUT.value: "the reason of the drive's fault is still there: its manual; power cycle it",
         Cause.TRIPPED.value: "what the message names; then recover",
     }
 )
+
+
+def cure(message: str) -> str:
+    """What to do about a fault with this message; empty for one that says so itself, and for one that nobody knows."""
+    if "; " in message:
+        return ""
+    return next((words for needle, words in CURES.items() if needle in message), "")

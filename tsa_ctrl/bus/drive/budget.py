@@ -68,6 +68,7 @@ def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load
         raise UsageError(
             f"[bus] bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} axis/axes needs "
             f"{100 * result.least:.0f} to {100 * result.worst:.0f} % of it, allowed is {100 * settings.max_load:.0f} % "
-            f"(max_load); at most {int(result.highest_rate(settings.max_load))} Hz, or a higher bit rate"
+            f"(max_load); choose a rate of at most {int(result.highest_rate(settings.max_load))} Hz, or a higher "
+            "bitrate"
         )
     return result

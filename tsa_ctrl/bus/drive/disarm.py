@@ -20,7 +20,7 @@ def disarm(session: Session, node_id: int, host: int) -> None:
         if found:
             raise BusError(
                 f"node {node_id}: {entry} stays {found:#x} although 0 was written; the drive will report "
-                "that we are gone"
+                "that we are gone: start with --reset-faults next time"
             )
 
 

@@ -32,7 +32,7 @@ def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:
             owner, other = owners.setdefault(node.node_id, (name, node))
             if owner != name and not (other is not None and _may_share(node, other)):
                 raise UsageError(
-                    f"{name}: node_id {node.node_id} is also that of {owner}; every node needs its own"
+                    f"{name}: node_id {node.node_id} is also that of {owner}; give every node its own"
                     f"{_how_to_share(node, other)}"
                 )
     for axis in axes:

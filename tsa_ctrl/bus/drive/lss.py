@@ -45,7 +45,9 @@ def set_node_id(bus: Bus, node_id: int, say: Callable[[str], None] = lambda line
     found = find(bus)
     _send(bus, _SWITCH, _CONFIGURING)
     try:
-        _confirmed(bus, bytes((_NODE_ID, node_id)), f"does not take node id {node_id}")
+        _confirmed(
+            bus, bytes((_NODE_ID, node_id)), f"does not take node id {node_id}: use its switches or its maker's tool"
+        )
         _confirmed(
             bus, bytes((_STORE,)), "cannot keep its node id: it is lost with its power; use its switches or tool"
         )

@@ -160,7 +160,10 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
         return DriveProfile()
     if not path.exists():
         known = sorted({"generic", *(found.stem for found in path.parent.glob("*.toml"))})
-        raise UsageError(f"{path}: no such drive profile '{name}'; known here: {', '.join(known)}")
+        raise UsageError(
+            f"{path}: no such drive profile '{name}'; known here: {', '.join(known)}; correct profile in "
+            "[axis.drive], or have one written: tsa drive probe"
+        )
     profile = settings.load(path, DriveProfile)
     names = {entry.name for entry in objects.TABLE}
     for absent in profile.absent:

@@ -281,7 +281,7 @@ class Session:
                 raise self._failed()
         raise BusError(
             f"{self._bus.name}: node {node_id} does not answer to SDO requests ({entry}) within {client.patience:g} s; "
-            "check that it is powered, its node id and its bit rate; answer_timeout gives a slow one more time"
+            "check that it is powered, its node id and its bit rate; a slow one needs more answer_timeout"
         )
 
     def _failed(self) -> BusError:

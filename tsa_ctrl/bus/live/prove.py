@@ -34,10 +34,13 @@ def prove(rig: Rig, period: float, cycles: int = 50) -> None:
         if health.repeated - repeated > (1.0 - _LEAST_ANSWERED) * cycles:
             raise BusError(
                 f"axis '{name}' {health}: sent {health.repeated - repeated} more PDOs than {cycles} SYNCs asked for; "
-                f"another node may have the same id{_said(health, '')}"
+                f"another node may have the same id: give each its own (its switches, its maker's tool, or "
+                f"tsa drive set-node-id){_said(health, '')}"
             )
 
 
 def _said(health: NodeHealth, otherwise: str = "; check the bus load, collect in [controller], and the cable") -> str:
     """What the node itself sent meanwhile, which is more than anybody here can guess."""
-    return f"; it sent {health.emcy}" if health.emcy is not None else otherwise
+    if health.emcy is None:
+        return otherwise
+    return f"; it sent {health.emcy}: remove what it names, power the node off and on, and start again"

@@ -1,0 +1,94 @@
+"""No message of a failure at the start lacks what mends it: all that can be raised there is read line by line."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+from tsa_ctrl.safety.cures import CURES, cure
+from tsa_ctrl.safety.supervisor import Cause, Fault
+
+PLACES = ("tsa_ctrl/bus", "tsa_ctrl/drills")
+# Words that say what to do, in the imperative, after what was found.
+DO = re.compile(
+    r"\b(correct|write|give|check|use|choose|power|cut|stop|start|leave|map|lower|remove|repair|load|plug|set|watch|"
+    r"mend|did you mean|allowed are|needs more)\b"
+)
+ELSEWHERE = (  # messages that another function words, or ends: each is read below, or by the tests named there
+    "another_master",
+    "_not_booted",
+    "node {node_id} refuses {entry}",  # ended by cure() where it is caught: test_start, campaign/drives
+    "{path}: {error}",
+    "{name}: {error}; {cure(",
+    "read back {after:#x}; {cure(",
+    "supported modes 0x{modes:08X}{_instead(modes)}",
+    "the drive {refusal}",  # set_node_id gives both refusals with their cure: test_lss
+    "absent: unknown object '{absent}'; {advice}",  # a near name, or where the names stand: test_profile
+    "SYNCs in time (late {health.late}",  # ended by _said
+    "torque was lost before anything was done",  # ends with the loop's own first words
+    "the loop ended before there was torque",
+)
+WORDED = ("another_master", "_not_booted", "_instead", "_said", "rated_torque_hint")
+
+
+def text(node: ast.expr) -> str:
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.JoinedStr):
+        return "".join(text(value) for value in node.values)
+    return (
+        "{" + ast.unparse(node.value) + _format(node) + "}"
+        if isinstance(node, ast.FormattedValue)
+        else ast.unparse(node)
+    )
+
+
+def _format(node: ast.FormattedValue) -> str:
+    return "" if node.format_spec is None else ":" + text(node.format_spec)
+
+
+def raised() -> Iterator[tuple[str, str]]:
+    """Where, and the message with its fields in braces."""
+    for place in PLACES:
+        for path in sorted((ROOT / place).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
+                    name = ast.unparse(node.exc.func)
+                    if name in ("BusError", "UsageError", "SdoRefusedError"):
+                        yield f"{path.relative_to(ROOT)}:{node.lineno}", text(node.exc.args[0])
+
+
+@pytest.mark.parametrize(("where", "message"), [pytest.param(*one, id=one[0]) for one in raised()])
+def test_a_refusal_says_what_mends_it(where: str, message: str) -> None:
+    known = any(part in message for part in ELSEWHERE)
+    assert known or DO.search(message), f"{where}: {message}"
+
+
+def test_what_ends_other_messages_says_what_mends_it() -> None:
+    """Functions that word a message, or its end, for those above."""
+    found = {}
+    for path in (ROOT / "tsa_ctrl/bus").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef) and node.name in WORDED:
+                returned = [ast.unparse(inner) for inner in ast.walk(node) if isinstance(inner, ast.expr)]
+                found[node.name] = " ".join(returned)
+    assert set(found) == set(WORDED)
+    for name in set(WORDED) - {"rated_torque_hint"}:
+        assert DO.search(found[name]), name
+
+
+def test_a_fault_that_ends_a_start_is_given_its_cure_unless_it_has_one() -> None:
+    for cause in Cause:
+        assert cure(str(Fault(cause, "drive node 1", 0.0))) == CURES[cause.value]
+    assert cure(str(Fault(Cause.ENABLE_TIMEOUT, "drive is in ready; more enable_timeout", 0.0))) == ""
+
+
+def test_a_message_without_a_cure_would_be_found() -> None:
+    assert not DO.search("axis 'knee': the drive is blue")
+    assert len(list(raised())) > 50
+    assert Path(ROOT / "tsa_ctrl/bus").is_dir()
