@@ -128,3 +128,18 @@ def test_a_verb_that_is_nearly_one_is_suggested(capsys: pytest.CaptureFixture[st
     with pytest.raises(SystemExit):
         main(["stat"])
     assert "did you mean 'status'?" in capsys.readouterr().err
+
+
+def test_ctrl_c_while_the_verbs_are_loaded_is_one_line() -> None:
+    code = """
+import sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == "click":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupting())
+from tsa_ctrl.__main__ import entry
+entry()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (1, "", "tsa: interrupted\n")

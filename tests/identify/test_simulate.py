@@ -236,3 +236,16 @@ def test_the_measured_cable_drive_as_given_has_the_published_error(data_dir: Pat
     assert round(1e3 * math.sqrt(squares / samples)) == 61
     slack = sum(result.beyond_slack * len(result.predicted) for result in results)
     assert round(100.0 * slack / samples) == 39
+
+
+def test_a_log_in_which_nothing_changes_is_said_to_be_one_point(
+    bench: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    still = np.full_like(T, 0.5)
+    write_csv(bench / "still.csv", t=T, tau_m=still, tau_j=0.8 * still, omega_j=0.0 * still)
+    assert tsa("still.csv", "--model", "a.toml") == 0
+    assert (
+        "note: tau_m, tau_j, omega_j never change: an error of this log is that of one point" in capsys.readouterr().out
+    )
+    assert tsa("x.csv", "--model", "a.toml") == 0
+    assert "one point" not in capsys.readouterr().out

@@ -171,6 +171,12 @@ def _show(outcome: Outcome) -> None:
         f"cycles: {cycles['planned']} planned, {cycles['sent']} sent, {cycles['late']} late, "
         f"{cycles['missed_pdo']} PDOs missed"
     )
+    if cycles["planned"] > cycles["sent"]:
+        console.print(
+            f"{cycles['planned'] - cycles['sent']} cycles were left out, as the machine woke the loop after their "
+            "time; the torque was held meanwhile",
+            soft_wrap=True,
+        )
     console.print(f"log: {data['log']}", soft_wrap=True)
     console.print(f"picture: {data['picture']}", soft_wrap=True)
     click.echo(f"reduction: {outcome.reduction:.1f} %")

@@ -30,7 +30,7 @@ def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path |
     there is no error to print.
     """
     from tsa_ctrl.identify.dataset import load_log
-    from tsa_ctrl.identify.simulate import labels, simulate_all, write_csv
+    from tsa_ctrl.identify.simulate import labels, simulate_all, unmoved, write_csv
     from tsa_ctrl.log.table import split_axis
     from tsa_ctrl.model.parameters import load_model
 
@@ -42,6 +42,7 @@ def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path |
     loaded = [load_model(path) for path in models]
     dataset = load_log(log)
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
+    notes = [*dataset.notes, *filter(None, [unmoved(dataset)])]
     kept = {path: outputs.keep(path) for path in (out, picture) if path is not None}
     if out is not None:
         write_csv(out, dataset, simulations)
@@ -55,12 +56,12 @@ def command(log: str, models: tuple[str, ...], out: Path | None, picture: Path |
             "log": dataset.name,
             "sha256": dataset.sha256,
             "models": [simulation.as_dict() for simulation in simulations],
-            "notes": list(dataset.notes),
+            "notes": notes,
         }
         click.echo(json.dumps(result, allow_nan=False))
         return
     click.echo(f"{dataset.name}: {len(dataset)} samples at {dataset.rate:.6g} Hz, {dataset.seconds:.3f} s")
-    for note in dataset.notes:
+    for note in notes:
         click.echo(f"note: {note}")
     for simulation in simulations:
         if simulation.beyond_slack > 0.0:

@@ -20,6 +20,8 @@ from tsa_ctrl.model.predict import beyond_slack, predict
 
 Array = NDArray[np.float64]
 
+COURSES = ("tau_m", "tau_j", "omega_j", "omega_m")  # of which one has to vary for an error to say something
+
 
 @dataclass(frozen=True)
 class Simulation:
@@ -93,6 +95,15 @@ def simulate_all(dataset: Dataset, models: Sequence[tuple[str, Model]]) -> list[
                 "simulate a plain drive and a tendon-sheath in two calls"
             )
     return simulations
+
+
+def unmoved(dataset: Dataset) -> str | None:
+    """What to say of a log in which nothing changes: its error, small or not, is that of one point."""
+    constant = [name for name in COURSES if name in dataset and np.ptp(dataset[name]) == 0.0]
+    if any(name in dataset and name not in constant for name in COURSES):
+        return None
+    change = "changes" if len(constant) == 1 else "change"
+    return f"{', '.join(constant)} never {change}: an error of this log is that of one point"
 
 
 def labels(paths: Sequence[str]) -> list[str]:

@@ -7,12 +7,14 @@ import gc
 import os
 import signal
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import FrameType
 
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
+from tsa_ctrl.errors import BusError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.channel import ControlSocket
 from tsa_ctrl.plant.console import Console
@@ -22,6 +24,10 @@ from tsa_ctrl.plant.machine import Machine, build_axes
 from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.record import Recorder
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
+
+SDO_REQUEST, SDO_ANSWER = 0x600, 0x580  # of the default server channel, CiA 301
+DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))  # initiate upload of 0x1000:0
+ANSWER_TIME = 0.1  # s; a node of ours answers within ms, a device of others within tens of them
 
 
 def check(path: str | Path) -> PlantSettings:
@@ -54,6 +60,25 @@ def open_bus(settings: BusSettings) -> Bus:
     return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)
 
 
+def refuse_doubles(bus: Bus, nodes: Iterable[int], wait: float = ANSWER_TIME) -> None:
+    """Ask every node id for its device type (0x1000) before a node of ours has it.
+
+    Raises BusError when somebody answers within `wait` s: two nodes of one id would answer the master at once.
+    """
+    asked = {SDO_ANSWER + node: node for node in nodes}
+    bus.flush()
+    for node in asked.values():
+        bus.send(SDO_REQUEST + node, DEVICE_TYPE)
+    end = bus.clock() + wait
+    while (left := end - bus.clock()) > 0.0:
+        frame = bus.recv(left)
+        if frame is not None and frame[0] in asked:
+            raise BusError(
+                f"node {asked[frame[0]]} answers on {bus.name} already: another plant or a device; "
+                "stop it, or give these nodes other ids"
+            )
+
+
 def run(path: str | Path, record: str | None = None, control: str | None = None) -> None:
     """Simulate until SIGTERM or SIGINT; says `ready` on stdout when every node has booted.
 
@@ -64,6 +89,7 @@ def run(path: str | Path, record: str | None = None, control: str | None = None)
     with contextlib.ExitStack() as stack:
         bus = open_bus(plant.bus)
         stack.callback(bus.close)
+        refuse_doubles(bus, [node.node_id for node in nodes_of(plant)])
         machine = Machine(plant, bus)
         if record is not None:
             machine.recorder = Recorder(record, plant.physics.record_period)
