@@ -23,22 +23,26 @@ find_python() {
     die "Python 3.11 or later is needed, found $(python3 --version 2>/dev/null || echo none); install it or name it in PYTHON"
 }
 
-# Makes .venv and installs the project with its tools into it, when it is missing or pyproject.toml has changed since.
-ensure_venv() {
-    local venv=$root/.venv log=$root/.cache/install.log python stamp
+# Makes .venv and installs the project into it, with an extra (dev: what tests and tools need) where one is given, when
+# that is missing or pyproject.toml has changed since. What has an extra serves who asks for none.
+ensure_venv() { # [EXTRA]
+    local venv=$root/.venv log=$root/.cache/install.log python stamp extra=${1:-} size=700
     stamp="$root $(cksum <"$root/pyproject.toml")"
+    if [[ $extra ]]; then
+        stamp+=" $extra" size=950
+    fi
     mkdir -p "$root/.cache"
     exec 9>"$root/.cache/install.lock"
     if command -v flock >/dev/null; then flock 9; fi
-    if ! grep -qxF "$stamp" "$venv/installed" 2>/dev/null; then
+    if ! grep -qF "$stamp" "$venv/installed" 2>/dev/null; then
         python=$(find_python)
-        printf '%s: installing into .venv (once; some 900 MB on disk)\n' "$tool" >&2
+        printf '%s: installing into .venv (once; some %s MB on disk)\n' "$tool" "$size" >&2
         if [[ ! -x $venv/bin/python ]] || ! "$venv/bin/python" -m pip --version 2>/dev/null | grep -qF "$venv/"; then
             "$python" -m venv --clear "$venv" >"$log" 2>&1 ||
                 die "'$python -m venv' failed (on Debian and Ubuntu: apt-get install python3-venv); see $log"
         fi
         "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --retries 2 \
-            --editable "$root[dev]" >"$log" 2>&1 ||
+            --editable "$root${extra:+[$extra]}" >"$log" 2>&1 ||
             die "pip could not install the project: $(grep -m1 ERROR "$log" || tail -n1 "$log")$(
                 if grep -q 'connection broken' "$log"; then echo ' (a registry was not reached)'; fi
             ); all of it in $log"
