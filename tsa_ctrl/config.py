@@ -29,7 +29,7 @@ from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.safety.limiter import LimiterSettings
-from tsa_ctrl.safety.oscillation import OscillationSettings
+from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
 from tsa_ctrl.safety.plausibility import PlausibilitySettings
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
@@ -85,7 +85,8 @@ class AxisSettings(AxisNodes, frozen=True, kw_only=True):
     direction: DirectionSettings = DirectionSettings()
     estimator: EstimatorSettings = EstimatorSettings()
     bending: BendingSettings = BendingSettings()
-    oscillation: OscillationSettings = OscillationSettings()
+    passivity: PassivitySettings = PassivitySettings()
+    oscillation: OscillationSettings | None = None  # of earlier versions; has no effect
     plausibility: PlausibilitySettings = PlausibilitySettings()
     serial: tuple[SerialSensorSettings, ...] = ()  # sensors on serial lines: joint torque, tendon tensions, bending
 

@@ -16,7 +16,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.supervisor import Phase, Request
 
-PARTS = ("set_point", "estimator", "law", "monitor", "plausibility")
+PARTS = ("set_point", "estimator", "law", "guard", "plausibility")
 
 
 @pytest.fixture
@@ -157,7 +157,7 @@ class Calls(list[tuple[Any, ...]]):
 
     def __init__(self, axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, wrong: str | None = None) -> None:
         super().__init__()
-        asked = {"law": "applied", "plausibility": "update", "estimator": "update", "monitor": "update"}
+        asked = {"law": "applied", "plausibility": "update", "estimator": "update", "guard": "update"}
         for part, method in asked.items():
             finding = wrong if part == "plausibility" else None
             monkeypatch.setattr(getattr(axis, part), method, partial(self._note, finding, part))
@@ -178,12 +178,13 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     calls = Calls(axis, monkeypatch)
     axis.follow(2.0)
     x, radii = axis.model.friction_angle, (axis.model.motor_pulley_radius, axis.model.joint_pulley_radius)
+    at_joint = 2.0 * axis.model.pretension * radii[1] * math.tanh(x)
     expected = radii[1] * (0.31 / radii[0] * math.cosh(x) - 2.0 * axis.model.pretension * math.sinh(x))
     assert calls == [
         ("law", 0.44),
         ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 0.34, pytest.approx(expected, rel=1e-12)),
         ("estimator", 1.0, 0.42, 1.5, 0.31, 0.34, True),
-        ("monitor", 0.42, 0.43),
+        ("guard", 0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0),
     ]
     assert axis.terms.theta == 1.5
     assert axis.supervisor.fault is None
@@ -211,7 +212,7 @@ def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: py
     calls = Calls(axis, monkeypatch, wrong="nonsense")
     axis.image.fresh = False
     axis.follow(2.0)
-    assert [call[0] for call in calls] == ["law", "estimator", "monitor"]
+    assert [call[0] for call in calls] == ["law", "estimator", "guard"]
     assert calls[1][-1] is False
     assert axis.supervisor.fault is None
 

@@ -310,6 +310,7 @@ def test_reasons_are_the_codes_of_the_log() -> None:
         "ABSOLUTE": 9,
         "OSCILLATION": 10,
         "DOMAIN": 11,
+        "PASSIVITY": 12,
     }
 
 

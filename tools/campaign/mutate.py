@@ -35,7 +35,6 @@ from tsa_ctrl.errors import UsageError
 EQUIVALENT = Path(__file__).parent / "mutation" / "equivalent.toml"
 TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must see its mistakes, quick ones first
     "tsa_ctrl/safety/limiter.py": ("tests/safety/test_limiter.py",),
-    "tsa_ctrl/safety/oscillation.py": ("tests/safety/test_oscillation.py",),
     "tsa_ctrl/bus/canopen/cia402.py": ("tests/bus/canopen/test_cia402.py", "tests/safety/test_supervisor.py"),
     "tsa_ctrl/safety/supervisor.py": ("tests/safety/test_supervisor.py",),
     "tsa_ctrl/safety/shut_down.py": ("tests/safety/test_shut_down.py",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,21 +10,24 @@ from tsa_ctrl.bus.canopen.cia402 import PowerState, decode
 from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
-from tsa_ctrl.control.estimator import Estimator
+from tsa_ctrl.control.bound import Bound
+from tsa_ctrl.control.delivered import delivered_of
+from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, toward
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
+from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
-from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
 _ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
+BOUND_RATE = 0.5  # 1/s, at which the bound of the compensation moves: no step of the torque
 
 
 @dataclass(slots=True)
@@ -53,12 +57,14 @@ class ControlAxis:
         estimator: Estimator,
         law: Law,
         limiter: Limiter,
-        monitor: OscillationMonitor,
+        guard: Guard,
         plausibility: Plausibility,
         joint_torque: JointTorque,
         period: float,
         most_age: float,
         stop_time: float,
+        bound: Bound,
+        has_torque_sensor: bool,
     ) -> None:
         """`most_age`: s, of measurements that may still drive the motor; `stop_time`: s, from full torque to 0."""
         self.name = io.name
@@ -73,7 +79,8 @@ class ControlAxis:
         self.estimator = estimator
         self.law = law
         self.limiter = limiter
-        self.monitor = monitor
+        self.guard = guard
+        self.bound = bound
         self.plausibility = plausibility
         self.joint_torque = joint_torque
         self.most_age = most_age
@@ -88,9 +95,12 @@ class ControlAxis:
         self._enabled_at: float | None = None
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
+        self._gearing = 1.0 / self._ratio
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
         self._transmitted = transmitted_by(model)
+        self.delivered = delivered_of(self.instruments, joint_torque.stretch, has_torque_sensor)
+        law.bound = self._bounded()
 
     @property
     def at_rest(self) -> bool:
@@ -170,7 +180,7 @@ class ControlAxis:
                 self.supervisor.trip(wrong, now)
         self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
         self.adapt()
-        self.monitor.update(terms.omega_j, terms.tau_j_des)
+        self._watch()
         self.law.follow(self.set_point.rate, self.set_point.silent)
 
     def release(self) -> None:
@@ -183,10 +193,39 @@ class ControlAxis:
         self.set_point.reset()
         self.estimator.reset()
         self.law.reset()
-        self.monitor.reset()
+        self.guard.reset()
+        self.law.damping.share = 1.0
+        self.law.bound = self._bounded()
         self.plausibility.reset()
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)
+
+    def _watch(self) -> None:
+        """Let the guard see what the compensation does, and follow what it asks for."""
+        law, terms, guard, image, gearing = self.law, self.terms, self.guard, self.image, self._gearing
+        velocity = law.velocity
+        guard.update(
+            self.delivered.torque if image.fresh else math.nan,
+            self.ramp * terms.tau_j_des,
+            self.set_point.rate,
+            velocity,
+            gearing * law.friction_term,
+            gearing * law.half_loop,
+            terms.tau_m_cmd - law.ideal,
+            law.ideal,
+        )
+        law.damping.share = guard.damping
+        bound = self._bounded()
+        if law.bound != bound:
+            law.bound = toward(law.bound, bound, BOUND_RATE * self._period)
+
+    def _bounded(self) -> float:
+        """1, most of the friction that may be compensated now; with an estimate in use it is known as it is."""
+        estimator, bound = self.estimator, self.bound
+        if not self.delivered.known:
+            return bound.unseen
+        estimated = estimator.use and estimator.state is EstimateState.ESTIMATED
+        return 1.0 if estimated and not isinstance(estimator, ConfigurationMap) else bound.seen
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

@@ -21,6 +21,7 @@ class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     source: Literal["fixed", "command", "joints", "sensor"] = "fixed"
     offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
     gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name
+    range: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0  # 1, either way, by which the sheath may bend otherwise unseen
 
     def __post_init__(self) -> None:
         if (self.source == "joints") != bool(self.gains):

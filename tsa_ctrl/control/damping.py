@@ -25,6 +25,7 @@ class Damping:
     def __init__(self, gain: float, ringing: float, delay: float, gearing: float, period: float) -> None:
         """`gain` k in N*m*s/rad, `ringing` w_n in rad/s, `delay` T_d and `period` in s, `gearing` r_J/r_M."""
         self.gain = gain
+        self.share = 1.0  # of it, that the guard leaves
         self._cosine, self._sine = math.cos(ringing * delay), ringing * math.sin(ringing * delay)
         self._gearing = gearing
         self._period = period
@@ -58,6 +59,6 @@ class Damping:
         if self._mean != self._mean:
             self._mean = angle
         self._mean += self._forget * (angle - self._mean)
-        torque = -self.gain * (self._cosine * speed - self._sine * (angle - self._mean))
+        torque = -self.share * self.gain * (self._cosine * speed - self._sine * (angle - self._mean))
         self.torque = torque if torque == torque else 0.0
         return self.torque

@@ -7,11 +7,18 @@ command acts, and in the direction sigma of the tendon (`direction`), which turn
 turn of a joint at rest stops where the slip fronts do (`slip`). c is the compensation factor, f the fade-in after every
 enable, b the back-off of whatever watches for too much compensation.
 
-Never more than the friction that is there: a term of the size c h f(x) moves a joint by itself where the model's h
-exceeds the truth's, c h_model > h_true, and takes energy out of it at every speed where it does not: the power of term
-and friction together is (c h_model sigma_term - h_true sigma) omega <= 0, whether the term turns early, in time or
-late. So with the true parameters and c = 1 nothing but the joint's own damping ends a swing; there the share e
-(`settle`) is taken back while the set-point stands and the joint hardly moves.
+Never more than the friction that is there. Term and friction together give the joint the power
+
+    P = (r_J/r_M) (c b h_model sigma_term - h_true sigma) omega_J,     h = 2 T_p0 r_M f(x) at the motor
+
+with f = tanh, x, sinh by where the sheath bends. The condition of passivity, on any load and at any speed, is P <= 0:
+
+    c b h_model <= h_true
+
+whether the term turns early, in time or late. Beyond it a joint of damping d runs by itself, up to
+(r_J/r_M) (c b h_model - h_true)/d. c is bounded by how well h is known (`bound`), b is the guard's, which watches the
+integral of P (`safety.passivity`). With the true parameters and c = 1 nothing but the joint's own damping ends a
+swing; there the share e (`settle`) is taken back while the set-point stands and the joint hardly moves.
 
 theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the stretch between motor and joint as an angle of
 the motor; J_M theta'' of a turn is planned with it, J_M r_J/r_M alpha_J carries the motor with the joint. The sum of
@@ -21,6 +28,7 @@ says that it had to be cut.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Protocol
 
 import msgspec
@@ -111,6 +119,7 @@ class Law:
         """`radii`: r_M, r_J in m; `period` in s."""
         r_m, r_j = radii
         self.compensation = settings.compensation
+        self.bound = math.inf  # 1, of it: as well as the friction is known, see `bound`
         self.slew = settings.slew
         self.plan = plan
         self.ideal = self.friction_term = self.planned = 0.0
@@ -138,6 +147,16 @@ class Law:
     def sigma(self) -> float:
         """The direction as the friction term has it now, -1 to 1."""
         return self.turn.force
+
+    @property
+    def half_loop(self) -> float:
+        """N*m at the motor, the model's, as of late."""
+        return self._half_loop
+
+    @property
+    def velocity(self) -> float:
+        """rad/s of the joint."""
+        return self._motion.velocity
 
     @property
     def domain(self) -> float:
@@ -199,7 +218,10 @@ class Law:
         fade = self._fade
         if fade < 1.0:
             self._fade = fade = min(1.0, fade + self._fade_step)
-        share = self.compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted
+        compensation, bound = self.compensation, self.bound
+        if compensation > bound:
+            compensation = bound
+        share = compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted
         acceleration = motion.acceleration
         omega = motion.velocity + plan.delay * acceleration
         full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, t=t)

@@ -58,7 +58,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
         p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
         p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
-        p("back_off", "1", 0.0, 1.0, 0.5, "of the oscillation monitor; 1 restores", axis.monitor, "back_off"),
+        p("back_off", "1", 0.0, 1.0, 0.5, "of the guard; 1 restores", axis.guard, "back_off"),
         p(
             "torque_limit",
             "N*m",

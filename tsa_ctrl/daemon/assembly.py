@@ -12,6 +12,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
+from tsa_ctrl.control.bound import Bound, bound_of
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Inverse, Law
@@ -31,8 +32,8 @@ from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.safety.cures import CURES
+from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
-from tsa_ctrl.safety.oscillation import OscillationMonitor
 from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.supervisor import Supervisor
 
@@ -51,6 +52,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
         file.axes, rig.axes, configuration.models, configuration.profiles, configuration.plans, strict=True
     ):
         law = law_of(settings, model, plan, period)
+        joint_torque = joint_torque_of(settings, model, plan.inertia, period)
         axes.append(
             ControlAxis(
                 io=io,
@@ -65,7 +67,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 estimator=estimator_of(settings, model, period),
                 law=law,
                 limiter=Limiter(settings.limits, period),
-                monitor=OscillationMonitor(settings.oscillation, period),
+                guard=Guard(settings.passivity, period, by_stretch=not has_torque_sensor(settings)),
                 plausibility=Plausibility(
                     settings.plausibility,
                     settings.limits.torque,
@@ -73,10 +75,12 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     (model.motor_pulley_radius, model.joint_pulley_radius),
                     settings.encoder is not None,
                 ),
-                joint_torque=joint_torque_of(settings, model, plan.inertia, period),
+                joint_torque=joint_torque,
                 period=period,
                 most_age=most_age,
                 stop_time=file.controller.stop_time,
+                bound=bound_for(settings, model, joint_torque),
+                has_torque_sensor=has_torque_sensor(settings),
             )
         )
     by_name = {axis.name: axis for axis in axes}
@@ -115,6 +119,27 @@ def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float,
     except UsageError as error:
         return JointTorque(by_model, None, f"no joint torque from the tendons' stretch: {error}", period)
     return JointTorque(by_model, stretch, "", period)
+
+
+def has_torque_sensor(settings: AxisSettings) -> bool:
+    """On the bus, or on a serial line."""
+    return settings.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in settings.serial)
+
+
+def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque) -> Bound:
+    """How much of the friction this axis may compensate."""
+    estimator = settings.estimator
+    bound = bound_of(
+        model,
+        bending_range=settings.bending.range,
+        bending_known=estimator.kind == "map" or (estimator.kind != "fixed" and estimator.use),
+        sees=has_torque_sensor(settings) or joint_torque.stretch is not None,
+        compensation=settings.law.compensation,
+    )
+    if settings.oscillation is None:
+        return bound
+    note = "[axis.oscillation] has no effect any longer: the guard of [axis.passivity] stands in its place; remove it"
+    return Bound(bound.seen, bound.unseen, (*bound.notes, note))
 
 
 def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:

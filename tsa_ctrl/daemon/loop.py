@@ -262,10 +262,9 @@ class Loop:
                     self.events.add(fault.time - self._start * 1e-9, axis.name, str(fault), fault=True)
                 self._faults[index] = len(faults)
                 self._fault(planned)
-            if axis.monitor.count > self._back_offs[index]:
-                self._back_offs[index] = axis.monitor.count
-                text = f"oscillation: compensation backed off to {axis.monitor.back_off:.3g} of its value"
-                self.events.add(self._t(planned), axis.name, text)
+            if axis.guard.count > self._back_offs[index]:
+                self._back_offs[index] = axis.guard.count
+                self.events.add(self._t(planned), axis.name, axis.guard.words)
 
     def _fault(self, planned: int) -> None:
         """One axis' fault ramps all others to 0: they move the same limb."""

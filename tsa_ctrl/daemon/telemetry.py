@@ -74,8 +74,8 @@ class Telemetry:
             joint_torque = axis.joint_torque
             stretch, low, high = joint_torque.torque
             reason = terms.reason
-            if reason is Reason.NONE and axis.monitor.back_off < 1.0:
-                reason = Reason.OSCILLATION
+            if reason is Reason.NONE:
+                reason = axis.guard.reason
             push(
                 index,
                 Record(
@@ -179,7 +179,7 @@ class Telemetry:
             pretension=estimator.pretension,
             estimate_state=estimator.state.value,
             state=_STATE[image.statusword & 0x7F],
-            limit_reason=terms.reason.value,
+            limit_reason=(axis.guard.reason if terms.reason is Reason.NONE else terms.reason).value,
             missed=image.missed,
             pdo_age=image.pdo_age,
             late=sum(node.late for node in image.nodes),

@@ -19,6 +19,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
+from tsa_ctrl.model.provenance import interval_low, toml_table
 
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
@@ -127,6 +128,7 @@ class TendonSheath:
     bending_centre_uncertainty: float = UncertaintySection().bending_centre
     effects: Effects = field(default_factory=dict)
     source: str = ""
+    half_loop_low: float | None = field(default=None, compare=False)  # N*m at the joint, of the calibration's interval
 
     def __post_init__(self) -> None:
         """T_ref defaults to this pretension for good, so that recalibrating the pretension does not move it."""
@@ -178,7 +180,7 @@ class TendonSheath:
         else:
             raise UsageError(f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change")
         level = self.pretension if pretension is None else pretension
-        return dataclasses.replace(self, friction_coefficient=mu, pretension=level)
+        return dataclasses.replace(self, friction_coefficient=mu, pretension=level, half_loop_low=None)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, Any]]) -> TendonSheath:
         """The same actuator with these effects instead of its own; validated against the catalogue."""
@@ -244,6 +246,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         axial_stiffness_uncertainty=file.uncertainty.axial_stiffness,
         bending_centre_uncertainty=file.uncertainty.bending_centre,
         source=where,
+        half_loop_low=interval_low(file.provenance, "half_loop_torque"),
     )
     pretension = _resolve_pretension(file, model, where)
     return dataclasses.replace(model, pretension=pretension, effects=check_effects(file.effects, where))
@@ -291,7 +294,7 @@ def dump_model(model: Model, template: str | Path | None = None, provenance: Map
         document["effects"] = effects
     if provenance:
         document.pop("provenance", None)
-        document["provenance"] = _toml_table(provenance)
+        document["provenance"] = toml_table(provenance)
     text: str = tomlkit.dumps(document)
     return text if text.endswith("\n") else text + "\n"
 
@@ -339,10 +342,3 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
         "pretension": {"value": model.pretension},
         "uncertainty": uncertainty,
     }
-
-
-def _toml_table(values: Mapping[str, Any]) -> Any:
-    table = tomlkit.table()
-    for key, value in values.items():
-        table[key] = _toml_table(value) if isinstance(value, Mapping) else value
-    return table

@@ -32,8 +32,9 @@ class Reason(Enum):
     DISTANCE = 7
     RATE = 8
     ABSOLUTE = 9
-    OSCILLATION = 10  # the torque is as wanted, but the oscillation monitor backed the compensation off
+    OSCILLATION = 10  # the torque is as wanted, but the motor buzzed and the guard holds the compensation back
     DOMAIN = 11  # cut by the law before it came here: beyond it a tendon would have to push
+    PASSIVITY = 12  # as wanted, but the compensation moved the joint by itself and the guard holds it back
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

@@ -168,7 +168,7 @@ def _stages(configuration: Configuration, cycles: int) -> Table:
             spans["decode, freshness"] = spans.pop("collect") - spans[ANSWERS] - inner * cost
             stamps = cost * (1 + sum(calls.values()))
             spans["the rest, and what the stamps cost"] = middle - start - sum(spans.values()) - stamps
-            spans["after the RPDO: estimator, oscillation monitor"] = after - middle - cost
+            spans["after the RPDO: estimator, guard"] = after - middle - cost
             spans["after the RPDO: record"] = end - after - cost
             for name, span in spans.items():
                 found.setdefault(name, []).append(1e6 * span)

@@ -1,0 +1,74 @@
+"""How much of the friction may be compensated, by how well it is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tsa_ctrl.control.bound import Bound, bending_share, bound_of, interval_share
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
+
+UNIFORM = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
+
+
+def of(
+    model: TendonSheath, *, bending_range: float = 0.0, bending_known: bool = False, sees: bool = True, c: float = 0.95
+) -> Bound:
+    return bound_of(model, bending_range=bending_range, bending_known=bending_known, sees=sees, compensation=c)
+
+
+def calibrated(folder: Path, low: float, high: float) -> TendonSheath:
+    intervals = {"intervals": {"half_loop_torque": [low, high]}}
+    save_model(UNIFORM, folder / "model.toml", provenance=intervals)
+    return load_tendon_sheath(folder / "model.toml")
+
+
+def test_a_bending_of_ten_per_cent_costs_28() -> None:
+    """x and the pretension, 35 N/rad of 45 N, both fall: 0.9 * (45 - 0.26 * 35) / 45."""
+    expected = 0.9 * (45.0 - 0.26 * 35.0) / 45.0
+    assert bending_share(UNIFORM, 0.1) == pytest.approx(expected, rel=1e-6)
+    bound = of(UNIFORM, bending_range=0.1)
+    assert bound.seen == pytest.approx(expected, rel=1e-6)
+    assert any("that costs 28 % of the compensation" in note for note in bound.notes)
+
+
+def test_a_bending_that_is_followed_costs_nothing() -> None:
+    assert of(UNIFORM, bending_range=0.3, bending_known=True).seen == 1.0
+    assert bending_share(UNIFORM, 0.0) == 1.0
+
+
+def test_the_calibrations_interval_bounds(tmp_path: Path) -> None:
+    """0.585 N*m is the file's half loop; an interval of 0.5 to 0.7 leaves 85 %, seen or not."""
+    half_loop = 2.0 * 45.0 * 0.025 * 0.26
+    model = calibrated(tmp_path, 0.5, 0.7)
+    assert interval_share(model) == pytest.approx(0.5 / half_loop, rel=1e-6)
+    bound = of(model)
+    assert bound.seen == bound.unseen == interval_share(model)
+    assert any("begins at 85 % of its value" in note for note in bound.notes)
+    narrow = calibrated(tmp_path, 0.58, 0.59)
+    assert of(narrow).notes == ()
+
+
+@pytest.mark.parametrize(
+    "intervals", [{}, {"half_loop_torque": "wide"}, {"half_loop_torque": [0.5]}, {"half_loop_torque": [0.7, 0.5]}]
+)
+def test_an_interval_that_is_none_is_no_calibration(tmp_path: Path, intervals: dict[str, object]) -> None:
+    save_model(UNIFORM, tmp_path / "model.toml", provenance={"intervals": intervals or {"slope": [1.0, 1.1]}})
+    assert interval_share(load_tendon_sheath(tmp_path / "model.toml")) is None
+
+
+def test_a_recalibrated_model_forgets_the_interval_of_the_old_one(tmp_path: Path) -> None:
+    assert calibrated(tmp_path, 0.5, 0.7).recalibrated(0.2).half_loop_low is None
+
+
+def test_what_was_never_calibrated_is_bounded_where_nothing_sees_it() -> None:
+    """[uncertainty] of 0.25 each: 64 % of the friction may be left."""
+    bound = of(UNIFORM)
+    assert bound.seen == 1.0
+    assert bound.unseen == pytest.approx(0.64)
+    assert any("never calibrated" in note for note in bound.notes)
+    blind = of(UNIFORM, sees=False)
+    assert any("cannot be promised; at most 64 % of the friction" in note for note in blind.notes)
+    assert of(UNIFORM, sees=False, c=0.0).notes == ()

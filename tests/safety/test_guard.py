@@ -1,0 +1,117 @@
+"""The guard: back at once, up again once, latched the second time, and in words."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tsa_ctrl.safety.guard import FORGIVEN, HOLD, RECOVERY, Guard
+from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.safety.passivity import PassivitySettings
+
+PERIOD = 1e-3
+HALF_LOOP = 0.5
+
+
+class Rig:
+    """A joint at 1 rad/s of which `share` of the friction is left, compensated by what the guard leaves."""
+
+    def __init__(self, share: float = 0.3, by_stretch: bool = False) -> None:
+        self.share = share
+        self.guard = Guard(PassivitySettings(), PERIOD, by_stretch)
+        self.cycles = 0
+
+    def run(self, seconds: float, speed: float = 1.0, buzz: float = 0.0, tau_j: float | None = None) -> Guard:
+        guard = self.guard
+        for _ in range(round(seconds / PERIOD)):
+            self.cycles += 1
+            term = guard.back_off * HALF_LOOP
+            arrives = term - self.share * HALF_LOOP if tau_j is None else tau_j
+            added = term + buzz * math.sin(2.0 * math.pi * 80.0 * self.cycles * PERIOD)
+            guard.update(arrives, 0.0, 0.0, speed, term, HALF_LOOP, added, 0.0)
+        return guard
+
+
+def test_the_first_time_goes_to_nothing_and_comes_back() -> None:
+    rig = Rig()
+    guard = rig.run(0.03)
+    assert (guard.count, guard.back_off, guard.reason) == (1, 0.0, Reason.PASSIVITY)
+    assert "30 % of what the model file says" in guard.words
+    rig.run(HOLD, speed=0.0)
+    assert guard.back_off < 0.1
+    rig.run(RECOVERY + 0.01, speed=0.0)
+    assert (guard.back_off, guard.reason, guard.latched) == (1.0, Reason.NONE, False)
+
+
+def test_the_second_time_is_latched_below_the_friction_that_is_left() -> None:
+    """And gives no energy any more, however long it goes on."""
+    guard = Rig().run(0.5)
+    assert (guard.latched, guard.count) == (True, 2)
+    assert guard.back_off == pytest.approx(0.8 * 0.3, abs=0.01)
+    assert "latched at 24 % of it until the axis is disabled" in guard.words
+    rig = Rig()
+    guard = rig.run(20.0)
+    assert guard.count == 2
+    guard.reset()
+    assert (guard.back_off, guard.latched, guard.reason, guard.count) == (1.0, False, Reason.NONE, 2)
+
+
+def test_a_third_time_leaves_nothing() -> None:
+    rig = Rig()
+    rig.run(1.0)
+    rig.share = 0.0
+    guard = rig.run(1.0)
+    assert (guard.count, guard.back_off) == (3, 0.0)
+    assert "latched at 0 %" in guard.words
+
+
+def test_what_is_long_ago_is_forgiven() -> None:
+    rig = Rig()
+    rig.run(0.03)
+    rig.run(FORGIVEN + 0.1, speed=0.0)
+    guard = rig.run(0.03)
+    assert (guard.latched, guard.count) == (False, 2)
+    assert guard.back_off == 0.0
+
+
+def test_energy_that_no_loss_of_friction_explains_is_told_so() -> None:
+    """The friction is as the file says, and 40 mN*m more arrive: the sensor's zero, or a compensation above 1."""
+    guard = Rig().run(0.14, tau_j=0.04)
+    assert guard.count == 1
+    assert "nearly what the model file says" in guard.words
+
+
+def test_a_buzz_takes_the_damping_too() -> None:
+    rig = Rig(share=1.0)
+    guard = rig.run(0.45, speed=0.0, buzz=0.2)
+    assert (guard.count, guard.back_off, guard.damping, guard.reason) == (1, 0.0, 0.0, Reason.OSCILLATION)
+    assert "the motor buzzes at about 80 Hz" in guard.words
+    rig.run(HOLD + RECOVERY + 0.01, speed=0.0)
+    assert (guard.back_off, guard.damping, guard.reason) == (1.0, 1.0, Reason.NONE)
+    rig.run(0.5, speed=0.0, buzz=0.2)
+    assert (guard.back_off, guard.damping, guard.latched) == (0.5, 0.0, True)
+
+
+def test_lost_friction_leaves_the_damping() -> None:
+    assert Rig().run(1.0).damping == 1.0
+
+
+def test_a_back_off_that_is_set_stays_until_it_is_set_to_1() -> None:
+    rig = Rig(share=1.0)
+    rig.guard.back_off = 0.4
+    assert rig.run(1.0).back_off == 0.4
+    rig.guard.back_off = 1.0
+    assert rig.run(1.0).back_off == 1.0
+    assert not rig.guard.latched
+
+
+def test_the_stretch_is_less_certain() -> None:
+    """12 % of the half loop are left out there, 3 % with a sensor."""
+    assert Rig(share=0.9, by_stretch=True).run(2.0).count == 0
+    assert Rig(share=0.9).run(2.0).count > 0
+    assert Rig(share=0.5, by_stretch=True).run(0.5).latched
+
+
+def test_without_a_value_nothing_happens() -> None:
+    assert Rig().run(1.0, tau_j=math.nan).count == 0

@@ -1,0 +1,149 @@
+"""The energy observer: sees what compensation adds, leaves out what gain, zero, delay and others do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import pytest
+
+from tsa_ctrl.safety.passivity import OscillationSettings, Passivity, PassivitySettings
+
+PERIOD = 1e-3
+HALF_LOOP = 0.5  # N*m at the joint
+
+
+def observer(threshold: float = 3e-3, gain: float = 0.03, zero: float = 0.03) -> Passivity:
+    return Passivity(threshold, gain, zero, PERIOD)
+
+
+def rows(*columns: Sequence[float] | np.ndarray) -> list[tuple[float, ...]]:
+    return list(zip(*(np.asarray(column, dtype=float).tolist() for column in columns), strict=True))
+
+
+def trips(passivity: Passivity, *columns: np.ndarray) -> list[int]:
+    return [place for place, row in enumerate(rows(*columns)) if passivity.update(*row, HALF_LOOP)]
+
+
+def gait(seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Torque wanted, its slope, and the joint's speed: a walk of 1.6 s a cycle."""
+    t = np.arange(0.0, seconds, PERIOD)
+    phase = 2.0 * math.pi * t / 1.6
+    wanted = 0.5 * np.sin(phase) + 0.2 * np.cos(2.0 * phase)
+    return wanted, np.gradient(wanted, PERIOD), 2.0 * np.cos(phase + 0.4) - 1.5 * np.sin(2.0 * phase)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.85])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_lost_friction_is_seen_before_the_joint_is_fast(share: float, side: float) -> None:
+    """A free joint of 0.02 kg*m^2 that has `share` of the friction left and all of it compensated: within 10 mJ."""
+    passivity, speed, given = observer(), 0.3, 0.0
+    for _ in range(3000):
+        excess = (1.0 - share) * HALF_LOOP
+        speed += PERIOD * excess / 0.02
+        given += excess * speed * PERIOD
+        if passivity.update(side * excess, 0.0, 0.0, side * speed, side * HALF_LOOP, HALF_LOOP):
+            break
+    else:
+        pytest.fail("never seen")
+    assert given < 5e-3
+    assert passivity.ratio == pytest.approx(share, abs=1e-9)
+
+
+def test_friction_that_is_there_is_left_alone() -> None:
+    """The friction compensated by 95 %, or by all of it with what reversals leave: nothing is added."""
+    wanted, rate, speed = gait(16.0)
+    sigma = np.sign(speed)
+    late = np.where(np.abs(speed) < 0.3, -0.1 * sigma, 0.0)
+    for arrives in (wanted - 0.05 * HALF_LOOP * sigma, wanted + late):
+        passivity = observer()
+        assert trips(passivity, arrives, wanted, rate, speed, HALF_LOOP * sigma) == []
+        assert passivity.energy < 1e-3
+
+
+@pytest.mark.parametrize(("gain", "zero", "delay"), [(0.02, 0.0, 0.0), (0.0, 0.014, 0.0), (0.0, 0.0, 2.5e-3)])
+def test_gain_zero_and_delay_are_left_out(gain: float, zero: float, delay: float) -> None:
+    """A sensor of 2 %, its zero by 14 mN*m, a drive that is late: each adds energy in the sum, and none counts."""
+    wanted, rate, speed = gait(16.0)
+    arrives = wanted * (1.0 + gain) + zero - delay * rate
+    passivity = observer()
+    assert trips(passivity, arrives, wanted, rate, speed, HALF_LOOP * np.sign(speed)) == []
+
+
+def test_what_the_term_did_not_give_does_not_count() -> None:
+    """A hand that pulls, a torque that a limit cut: more arrives than was wanted while the term brakes, or is 0."""
+    speed = np.full(4000, 2.0)
+    nothing = np.zeros(4000)
+    for term in (0.0, -0.3):
+        assert trips(observer(), nothing + 1.0, nothing, nothing, speed, nothing + term) == []
+    passivity = observer(threshold=1e3)
+    trips(passivity, nothing + 1.0, nothing, nothing, speed, nothing + 0.1)
+    assert passivity.energy <= 0.1 * 2.0 * 4.0
+
+
+def test_one_wrong_value_is_no_motion() -> None:
+    """A single value of a sensor that is wrong by 3 N*m."""
+    nothing, speed = np.zeros(100), np.full(100, 2.0)
+    glitch = nothing.copy()
+    glitch[50] = 3.0
+    assert trips(observer(), glitch, nothing, nothing, speed, nothing + HALF_LOOP) == []
+
+
+def test_what_is_not_known_is_passed_over() -> None:
+    """nan and inf neither count nor stick."""
+    passivity = observer()
+    for wrong in (math.nan, math.inf, -math.inf):
+        assert not passivity.update(wrong, 0.0, 0.0, 1.0, 0.5, HALF_LOOP)
+        assert not passivity.update(0.3, wrong, 0.0, 1.0, 0.5, HALF_LOOP)
+    nothing = np.zeros(100)
+    assert trips(passivity, nothing + 0.3, nothing, nothing, nothing + 1.0, nothing + HALF_LOOP)
+
+
+def test_energy_is_the_most_that_was_added_within_any_window() -> None:
+    """Against the largest sum over windows, which are all tried; the memory is long beside them."""
+    draw = np.random.default_rng(7)
+    excess = np.repeat(draw.normal(0.0, 0.2, 40), 25)
+    speed = np.repeat(draw.uniform(-2.0, 2.0, 100), 10)
+    side = np.sign(speed)
+    passivity = observer(threshold=1e9, gain=0.0, zero=0.0)
+    found = 0.0
+    for row in rows(excess * side, 0.0 * excess, 0.0 * excess, speed, 10.0 * side):
+        passivity.update(*row, HALF_LOOP)
+        found = max(found, passivity.energy)
+    total = np.concatenate(([0.0], np.cumsum(excess * np.abs(speed) * PERIOD)))
+    largest = max(float(total[end] - total[:end].min()) for end in range(1, total.size))
+    assert found == pytest.approx(largest, rel=0.2)
+    assert found <= largest
+
+
+def test_it_forgets_and_reset_forgets_at_once() -> None:
+    passivity = observer(threshold=1e9)
+    for _ in range(100):
+        passivity.update(0.3, 0.0, 0.0, 1.0, HALF_LOOP, HALF_LOOP)
+    before = passivity.energy
+    for _ in range(2000):
+        passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP)
+    assert passivity.energy == pytest.approx(before * math.exp(-1.0), rel=1e-6)
+    passivity.reset()
+    assert (passivity.energy, passivity.cycles) == (0.0, 0)
+    assert math.isnan(passivity.ratio)
+
+
+def test_defaults() -> None:
+    """What holds when the file says nothing."""
+    assert msgspec.to_builtins(PassivitySettings()) == {"energy": 3e-3, "buzz": 0.03}
+
+
+@pytest.mark.parametrize("key", ["energy", "buzz"])
+def test_settings_are_bounded_from_both_sides(key: str) -> None:
+    for value in (1e-6, 100.0):
+        assert getattr(msgspec.convert({key: value}, PassivitySettings), key) == value
+    for value in (0.0, -1.0, 100.001):
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({key: value}, PassivitySettings)
+
+
+def test_keys_of_earlier_versions_are_read() -> None:
+    assert msgspec.convert({"speed": 0.5, "duration": 1.0, "share": 0.5}, OscillationSettings) == OscillationSettings()

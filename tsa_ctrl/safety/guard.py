@@ -1,0 +1,153 @@
+"""Takes the compensation back when it moves the joint by itself or the motor buzzes, and says why.
+
+The first time for a moment: to 0 at once, and back within `HOLD` + `RECOVERY`. What is still wrong then adds energy
+again; the second time within `FORGIVEN` is latched until the axis is disabled: at a share of the friction that the
+energy showed to be there, or at `LEFT` where it buzzed. A third time at 0.
+"""
+
+from __future__ import annotations
+
+from tsa_ctrl.safety.buzz import Buzz
+from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.safety.passivity import (
+    SENSOR_GAIN,
+    SENSOR_ZERO,
+    STRETCH_GAIN,
+    STRETCH_ZERO,
+    Passivity,
+    PassivitySettings,
+)
+
+HOLD = 0.05  # s without compensation: in which the swing of motor and tendons has died out
+RECOVERY = 0.3  # s back to all of it: so that a joint that still moves shows within a second that it was no chance
+FORGIVEN = 60.0  # s after which the next time is a first one again
+CAUTIOUS = 0.8  # of the friction that showed to be there, that is compensated once latched
+LEFT = 0.5  # of the compensation, once latched for buzzing
+CLEAR = 0.9  # of the model's half loop: with more than that, friction is not what is wrong
+
+
+class Guard:
+    """`back_off` multiplies the compensation, `damping` the damping of the motor; 1 until something is wrong.
+
+    `count` of what happened, `words` of the last, `reason` while less than all is compensated. A `back_off` that is
+    set from outside releases the latch.
+    """
+
+    def __init__(self, settings: PassivitySettings, period: float, by_stretch: bool = False) -> None:
+        """`by_stretch`: the delivered torque comes from the tendons' stretch, which is less certain; `period` in s."""
+        gain, zero = (STRETCH_GAIN, STRETCH_ZERO) if by_stretch else (SENSOR_GAIN, SENSOR_ZERO)
+        self._passivity = Passivity(settings.energy, gain, zero, period)
+        self._buzz = Buzz(settings.buzz, period)
+        self._period = period
+        self.count = 0
+        self.words = ""
+        self.reset()
+
+    def reset(self) -> None:
+        """Torque is not permitted: forget everything; `count` goes on."""
+        self._passivity.reset()
+        self._buzz.reset()
+        self._back_off = self.damping = 1.0
+        self.reason = Reason.NONE
+        self.latched = False
+        self._left = self._held = 0.0  # s, of what is forgiven and of the hold
+
+    @property
+    def back_off(self) -> float:
+        return self._back_off
+
+    @back_off.setter
+    def back_off(self, value: float) -> None:
+        self._release(value)
+
+    @property
+    def energy(self) -> float:
+        """J, that the compensation has added lately."""
+        return self._passivity.energy
+
+    def _release(self, value: float) -> None:
+        self.reset()
+        self._back_off = value
+        self.latched = value < 1.0  # stays there
+
+    def update(
+        self,
+        tau_j: float,
+        wanted: float,
+        rate: float,
+        omega_j: float,
+        term: float,
+        half_loop: float,
+        added: float,
+        ideal: float,
+    ) -> None:
+        """After a cycle with torque; N*m at the joint but for the last two, rad/s.
+
+        `tau_j`: delivered, nan where it is not known; `wanted`: set-point, `rate`: its slope; `term`: the friction term
+        as sent; `half_loop`: the model's; `added`, `ideal`: at the motor, what the law added to the set-point's part,
+        and that.
+        """
+        if self._passivity.update(tau_j, wanted, rate, omega_j, term, half_loop):
+            self._energy()
+        if self._buzz.update(added, ideal):
+            self._buzzes()
+        if self._left > 0.0:
+            self._recover()
+
+    def _recover(self) -> None:
+        self._left -= self._period
+        if self._held > 0.0:
+            self._held -= self._period
+        elif not self.latched and self._back_off < 1.0:
+            step = self._period / RECOVERY
+            self._back_off = min(1.0, self._back_off + step)
+            self.damping = min(1.0, self.damping + step)
+            if self._back_off == 1.0:
+                self.reason = Reason.NONE
+
+    def _energy(self) -> None:
+        passivity = self._passivity
+        ratio, energy, since = passivity.ratio, passivity.energy, passivity.cycles * self._period
+        passivity.reset()
+        if ratio < CLEAR:
+            share = max(0.0, ratio)
+            cause = (
+                f"friction and pretension together are about {100.0 * share:.0f} % of what the model file says (a "
+                "tensioner that gave way, a straighter or smoother sheath): mend that, or calibrate anew"
+            )
+        else:
+            share = CLEAR
+            cause = (
+                "friction and pretension are nearly what the model file says: lower the compensation, and look after "
+                "the zero and the gain of what measures the joint torque"
+            )
+        self._take_back(
+            Reason.PASSIVITY,
+            CAUTIOUS * share,
+            f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than was wanted within "
+            f"{1e3 * since:.0f} ms",
+            cause,
+        )
+
+    def _buzzes(self) -> None:
+        self.damping = 0.0
+        self._take_back(
+            Reason.OSCILLATION,
+            LEFT,
+            f"oscillation: the motor buzzes at about {self._buzz.frequency:.0f} Hz",
+            "the delay, the tendons' stiffness or the motor's inertia is not what the files say: tune anew",
+        )
+
+    def _take_back(self, reason: Reason, left: float, found: str, cause: str) -> None:
+        again, worse = self._left > 0.0, self.latched
+        self.reason = reason
+        self._left, self._held = FORGIVEN, HOLD
+        self.count += 1
+        if not again and not worse:
+            self._back_off = 0.0
+            done = f"taken back, and up again within {HOLD + RECOVERY:g} s"
+        else:
+            self.latched = True
+            self._back_off = 0.0 if worse else left
+            done = f"latched at {100.0 * self._back_off:.0f} % of it until the axis is disabled"
+        self.words = f"{found}; {done}; {cause}"
