@@ -208,10 +208,25 @@ def test_cycles_keep_their_grid_and_leave_out_what_has_passed(serving: Serving) 
         slept.append(seconds)
         now[0] += seconds
 
+    serving.mailbox.measure(time.monotonic(), 9, 2, [Reading(), Reading()])
     with Client(serving.path, clock=lambda: now[0], sleep=sleep) as client:
         for n, _ in zip(range(5), client.cycles(200.0), strict=False):
             now[0] += 0.012 if n == 2 else 0.001
     assert slept[:4] == pytest.approx([0.004, 0.004, 0.003, 0.004])
+
+
+def test_cycles_begin_with_the_loops_first(serving: Serving) -> None:
+    """Before it there is nothing that a controller could act on."""
+    slept: list[float] = []
+
+    def sleep(seconds: float) -> None:
+        slept.append(seconds)
+        if len(slept) == 3:
+            serving.mailbox.measure(time.monotonic(), 1, 1, [Reading(q_j=0.5), Reading()])
+
+    with Client(serving.path, sleep=sleep) as client:
+        assert next(client.cycles(1000.0))["knee"].q_j == 0.5
+    assert len(slept) == 3
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, 1e9, float("nan")])

@@ -6,6 +6,7 @@ Time stands still while a client is served, so the same clients give the same ru
 from __future__ import annotations
 
 import socket
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from tsa_ctrl.plant.process import check
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import Run
 
+PATIENCE = 60.0  # s of real time that a program sleeps at most
 Action = Callable[[float], None]
 Script = Sequence[tuple[Action, float]]
 
@@ -32,6 +34,8 @@ class ServedRun(Run):
         self._server = Server(listen(self.path, None), self._mailbox, description, self._wire.plant.clock)
         self._planned: list[tuple[Action, float]] = []
         self._connections: list[socket.socket] = []
+        self._awake, self._asleep = threading.Event(), threading.Event()
+        self._raised: BaseException | None = None
 
     def at(self, time: float, action: Action) -> None:
         """`action(now)`: s of the log's time, and of the run's clock."""
@@ -60,6 +64,41 @@ class ServedRun(Run):
         """The client that came last says something more."""
         self._connections[-1].sendall(sent)
         self.serve()
+
+    def control(self, at: float, controller: Callable[[], None]) -> None:
+        """From `at` s of the log on, a client's own program: time passes while it sleeps (`sleep`), and only then."""
+
+        def work() -> None:
+            try:
+                controller()
+            except BaseException as error:
+                self._raised = error
+            finally:
+                self._asleep.set()
+
+        self.at(at, lambda now: self._resume(threading.Thread(target=work, daemon=True).start))
+
+    def clock(self) -> float:
+        """s, for the program."""
+        return self._wire.now
+
+    def sleep(self, seconds: float) -> None:
+        """For the program."""
+        self._wire.at(self._wire.now + seconds, lambda now: self._resume(self._awake.set))
+        self._asleep.set()
+        if not self._awake.wait(PATIENCE):
+            raise SystemExit  # the run is over
+        self._awake.clear()
+
+    def _resume(self, begin: Callable[[], None]) -> None:
+        """The program goes on until it sleeps again, and is served meanwhile."""
+        self._asleep.clear()
+        begin()
+        while not self._asleep.is_set():
+            self._server.step(0.001)
+        self.serve()
+        if self._raised is not None:
+            raise self._raised
 
     def serve(self) -> None:
         """Until the server has nothing to do."""

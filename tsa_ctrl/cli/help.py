@@ -21,6 +21,10 @@ TOPICS = {
     "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
     "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
     "changes": ("CHANGES.md", "what changed, what changes a number that reaches a motor first"),
+    "client": (
+        "ipc/README.md",
+        "a controller of one's own above it: set-points over the socket, the lease, who may do what",
+    ),
     "code": ("README.md", "a map of the code, and how to add to it"),
 }
 

@@ -133,11 +133,11 @@ class Client:
             self._read(end - time.monotonic())
 
     def measure(self) -> Measured:
-        """What the newest cycle measured; raises BusError when no answer comes."""
+        """What the newest cycle measured, zeros with the age None before the first; BusError when no answer comes."""
         return msgspec.convert(self.ask(protocol.Measure()), Measured)
 
     def cycles(self, rate: float) -> Iterator[Measured]:
-        """`measure`, `rate` (Hz) times a second, for ever; times that have passed meanwhile are left out.
+        """`measure`, `rate` (Hz) times a second, from the loop's first cycle on; times that have passed are left out.
 
         Raises UsageError for a rate that no loop has, BusError when no answer comes.
         """
@@ -145,7 +145,9 @@ class Client:
             raise UsageError(f"rate {rate:g} Hz: allowed is above 0 to {MOST_RATE:g}")
         period, due = 1.0 / rate, self.clock()
         while True:
-            yield self.measure()
+            measured = self.measure()
+            if measured.age is not None:
+                yield measured
             due += period
             now = self.clock()
             if due < now:

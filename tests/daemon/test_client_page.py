@@ -1,0 +1,105 @@
+"""What the client's page shows beside its controller in Python: the conversation, the configuration, the one in C."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from tests.conftest import ROOT
+from tests.daemon.serving import PATIENCE, Serving, until
+from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.ipc.mailbox import Reading
+
+FOLDER = ROOT / "tsa_ctrl" / "ipc"
+STRICT = ("-std=c11", "-D_POSIX_C_SOURCE=200809L", "-Wall", "-Wextra", "-Werror")
+STIFFNESS = 3.0  # N*m/rad
+COMPILER = shutil.which("cc") or shutil.which("gcc")
+
+
+@pytest.fixture
+def serving(tmp_path: Path) -> Iterator[Serving]:
+    running = Serving(tmp_path / "tsa.sock", ["knee", "hip"])
+    assert running.ready, running.greeting
+    yield running
+    running.end()
+
+
+def block(language: str) -> str:
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    (found,) = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+    return str(found)
+
+
+def test_every_line_of_the_conversation_is_answered(serving: Serving) -> None:
+    """But for the one that is quiet."""
+    lines = block("json").splitlines()
+    with socket.socket(socket.AF_UNIX) as connection:
+        connection.settimeout(PATIENCE)
+        connection.connect(serving.path)
+        connection.sendall(block("json").encode())
+        reader = connection.makefile()
+        answers = [json.loads(reader.readline()) for line in lines if not json.loads(line).get("quiet")]
+    assert len(answers) == len(lines) - 1
+    assert all(answer.get("ok", True) for answer in answers)
+
+
+def test_the_configuration_is_one() -> None:
+    tables = re.sub(r"^\[.*\]$", "", block("toml"), flags=re.MULTILINE)
+    settings = msgspec.toml.decode(tables, type=SetPointSettings)
+    assert (settings.kind, settings.timeout) == ("socket", SetPointSettings().timeout)
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory: pytest.TempPathFactory) -> str:
+    if COMPILER is None:
+        pytest.skip("no C compiler here: apt-get install gcc")
+    program = tmp_path_factory.mktemp("c") / "spring"
+    done = subprocess.run(
+        [COMPILER, *STRICT, "-o", str(program), str(FOLDER / "spring.c")], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return str(program)
+
+
+def test_the_controller_in_c_is_a_spring_until_the_daemon_ends(serving: Serving, spring: str) -> None:
+    """It follows what the loop measures, stamps its values with the measurement's time, and says why it ends."""
+    process = subprocess.Popen([spring, serving.path, "knee", str(STIFFNESS)], stderr=subprocess.PIPE, text=True)
+    try:
+        for q_j in (0.2, -0.1):
+            now = time.monotonic()
+
+            def follows(q_j: float = q_j, now: float = now) -> bool:
+                serving.mailbox.measure(time.monotonic(), 1, 2, [Reading(q_j=q_j), Reading(q_j=9.0)])
+                wanted = serving.mailbox.wanted(0)
+                return wanted is not None and wanted[0] == pytest.approx(-STIFFNESS * q_j) and wanted[1] >= now
+
+            assert until(follows)
+        serving.end()
+        _, said = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == 1
+    assert "the daemon has ended" in said or "the daemon is gone" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [((), 2, "usage"), (("none.sock", "knee", "1"), 1, "none.sock"), (("SOCKET", "toe", "1"), 1, "no axis toe")],
+)
+def test_what_is_wrong_is_one_line(
+    serving: Serving, spring: str, arguments: tuple[str, ...], status: int, words: str
+) -> None:
+    given = [serving.path if argument == "SOCKET" else argument for argument in arguments]
+    done = subprocess.run([spring, *given], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (status, 1)
+    assert words in done.stderr
