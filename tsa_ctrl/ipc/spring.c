@@ -4,6 +4,7 @@
  *
  * SOCKET is that of `tsa status`, STIFFNESS in N*m/rad. It ends when the daemon ends, or somebody takes the lease away.
  */
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -20,6 +21,7 @@ int main(int argc, char **argv) {
     struct sockaddr_un daemon = {.sun_family = AF_UNIX};
     char line[65536], axis[80];
     int fd = socket(AF_UNIX, SOCK_STREAM, 0);
+    signal(SIGPIPE, SIG_IGN); /* what the daemon said last is still read */
     if (argc != 4) return fprintf(stderr, "usage: %s SOCKET AXIS STIFFNESS\n", argv[0]), 2;
     snprintf(daemon.sun_path, sizeof daemon.sun_path, "%s", argv[1]);
     snprintf(axis, sizeof axis, "\"name\":\"%s\"", argv[2]);
