@@ -28,6 +28,7 @@ from tsa_ctrl.control.plan import Plan, plan_of
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
 from tsa_ctrl.safety.plausibility import PlausibilitySettings
@@ -247,6 +248,8 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f'{where}: estimator.kind "sensor" without [axis.torque_sensor] or a serial sensor of tau_j; give one, '
             "or another kind"
         )
+    if estimator.kind == "stretch":
+        _check_stretch(where, axis, model)
     if (estimator.kind == "map") != (bending.source != "fixed"):
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
@@ -269,6 +272,18 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     for name in bending.gains:
         if name not in names:
             raise UsageError(f"{where}: bending.gains names axis '{name}'; known are {', '.join(sorted(names))}")
+
+
+def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
+    """Whether the tendons' stretch is measured, and says anything."""
+    if axis.encoder is None:
+        raise UsageError(
+            f'{where}: estimator.kind "stretch" without [axis.encoder]; stretch is what two angles differ by; '
+            "give one, or another kind"
+        )
+    reason = why_not(model)
+    if reason:
+        raise UsageError(f'{where}: estimator.kind "stretch": {reason}; or choose another kind')
 
 
 def _plan(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:

@@ -11,7 +11,7 @@ import pytest
 from tests.daemon.machine import Machine
 from tsa_ctrl.control.live import Parameter, Tuner, parameters_of
 
-KINDS = ("fixed", "sensor", "map", "motor")
+KINDS = ("fixed", "sensor", "map", "motor", "stretch")
 
 
 @pytest.fixture(params=KINDS)

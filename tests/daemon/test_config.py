@@ -175,6 +175,20 @@ def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
         load_configuration(path)
 
 
+def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
+    """The estimator of kind "stretch" is refused where nothing is stretched, and where the stretch tells nothing."""
+    edit(folder, r'^# kind = "fixed" ', 'kind = "stretch" ')
+    model = folder / "actuator.toml"
+    text = model.read_text()
+    model.write_text(text + '\n[effects.elongation_coupling]\ncurvature_profile = "joint_end"\n')
+    with pytest.raises(UsageError, match="the bends sit at the joint"):
+        load_configuration(folder / "controller.toml")
+    model.write_text(text)
+    path = edit(folder, r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n", "")
+    with pytest.raises(UsageError, match=r"without \[axis.encoder\]"):
+        load_configuration(path)
+
+
 def test_check_moves_nothing_and_says_the_load(folder: Path) -> None:
     """`tsa run --check` of a good file: exit 0, one line with axes, rate and load."""
     result = CliRunner().invoke(cli, ["run", "--check", str(folder / "controller.toml")])

@@ -1,8 +1,9 @@
 """Friction angle x and pretension T_p while the loop runs.
 
-Four kinds: "fixed" (the model file's), "map" (x = mu Theta and T_p by (3.52), (3.56) from a bending angle that is
-measured or commanded), "sensor" and "motor" (recursive, see `recursive`). Every kind has the same three outputs, is
-reset by every disable, and moves no parameter faster than its rate.
+Five kinds: "fixed" (the model file's), "map" (x = mu Theta and T_p by (3.52), (3.56) from a bending angle that is
+measured or commanded), "sensor" and "motor" (recursive, see `recursive`), "stretch" (by two encoders, see
+`by_stretch`). Every kind has the same three outputs, is reset by every disable, and moves no parameter faster than its
+rate.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class EstimateState(Enum):
 class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[axis.estimator]."""
 
-    kind: Literal["fixed", "map", "sensor", "motor"] = "fixed"
+    kind: Literal["fixed", "map", "sensor", "motor", "stretch"] = "fixed"
     use: bool = False  # whether the law uses the estimate; it is logged in any case ("map" is always used)
     attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
     bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;

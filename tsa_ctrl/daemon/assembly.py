@@ -13,6 +13,7 @@ from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound, bound_of
+from tsa_ctrl.control.by_stretch import ByStretch
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Inverse, Law
@@ -64,7 +65,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     settings.setpoint, period, configuration.folder, plan.delay, plan.lead, plan.turn + plan.delay
                 ),
                 bending=Bending(settings.bending, model.bending_angle),
-                estimator=estimator_of(settings, model, period),
+                estimator=estimator_of(settings, model, joint_torque.stretch, period),
                 law=law,
                 limiter=Limiter(settings.limits, period),
                 guard=Guard(settings.passivity, period, by_stretch=not has_torque_sensor(settings)),
@@ -155,13 +156,18 @@ def _measured_bending(axis: ControlAxis) -> Callable[[], float]:
     return lambda: axis.instruments.theta
 
 
-def estimator_of(settings: AxisSettings, model: TendonSheath, period: float) -> Estimator:
+def estimator_of(
+    settings: AxisSettings, model: TendonSheath, stretch: StretchObserver | None, period: float
+) -> Estimator:
     """The estimator that the configuration chooses."""
     chosen = settings.estimator
     if chosen.kind == "fixed":
         return Fixed(model)
     if chosen.kind == "map":
         return ConfigurationMap(model, chosen, period)
+    if chosen.kind == "stretch":
+        assert stretch is not None  # the configuration was checked
+        return ByStretch(model, chosen, stretch, period)
     return Recursive(model, chosen, period)
 
 

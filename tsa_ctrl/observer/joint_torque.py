@@ -58,8 +58,10 @@ class JointTorque:
         self._outside = self.difference = 0.0
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
-        """Let the model's estimate use another friction angle (1) and pretension (N); the stretch finds its own."""
+        """Use another friction angle (1) and pretension (N); the stretch takes the pretension, and finds its own x."""
         self.model.set_parameters(friction_angle, pretension)
+        if self.stretch is not None:
+            self.stretch.set_pretension(pretension)
 
     def update(self, image: Measured, omega_j: float, tau_j: float) -> None:
         """One cycle: what drive and encoder say, the joint's velocity (rad/s), the sensor's torque (N*m or nan)."""

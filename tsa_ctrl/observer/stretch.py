@@ -79,6 +79,7 @@ class StretchObserver:
         self._soft = (model.axial_stiffness_uncertainty / BAND) ** 2
         self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
         self._per_torque = per_torque
+        self.pretension = model.pretension  # N, that x is told at
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0)  # compiles
         self.reset()
 
@@ -89,7 +90,7 @@ class StretchObserver:
         self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
         self._memory[:] = 0.0
         settings, memory = self._settings, self._memory
-        memory[tendons.ANGLE] = self._model.friction_angle
+        memory[tendons.ANGLE] = self._model.friction_angle * self._model.pretension / self.pretension
         memory[tendons.P_XX] = settings[tendons.PRIOR_X]
         memory[tendons.P_FF] = settings[tendons.SPREAD_F]
         memory[tendons.P_ZZ] = settings[tendons.PRIOR_Z]
@@ -106,19 +107,18 @@ class StretchObserver:
         if self._origin != self._origin:
             self._origin = stretch
         memory, model = self._memory, self._model
-        most = 0.9 * model.pretension / model.tendon_stiffness
+        most = 0.9 * self.pretension / model.tendon_stiffness
         real = min(most, max(-most, stretch - self._origin - float(memory[tendons.ZERO])))
         self._pairs[:] = self._first
         self._pairs[:, 0, tendons.TENSION] -= model.tendon_stiffness * real
         self._pairs[:, 1, tendons.TENSION] += model.tendon_stiffness * real
         memory[tendons.WAY] = memory[tendons.WAY_MORE] = real
         memory[tendons.JOINT_WAY] = memory[tendons.SLID] = memory[tendons.FAST] = 0.0
-        for pair, factor in zip(self._pairs, (1.0, 1.0 + tendons.MORE), strict=True):
-            tendons.grip(pair, factor * memory[tendons.ANGLE])
+        self._grip()
 
     @property
     def friction_angle(self) -> float:
-        """x (1) that goes with the model's pretension: what is told of both is their product."""
+        """x (1) that goes with `pretension`: what is told of both is their product."""
         return float(self._memory[tendons.ANGLE])
 
     @property
@@ -135,6 +135,23 @@ class StretchObserver:
     def innovation(self) -> float:
         """m by which the last stretch differed from the one foretold."""
         return float(self._memory[tendons.INNOVATION])
+
+    def set_pretension(self, value: float) -> None:
+        """Go on at another T_p0 (N), and the friction angle that has the same product with it."""
+        if not value > SLACK * self._model.pretension or value == self.pretension:
+            return
+        memory = self._memory
+        memory[tendons.ANGLE] *= self.pretension / value
+        for pairs in (self._pairs, self._first):
+            pairs[:, :, tendons.TENSION] += value - self.pretension
+        self._settings[tendons.LOW] *= self.pretension / value
+        self._settings[tendons.HIGH] *= self.pretension / value
+        self.pretension = value
+        self._grip()
+
+    def _grip(self) -> None:
+        for pair, factor in zip(self._pairs, (1.0, 1.0 + tendons.MORE), strict=True):
+            tendons.grip(pair, factor * self._memory[tendons.ANGLE])
 
     def update(self, tau_m: float, omega_m: float, q_m: float, q_j: float, fresh: bool = True) -> None:
         """One cycle's measurements, N*m, rad/s and rad; those that are not `fresh` or not finite are passed over."""

@@ -24,7 +24,7 @@ from tsa_ctrl.control.cycle import follow_up, run_cycle
 
 AXES = (1, 2, 4, 8)
 ANSWERS = "answers: nodes, bus, kernel"
-ESTIMATORS = ("fixed", "map", "sensor", "motor")
+ESTIMATORS = ("fixed", "map", "sensor", "motor", "stretch")
 Table = list[dict[str, Any]]
 
 

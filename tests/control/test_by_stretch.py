@@ -1,0 +1,114 @@
+"""The estimator kind "stretch": what it makes of what the observer knows, and that it follows a sheath bent more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.control.sliding import PERIOD, actuator
+from tests.virtual.joints import GAIT, play, sine
+from tsa_ctrl.control.attribution import Attribution
+from tsa_ctrl.control.by_stretch import ByStretch
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings
+from tsa_ctrl.observer.stretch import StretchObserver, StretchState
+
+X, TENSION = 0.26, 45.0
+
+
+@dataclass
+class Seen:
+    """An observer that knows what the test says."""
+
+    friction_angle: float = X
+    pretension: float = TENSION
+    friction_deviation: float = 0.02
+    innovation: float = 0.0
+    state: StretchState = StretchState.TOLD
+
+
+def estimator(seen: Seen, **settings: Any) -> ByStretch:
+    return ByStretch(actuator(), EstimatorSettings(kind="stretch", **settings), cast(StretchObserver, seen), PERIOD)
+
+
+def run(chosen: ByStretch, seconds: float, admit: bool = True) -> None:
+    for _ in range(round(seconds / PERIOD)):
+        chosen.update(1.0, 1.0, math.nan, 0.0, math.nan, admit)
+
+
+def test_the_product_goes_where_the_user_says() -> None:
+    """30 % more half loop is 30 % more pretension, when that is what is taken to change."""
+    chosen = estimator(Seen(friction_angle=math.asinh(1.3 * math.sinh(X))), attribute=Attribution.PRETENSION)
+    run(chosen, 5.0)
+    assert chosen.state is EstimateState.ESTIMATED
+    assert (chosen.friction_angle, chosen.pretension) == pytest.approx((X, 1.3 * TENSION), rel=1e-3)
+
+
+def test_it_moves_no_faster_than_its_rate() -> None:
+    chosen = estimator(Seen(friction_angle=1.4 * X), attribute=Attribution.FRICTION, rate=0.1)
+    run(chosen, 1.0)
+    assert 0.08 * X < chosen.friction_angle - X <= 0.1 * X + 1e-9
+
+
+@pytest.mark.parametrize(
+    "seen",
+    [
+        Seen(1.4 * X, friction_deviation=0.3),
+        Seen(1.4 * X, state=StretchState.UNSLID),
+        Seen(1.4 * X, state=StretchState.SLACK),
+    ],
+    ids=["uncertain", "unslid", "slack"],
+)
+def test_what_is_not_known_moves_nothing(seen: Seen) -> None:
+    chosen = estimator(seen)
+    run(chosen, 1.0)
+    assert chosen.state is EstimateState.UNESTIMATED
+    assert chosen.friction_angle == X
+
+
+@pytest.mark.parametrize("seen", [Seen(3.5 * X), Seen(1.2 * X, innovation=1e-3)], ids=["bounds", "residual"])
+def test_beyond_its_bounds_or_unlike_the_model_is_invalid(seen: Seen) -> None:
+    """The outputs go back to the model file's."""
+    chosen = estimator(Seen(1.2 * X))
+    run(chosen, 2.0)
+    assert chosen.friction_angle > 1.05 * X
+    chosen._observer = cast(StretchObserver, seen)
+    run(chosen, 3.0)
+    assert chosen.state is EstimateState.INVALID
+    assert chosen.friction_angle == pytest.approx(X)
+
+
+def test_a_reset_is_the_model_file() -> None:
+    chosen = estimator(Seen(1.3 * X))
+    run(chosen, 2.0)
+    chosen.reset()
+    assert (chosen.friction_angle, chosen.state) == (X, EstimateState.UNESTIMATED)
+
+
+def late_error(folder: Path, kind: str, load: str, setpoint: dict[str, Any]) -> float:
+    """RMS error of the joint torque, mN*m, from 4.5 to 6.5 s after a sheath was bent 40 % more."""
+    folder.mkdir()
+    bending = [[0.0, 1.0], [1.5, 1.0], [2.5, 1.4]]
+    axis = {"estimator": {"kind": kind, "use": kind != "fixed"}}
+    result = play(folder, load, setpoint, 9.0, axis=axis, plant={"environment": {"bending": bending}})
+    seen, log = result.axes[0], result.log
+    late = (log["t"] > 7.0) & (log["t"] < 9.0)
+    return 1e3 * float(np.sqrt(np.mean(np.square((seen.delivered - log["tau_j_des"])[late]))))
+
+
+@pytest.mark.slow
+def test_a_bending_change_is_followed_as_well_as_by_a_torque_sensor(tmp_path: Path) -> None:
+    """Friction and pretension rise by 40 and 80 %: known without a joint torque sensor within seconds."""
+    by_sensor = late_error(tmp_path / "sensor", "sensor", "imposed", GAIT)
+    by_stretch = late_error(tmp_path / "stretch", "stretch", "imposed", GAIT)
+    assert by_stretch <= 1.5 * by_sensor
+    assert by_stretch <= 25.0  # 900 without an estimate
+
+
+@pytest.mark.slow
+def test_it_is_followed_on_a_joint_that_the_torque_moves(tmp_path: Path) -> None:
+    assert late_error(tmp_path / "weight", "stretch", "weight", sine(0.5, 0.5)) <= 25.0
