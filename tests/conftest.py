@@ -58,11 +58,18 @@ def browser() -> str:
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """Folder of the measured data sets: TSA_DATA, else `shared/data` beside the project."""
-    folder = Path(os.environ.get("TSA_DATA") or ROOT.parent / "shared" / "data")
-    if not folder.is_dir():
-        pytest.skip(f"no measured data: {folder} is not there; name its folder in TSA_DATA")
-    return folder
+    """Folder of the measured data sets: TSA_DATA, else `shared/data` beside the project, else what was fetched."""
+    from tsa_ctrl.published import catalogue
+
+    places = [ROOT.parent / "shared" / "data", catalogue.folder()]
+    if catalogue.VARIABLE in os.environ:
+        places = places[1:]
+    found = next((place for place in places if place.is_dir()), None)
+    if found is None:
+        pytest.skip(
+            f"no measured data in {places[0]}: tsa data fetch davinci, or name its folder in {catalogue.VARIABLE}"
+        )
+    return found
 
 
 def lack_of_vcan() -> str | None:

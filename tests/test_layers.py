@@ -52,6 +52,7 @@ ROOMS: dict[str, str] = {
     # both of them in one process, in time of their own
     "virtual": "errors outputs log bus.wire bus.live safety control config ipc daemon plant",
     # for people
+    "published": "errors outputs",
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
     "drills": "errors version settings outputs system model bus safety control config daemon",
@@ -60,7 +61,7 @@ ROOMS: dict[str, str] = {
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system log model bus config ipc daemon identify plant virtual "
-        "doctor bench drills dashboard tune demo"
+        "published doctor bench drills dashboard tune demo"
     ),
     "__init__": "errors version system ipc.client virtual",
     "__main__": "system cli",

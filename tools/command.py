@@ -35,10 +35,16 @@ def vcan(module: str) -> str:
 
 
 def measured_data(module: str) -> Path | None:
-    """Folder of the measured cable drive, in TSA_DATA, else in ../shared/data; where it is not that is said."""
-    base = Path(os.environ.get("TSA_DATA") or ROOT.parent / "shared" / "data")
-    for folder in (base / "davinci", base):
+    """Folder of the measured cable drive: TSA_DATA, else ../shared/data, else what was fetched; its lack is said."""
+    from tsa_ctrl.published import catalogue
+
+    beside = [] if catalogue.VARIABLE in os.environ else [ROOT.parent / "shared" / "data"]
+    places = [*beside, catalogue.folder()]
+    for folder in (folder for base in places for folder in (base / "davinci", base)):
         if (folder / "actuator.toml").is_file():
             return folder
-    print(f"tools/run {name_of(module)}: no measured data in {base}; name the folder that holds davinci/ in TSA_DATA")
+    print(
+        f"tools/run {name_of(module)}: no measured data in {' or '.join(map(str, places))}; tsa data fetch davinci, "
+        f"or name the folder that holds davinci/ in {catalogue.VARIABLE}"
+    )
     return None

@@ -29,6 +29,7 @@ VERBS: dict[str, str] = {
     "simulate": "predict the joint torque for a log and print the error",
     "diagnose": "what the simulation gets wrong, why, and what it gains to know",
     "doctor": "is this machine fit to run the loop",
+    "data": "measured data that others published, fetched and checked",
     "log": "look into, convert and import logs",
     "drive": "probe a drive; dump, restore or compare its objects",
     "verify-safety": "hang and kill the loop and measure the drive's reaction",

@@ -1,0 +1,1 @@
+"""Measured data that others published: where it lies, its licence, and how it becomes our columns."""
