@@ -80,3 +80,28 @@ def test_a_client_that_hangs_is_followed_for_the_time_out_alone(run: ServedRun) 
     t, tau_j_des = wanted(run)
     assert t[np.isclose(tau_j_des, WANTED)][-1] - DIES == pytest.approx(0.2, abs=4e-3)
     assert not np.any(tau_j_des[t > DIES + 0.2 + WANTED / RATE + 4e-3])
+
+
+def test_a_value_is_in_the_command_of_the_next_cycle_at_the_latest(tmp_path: Path) -> None:
+    """Whenever it comes: 20 moments of a period. One that comes between SYNC and command is in that command."""
+    period, moments = 1e-3, [0.3 + n * (0.01 + 0.05e-3) for n in range(20)]
+    files = write(
+        tmp_path,
+        controller(
+            setpoint={"kind": "socket", "rate": 10_000.0},
+            law={"compensation": 0.0},
+            file={"socket": {"path": str(tmp_path / "tsa.sock")}},
+        ),
+        plant(joint={"load": "held"}),
+    )
+    running = ServedRun(*files, seconds=0.6)
+    running.at(0.29, running.connected(lines([0.1])))
+    for n, at in enumerate(moments):
+        running.at(at, lambda now, n=n: running.again(lines([0.1 * (n % 2) - 0.05])))  # type: ignore[misc]
+    try:
+        t, tau_j_des = wanted(running)
+    finally:
+        running.close()
+    for n, at in enumerate(moments):
+        shown = t[(np.sign(tau_j_des) == (1 if n % 2 else -1)) & (t > at - period)][0]
+        assert -0.6 * period < shown - at < period

@@ -1,8 +1,9 @@
 """The process behind the local socket: `python -m tsa_ctrl.ipc.server FD`, its description as JSON on stdin.
 
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Whatever clients do costs this
-process, never the loop, which takes at most one command per cycle from the mailbox; and whoever gives set-points waits
-for no more than one request of one other client. It ends with the daemon: their pipe closes however the daemon dies.
+process, never the loop, which takes at most one command per cycle from the mailbox. Whoever gives set-points waits for
+no more than one request of one other client; all others together get a third of the time meanwhile. It ends with the
+daemon: their pipe closes however the daemon dies.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way
 LOOK = 0.02  # s between looks at events and cycles while somebody holds the lease
 ANSWER_TIME = 1.0  # s for the loop to take a command
+REST = 2.0  # times what another client's request took, until the next is looked at while somebody gives set-points
+NICE = -10  # before what else runs on a crowded machine, so that set-points come in time; the loop is before it
 HANGS = 0.5  # s without a cycle, after which nobody is followed
 AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
 ENDING = ("stopping", "ended")  # phases
@@ -69,6 +72,7 @@ class Server:
         self._told = 0  # number of the next event for the lease's holder
         self._read = 0  # number of the events that were looked at
         self._looked = -math.inf  # s
+        self._rests = -math.inf  # s, until when only who gives set-points is served
         self._withdraw()
         self._selector = selectors.DefaultSelector()
         self._selector.register(listener, selectors.EVENT_READ)
@@ -114,13 +118,13 @@ class Server:
 
     def _patience(self, timeout: float) -> float:
         """s for which nothing has to be done unless somebody speaks."""
-        clients = self._clients.values()
+        clients, now = self._clients.values(), self._clock()
         if any(client.lines for client in clients):
-            return 0.0
+            return max(0.0, self._rests - now) if self._lease.holder is not None else 0.0
         if any(client.pending for client in clients):
             return min(timeout, TICK)
         if self._lease.holder is not None:
-            return max(0.0, min(timeout, LOOK, self._lease.left(self._clock())))
+            return max(0.0, min(timeout, LOOK, self._lease.left(now)))
         return timeout
 
     def _accept(self, now: float) -> None:
@@ -152,10 +156,14 @@ class Server:
 
     def _answer_next(self, now: float) -> None:
         """One request of one client, in turn."""
+        if self._lease.holder is not None and now < self._rests:
+            return
         for place, client in enumerate(self._turn):
             if client.lines:
                 self._turn.append(self._turn.pop(place))
                 self._answer(client, client.lines.popleft(), now)
+                end = self._clock()
+                self._rests = end + REST * (end - now)
                 return
 
     def _answer(self, client: Connection, line: bytes, now: float) -> None:
@@ -295,6 +303,8 @@ class Server:
 def main(argv: list[str]) -> int:
     """Serve until the daemon's end of stdin closes; events are printed as they come."""
     ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # they reach the whole group; the daemon decides
+    with contextlib.suppress(OSError):  # where this user may
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
     asked = sys.stdin.buffer.readline()
     if not asked:  # the daemon is gone already
         return 0
