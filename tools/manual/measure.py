@@ -17,8 +17,10 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +81,20 @@ MEASURES: tuple[Measure, ...] = (
         )
         for load in LOADS
     ),
+    *(
+        Measure(
+            f"first-{name}",
+            f"first ten minutes, a bare Python 3.11 and the wheel alone: {words}",
+            ("{root}/tools/run", "package/check", "--python", "python3.11"),
+            _found(rf"{pattern}\s+0\s+([0-9.]+) s"),
+            "s",
+        )
+        for name, words, pattern in (
+            ("install", "pip install", "pip install"),
+            ("picture", "first picture, functions compiled in it", r"tsa demo --virtual\b.*?"),
+            ("example", "an example log made and diagnosed", r"tsa diagnose --example\b.*?"),
+        )
+    ),
     Measure(
         "virtual-speed",
         "virtual time of `tsa simulate-loop` with the example files, over real time",
@@ -99,16 +115,10 @@ MEASURES: tuple[Measure, ...] = (
 def measured(measure: Measure, runs: int, out: Path) -> Row:
     """Run it; raises ValueError with what was printed where the figure is not in it."""
     values = []
-    places = {"out": str(out), "config": str(command.CONFIG), "root": str(command.ROOT)}
-    for _ in range(1 if measure.deterministic else runs):
-        began = datetime.datetime.now()
-        done = subprocess.run(
-            [word.format(**places) for word in measure.line], capture_output=True, text=True, check=False
-        )
-        seconds = (datetime.datetime.now() - began).total_seconds()
-        if done.returncode != 0:
-            raise ValueError(f"exit status {done.returncode}: {done.stderr.strip()[-300:]}")
-        value = measure.read(done.stdout)
+    line = tuple(word.format(out=out, config=command.CONFIG, root=command.ROOT) for word in measure.line)
+    for number in range(1 if measure.deterministic else runs):
+        printed, seconds = _printed(line, number)
+        value = measure.read(printed)
         values.append(value / seconds if measure.unit == "times" else value)
     return {
         "value": statistics.median(values),
@@ -122,6 +132,16 @@ def measured(measure: Measure, runs: int, out: Path) -> Row:
         "commit": _commit(),
         "machine": f"{os.cpu_count()} processors, {platform.machine()}, Python {platform.python_version()}",
     }
+
+
+@cache
+def _printed(line: tuple[str, ...], number: int) -> tuple[str, float]:
+    """What a command prints, and how long it took, s; once for all figures that read the same run."""
+    began = time.monotonic()
+    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise ValueError(f"exit status {done.returncode}: {(done.stderr or done.stdout).strip()[-300:]}")
+    return done.stdout, time.monotonic() - began
 
 
 def _spoken(line: tuple[str, ...]) -> str:

@@ -26,8 +26,8 @@ TRIED: tuple[tuple[str, ...], ...] = (
     ("help", "rig"),
     ("init", "rig"),
     ("run", "--check", "rig/controller.toml"),
-    ("simulate-loop", "rig/controller.toml", "rig/plant.toml", "--seconds", "2", "--out", "loop"),
     ("demo", "--virtual", "--seconds", "6", "--out", "demo"),
+    ("simulate-loop", "rig/controller.toml", "rig/plant.toml", "--seconds", "2", "--out", "loop"),
     ("diagnose", "--example", "--out", "example"),
 )
 
