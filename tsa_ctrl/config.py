@@ -119,7 +119,7 @@ class Configuration:
     def plans(self) -> tuple[Plan, ...]:
         """What follows for each axis' law; raises UsageError for a damping without margin."""
         return tuple(
-            _plan(f"{self.path}: axis '{axis.name}'", axis, model, self.file)
+            plan_for(f"{self.path}: axis '{axis.name}'", axis, model, self.file)
             for axis, model in zip(self.file.axes, self.models, strict=True)
         )
 
@@ -286,15 +286,15 @@ def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:
         raise UsageError(f'{where}: estimator.kind "stretch": {reason}; or choose another kind')
 
 
-def _plan(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:
+def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> Plan:
     """Times and gains of an axis' law; raises UsageError for a damping without margin."""
-    law, drive, period = axis.law, axis.drive, 1.0 / file.controller.rate
+    law, drive, encoder, period = axis.law, axis.drive, axis.encoder, 1.0 / file.controller.rate
     return plan_of(
         model,
         period=period,
         transport=period if file.bus.rpdo == "sync" else file.controller.collect * period,
         late=1.0 / (2.0 * math.pi * drive.velocity_cutoff) if drive.velocity_source == "position" else 0.0,
-        has_encoder=axis.encoder is not None,
+        has_encoder=encoder is not None,
         rate=axis.limits.rate,
         torque=axis.limits.torque,
         delay=law.delay,
@@ -303,6 +303,7 @@ def _plan(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerF
         inertia=law.motor_inertia,
         ringing=law.ringing,
         damping=law.damping,
+        filtered=0.0 if encoder is None else 1.0 / (2.0 * math.pi * encoder.velocity_cutoff),
         where=where,
     )
 

@@ -20,8 +20,9 @@ from tsa_ctrl.identify.diagnosis.report.result import Experiment
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_tendon_sheath
 from tsa_ctrl.tune import report
+from tsa_ctrl.tune.controller_file import Key
+from tsa_ctrl.tune.mechanics import LawTuning
 from tsa_ctrl.tune.page import parameter_rows
-from tsa_ctrl.tune.ringing import Turn
 from tsa_ctrl.tune.session import Plan, Session
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -126,19 +127,22 @@ def test_undo_puts_the_file_before_back(folder: Path, capsys: pytest.CaptureFixt
     assert tsa("controller.toml", "--undo") == 2
 
 
-def test_another_slew_goes_into_the_controllers_file_and_back_with_the_model(
+def test_what_was_measured_of_the_motor_goes_into_the_controllers_file_and_back_with_the_model(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = files(folder)
     session = Session(Path("controller.toml"), None, Plan())
-    turn = Turn(120.0, 85.6, Quantity(97.5, 97.0, 98.0, "Hz"), 0.066, 0.050)
-    outcome = dataclasses.replace(session.from_logs(["a.csv"]), turn=turn)
-    assert "+slew = 85.6" in session.difference(outcome)
+    inertia = Quantity(1.02e-4, 1.0e-4, 1.04e-4, "kg*m^2")
+    keys = {"motor_inertia": Key(1.02e-4, "measured"), "damping": Key(0.02, "gain margin 3.1 at 2 ms")}
+    tuning = LawTuning(keys, {"motor_inertia": inertia}, 3.1)
+    outcome = dataclasses.replace(session.from_logs(["a.csv"]), law=tuning)
+    assert "+damping = 0.02 # tsa tune: gain margin 3.1 at 2 ms" in session.difference(outcome)
     law = report.to_dict(outcome, "knee", None, None)["law"]
-    assert (law["slew"]["before"], law["slew"]["value"], law["ringing"]["value"]) == (120.0, 85.6, 97.5)
-    assert ("slew of the friction term", "120", "85.6", "85.16 to 86.04", "N*m/s") in parameter_rows(outcome)
+    assert (law["keys"]["damping"], law["gain_margin"]) == (0.02, 3.1)
+    assert law["quantities"]["motor_inertia"]["low"] == 1.0e-4
+    assert ("motor inertia", "", "0.000102", "0.0001 to 0.000104", "kg*m^2") in parameter_rows(outcome)
     assert set(session.write(outcome)) == {Path("actuator.toml"), Path("controller.toml")}
-    assert load_configuration(folder / "controller.toml").file.axes[0].law.slew == 85.6
+    assert load_configuration(folder / "controller.toml").file.axes[0].law.damping == 0.02
 
     edited = (folder / "controller.toml").read_text() + "# mine\n"
     tuned = (folder / "controller.toml").read_bytes()

@@ -1,4 +1,4 @@
-"""The slew in the controller's file: nothing else changes, and one can see whether anything else did."""
+"""What a tuning writes into the controller's file: nothing else changes, and one can see whether anything else did."""
 
 from __future__ import annotations
 
@@ -7,41 +7,63 @@ from pathlib import Path
 
 import pytest
 
-from tsa_ctrl.tune.controller_file import differ_in_slew_alone, with_slew
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.tune.controller_file import Key, differ_in_law_alone, with_law
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "controller.toml"
 TWO = """\
 [[axis]]
 name = "hip"
-law = { slew = 50.0 }
+law = { delay = 0.002 }
 [[axis]]
 name = "knee" # of the left leg
 [axis.limits]
 torque = 2.0
 """
+KEYS = {"motor_inertia": Key(1.02e-4, "measured, 1e-4 to 1.04e-4 kg*m^2"), "delay": Key(0.003, "measured")}
 
 
-def test_the_shipped_file_gets_one_line() -> None:
+def test_the_shipped_file_gets_a_line_for_each_key_with_its_comment() -> None:
     before = CONFIG.read_text(encoding="utf-8")
-    after = with_slew(before, "knee", 85.6)
-    assert set(after.splitlines()) - set(before.splitlines()) == {"slew = 85.6"}
-    assert len(after.splitlines()) == len(before.splitlines()) + 1
-    assert tomllib.loads(after)["axis"][0]["law"]["slew"] == 85.6
+    after = with_law(before, "knee", KEYS)
+    added = set(after.splitlines()) - set(before.splitlines())
+    assert added == {
+        "motor_inertia = 0.000102 # tsa tune: measured, 1e-4 to 1.04e-4 kg*m^2",
+        "delay = 0.003 # tsa tune: measured",
+    }
+    assert len(after.splitlines()) == len(before.splitlines()) + 2
+    assert tomllib.loads(after)["axis"][0]["law"]["motor_inertia"] == 1.02e-4
 
 
-def test_a_slew_that_is_there_is_replaced() -> None:
-    assert with_slew(TWO, "hip", 60.0) == TWO.replace("50.0", "60.0")
+def test_a_second_tuning_replaces_numbers_and_comments() -> None:
+    before = CONFIG.read_text(encoding="utf-8")
+    again = {"delay": Key(0.004, "measured anew")}
+    after = with_law(with_law(before, "knee", KEYS), "knee", again)
+    assert "delay = 0.004 # tsa tune: measured anew" in after.splitlines()
+    assert "delay = 0.003" not in after
+
+
+def test_keys_in_braces_are_replaced_without_comments() -> None:
+    after = with_law(TWO, "hip", {"delay": Key(0.003, "measured")})
+    assert after == TWO.replace("0.002", "0.003")
 
 
 def test_an_axis_without_a_law_gets_one_and_keeps_its_comments() -> None:
-    after = with_slew(TWO, "knee", 60.0)
+    after = with_law(TWO, "knee", KEYS)
     assert after.startswith(TWO)
-    assert tomllib.loads(after)["axis"][1]["law"] == {"slew": 60.0}
+    assert tomllib.loads(after)["axis"][1]["law"] == {"motor_inertia": 1.02e-4, "delay": 0.003}
 
 
 @pytest.mark.parametrize("axis", ["hip", "knee"])
 def test_one_sees_whether_anything_else_changed(axis: str) -> None:
-    after = with_slew(TWO, axis, 60.0)
-    assert differ_in_slew_alone(TWO, after, axis)
-    assert not differ_in_slew_alone(TWO, after + "# mine\n", axis)
-    assert not differ_in_slew_alone(TWO, after.replace("2.0", "3.0"), axis)
+    after = with_law(TWO, axis, {"delay": KEYS["delay"]})
+    assert differ_in_law_alone(TWO, after, axis)
+    assert not differ_in_law_alone(TWO, after + "# mine\n", axis)
+    assert not differ_in_law_alone(TWO, after.replace("2.0", "3.0"), axis)
+    assert not differ_in_law_alone(TWO, TWO.replace("2.0", "3.0"), axis)
+
+
+def test_a_layout_that_has_no_place_for_them_is_one_line() -> None:
+    flat = 'axis = [{ name = "knee", law.delay = 0.002 }]\n'
+    with pytest.raises(UsageError, match=r"delay = 0\.003 does not go into this layout; put it into \[axis.law\]"):
+        with_law(flat, "knee", {"delay": Key(0.003, "measured")})

@@ -1,18 +1,19 @@
-"""Runs of `tsa tune` on rigs drawn by number, in virtual time: nothing of the nominal file is quite true.
+"""Runs of `tsa tune` alone on rigs drawn by number, in virtual time: nothing of the nominal file is quite true.
 
-Usage: tools/run bench/tune [--runs 20] [--seed 1] [--rate 1000] [--curvature any] [-- OPTION OF tsa tune]
+Usage: tools/run bench/tune [--rigs 1..20] [--seed 1] [--rate 1000] [--curvature any] [-- OPTION OF tsa tune]
 A rig has its own friction, pretension, stiffness of the tendons, shape of the sheath, inertia of the motor and delay of
-one to three periods (tests/virtual/rigs.py). Prints, for each run, the truth against the nominal file, and by how much
-compensation reduces the RMS joint torque error with the given, with the new file and with the true parameters, on a
-motion not used for the fit; and the form of model that tune chose. The last lines sum up by where the sheath bends.
-With --results FILE each run is appended to it as it ends; those that it holds are not made again, unless they failed.
+one to three periods (tests/virtual/rigs.py); the controller's file says nothing of motor and delay. Prints, for each
+rig, the truth against the nominal file; by how much compensation reduces the RMS joint torque error with the given
+file, with what tune wrote and with all that is true (model, shape, motor, delay), on a motion not used for the fit;
+what tune measured over what is true; the gain margin. The last lines sum up by where the sheath bends, and over all.
+With --results FILE each rig is appended to it as it ends; those that it holds are not run again, unless they failed, so
+that a long list is done in slices.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import subprocess
 import tempfile
 import time
@@ -35,12 +36,18 @@ from tsa_ctrl.system.processes import tsa
 from tsa_ctrl.tune.run import read_run
 from tsa_ctrl.virtual.stage import play
 
-ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
+TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
+UNKNOWN = {"compensation": rig.COMPENSATION, "fade_in": FADE_IN}  # [axis.law] of a file that knows nothing of the motor
+
+
+def drawn_by(number: int, arguments: argparse.Namespace) -> Drawn:
+    """The rig of a number."""
+    return draw(arguments.seed, number, None if arguments.curvature == "any" else arguments.curvature)
 
 
 def one(number: int, arguments: argparse.Namespace) -> Row:
     """Draw a rig by its number, tune it, and return what came out."""
-    drawn = draw(arguments.seed, number, None if arguments.curvature == "any" else arguments.curvature)
+    drawn = drawn_by(number, arguments)
     row: Row = {
         "number": number,
         "truth": dict(drawn.factors),
@@ -51,7 +58,7 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
     }
     with tempfile.TemporaryDirectory(prefix="bench-tune-") as name:
         folder = Path(name)
-        controller = rig.write(folder, VIRTUAL, arguments.rate, "distributed", drawn.axis())
+        controller = rig.write(folder, VIRTUAL, arguments.rate, "distributed", drawn.axis(), {"law": UNKNOWN})
         save_model(drawn.nominal, folder / rig.MODEL)
         spans = ("--seconds", f"{arguments.seconds:g}", "--verify-seconds", f"{arguments.verify_seconds:g}")
         verb = tsa("tune", str(controller), "--virtual", "plant.toml", "--json", "--yes", *spans, "--out", "out")
@@ -68,17 +75,24 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
 
 
 def with_truth(folder: Path, drawn: Drawn, seconds: float) -> float:
-    """RMS error (N*m) of the verifying motion with the true parameters, form and lag, and the slew that was found."""
-    effects: dict[str, dict[str, object]] = {"velocity_lag": {"time_constant": ENCODER_LAG}}
+    """RMS error (N*m) of the verifying motion with true parameters, form, motor and delay, all of it compensated."""
+    effects: dict[str, dict[str, object]] = {}
     if drawn.curvature != "joint_end":
         effects["elongation_coupling"] = {"curvature_profile": [list(point) for point in SHAPES[drawn.curvature]]}
     out = folder / "out"
     save_model(drawn.truth.with_effects(effects), out / "true.toml")
     data = tomllib.loads((out / "controller-after.toml").read_text(encoding="utf-8"))
-    data["axis"][0].update(model="true.toml", setpoint={"kind": "file", "file": "after.csv"})
+    law = {**UNKNOWN, "compensation": 1.0, "motor_inertia": drawn.inertia, "delay": true_delay(drawn)}
+    data["axis"][0].update(model="true.toml", setpoint={"kind": "file", "file": "after.csv"}, law=law)
     (out / "controller-true.toml").write_text(tomlkit.dumps(data), encoding="utf-8")
+    save_model(drawn.nominal, folder / rig.MODEL)  # the plant reads it, too, and tune has written it anew
     summary = play(out, "true", seconds, lambda share: None, folder / "plant.toml")
     return read_run("true", out / str(summary["log"]), "joint", FADE_IN, seconds).rms
+
+
+def true_delay(drawn: Drawn, rate: float = 1000.0) -> float:
+    """s from a measurement to the torque that acts: periods, half a period of hold, the drive's torque loop."""
+    return (drawn.delay + 0.5) / rate + TORQUE_LOOP
 
 
 def true_reduction(found: Row) -> float:
@@ -86,32 +100,51 @@ def true_reduction(found: Row) -> float:
     return 100.0 * float(1.0 - found["true"] / found["verification"]["rms"]["without"])
 
 
-def spread(runs: list[Row]) -> list[str]:
+def spread(runs: list[Row]) -> str:
     """Median and worst reduction with the given file, the new one and the true parameters."""
     columns = [[r["verification"]["reduction_percent"][key] for r in runs] for key in ("before", "after")]
     columns.append([true_reduction(r) for r in runs])
-    return [f"{np.median(column):.1f} ({min(column):.1f})" for column in columns]
+    return ", ".join(f"{np.median(column):.1f} ({min(column):.1f})" for column in columns)
 
 
-def line(number: int, found: Row) -> str:
+def shares(found: Row, drawn: Drawn) -> str:
+    """Motor inertia, stiffness and delay that were measured, over the truth; the centre of the bending; the margin."""
+    law, parameters = found["law"], found["parameters"]
+    if law is None or "motor_inertia" not in law["quantities"]:
+        return "motor not measured"
+    stiffness = parameters["axial_stiffness"]["value"] / drawn.truth.axial_stiffness
+    inertia = law["quantities"]["motor_inertia"]["value"] / drawn.inertia
+    delay = law["quantities"]["delay"]["value"] / true_delay(drawn)
+    centre = parameters.get("centre of the bending", {"value": float("nan")})["value"]
+    margin = "none" if law["gain_margin"] is None else f"{law['gain_margin']:.1f}"
+    return f"{inertia:4.2f} {stiffness:4.2f} {delay:4.2f}  {centre:4.2f}  {margin:>6s}"
+
+
+def line(number: int, found: Row, drawn: Drawn) -> str:
     factors = "  ".join(f"{value:.2f}" for value in found["truth"].values())
     motor = f"{1e4 * found['inertia']:4.2f}  {1e-3 * found['stiffness']:4.0f}  {found['delay']}"
     head = f"{number:3d}  {factors}  {motor}  {found['curvature']:10s}"
     if "error" in found:
         return f"{head}  {found['error']}"
     rms, reduction = found["verification"]["rms"], found["verification"]["reduction_percent"]
-    effects = ", ".join(found["effects"])
     return (
         f"{head}  {1e3 * rms['without']:7.1f}  {1e3 * rms['before']:6.1f}  {1e3 * rms['after']:6.1f}"
         f"  {reduction['before']:6.1f}  {reduction['after']:6.1f}  {true_reduction(found):6.1f}"
-        f"  {'yes' if found['written'] else 'no ':3s}"
-        f"  {found['form']}{' + ' + effects if effects else ''}  ({found['seconds']:.0f} s)"
+        f"  {shares(found, drawn)}  {'yes' if found['written'] else 'no'}  ({found['seconds']:.0f} s)"
     )
+
+
+def rigs(text: str) -> range:
+    """ "A..B", both included."""
+    first, _, last = text.partition("..")
+    if not (first.isdigit() and last.isdigit() and 0 < int(first) <= int(last)):
+        raise argparse.ArgumentTypeError(f"'{text}' is no range; give two numbers as 1..20")
+    return range(int(first), int(last) + 1)
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--rigs", type=rigs, default=rigs("1..20"), metavar="A..B")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz")
     parser.add_argument("--curvature", choices=["any", *CURVATURES], default="any", help="where the sheath bends")
@@ -122,27 +155,34 @@ def main() -> int:
     parser.add_argument("more", nargs="*", help="further options of tsa tune, after --")
     arguments = parser.parse_args()
     print(
-        f"{arguments.runs} runs, seed {arguments.seed}, {arguments.rate:g} Hz; "
+        f"rigs {arguments.rigs[0]}..{arguments.rigs[-1]}, seed {arguments.seed}, {arguments.rate:g} Hz; "
         "truth as a factor on nominal, J_M in 1e-4 kg*m^2, EA in kN, delay in periods; RMS joint torque error in mN*m"
     )
     columns = [f"{'':3s}", f"{'mu':4s}", f"{'T_p':4s}", f"{'EA':4s}", f"{'J_M':4s}", f"{'kN':>4s}", "d"]
     columns += [f"{'curvature':10s}", f"{'without':>7s}", f"{'given':>6s}", f"{'new':>6s}"]
-    print("  ".join([*columns, "given%", f"{'new%':>6s}", f"{'true%':>6s}", "new", "form"]), flush=True)
+    print(
+        "  ".join(
+            [*columns, "given%", f"{'new%':>6s}", f"{'true%':>6s}", "J_M  EA   delay", "s_c ", "margin", "written"]
+        ),
+        flush=True,
+    )
     results, made = [], 0
     known = Results(arguments.results, lambda row: row["number"], lambda row: "error" not in row)
-    for number in range(1, arguments.runs + 1):
+    for number in arguments.rigs:
         if number not in known:
             if made == arguments.at_most:
                 continue
             known.add(one(number, arguments))
             made += 1
-        print(line(number, known[number]), flush=True)
+        print(line(number, known[number], drawn_by(number, arguments)), flush=True)
         results.append(known[number])
     good = [r for r in results if "error" not in r]
     print("reduction of the RMS error, %, median (worst): given file, new file, true parameters")
     for curvature in CURVATURES:
         part = [r for r in good if r["curvature"] == curvature]
         if part:
-            print(f"  {curvature:10s} {len(part):2d} rigs  {', '.join(spread(part))}")
+            print(f"  {curvature:10s} {len(part):2d} rigs  {spread(part)}")
+    if good:
+        print(f"  {'all':10s} {len(good):2d} rigs  {spread(good)}")
     print(f"{len(results) - len(good)} of {len(results)} runs failed")
     return int(len(good) < len(results))

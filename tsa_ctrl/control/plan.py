@@ -67,12 +67,14 @@ def plan_of(
     inertia: float | None = None,
     ringing: float | None = None,
     damping: float | None = None,
+    filtered: float = 0.0,
     where: str = "",
 ) -> Plan:
     """Derive what is left out (None) of [axis.law]; `ringing` in Hz. Raises UsageError for a damping without margin.
 
     `transport`: s until a command is taken; `late`: s by which the motor's velocity is late; `rate` (N*m/s) and
-    `torque` (N*m): the limiter's.
+    `torque` (N*m): the limiter's; `filtered`: s by which the loop's own filter makes the joint velocity of a log late,
+    which is part of a model's velocity_lag, but not of the motion that the law follows.
     """
     front = front_of(model)
     total = transport + 0.5 * period + LAG if delay is None else delay
@@ -94,7 +96,7 @@ def plan_of(
         lead = 0.0
     gain, margin = _damping(damping, mass, omega, total + late, period, has_encoder, where, notes)
     lag = model.effects.get("velocity_lag")
-    known = 0.5 * turn + total + (float(lag["time_constant"]) if lag else 0.0)
+    known = 0.5 * turn + total + (max(0.0, float(lag["time_constant"]) - filtered) if lag else 0.0)
     if known > MOST_LEAD and lead is None:
         notes.append(
             f"a reversal would have to be known {1e3 * known:.0f} ms ahead (half a turn and all delays); it is led by "

@@ -76,6 +76,18 @@ def motor_stiffness(model: TendonSheath) -> float:
     return 2.0 * model.tendon_stiffness * model.motor_pulley_radius**2
 
 
+def sliding_stiffness(model: TendonSheath) -> float:
+    """N*m/rad that the motor's angle meets while both tendons slide: K (1/alpha + 1/beta) (l_us + EA/k_s)/2.
+
+    K itself with all bends at the joint, K cosh x with all of them at the motor.
+    """
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+    if not isinstance(transmission, Elongating):
+        return motor_stiffness(model)
+    alpha, beta = transmission.lengths(SCALARS, model.friction_angle)
+    return motor_stiffness(model) * 0.5 * (1.0 + transmission.series) * (1.0 / alpha + 1.0 / beta)
+
+
 def bending_centre(model: TendonSheath) -> float:
     """s_c, 1: where the bending lies along the sheath, 0 at the motor and 1 at the joint, as (3.55) has it."""
     transmission = Stack.of(model.effects, model.source).transmission(model)

@@ -1,17 +1,31 @@
-"""The one key of the controller's file that a tuning may change: how fast the friction term turns."""
+"""What a tuning may change in the controller's file: the keys of [axis.law] that follow from measurements."""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import tomlkit
 
 from tsa_ctrl.errors import UsageError
 
+TUNED = ("motor_inertia", "delay", "ringing", "turn", "lead", "damping", "compensation")
+MOTOR = TUNED[:-1]  # what moves and damps the motor by itself
+MARK = "tsa tune: "  # begins the comment beside each
 
-def with_slew(text: str, axis: str, slew: float) -> str:
-    """The file with this `slew` (N*m/s) in the axis' [axis.law]; all else stays as it is written.
+
+@dataclass(frozen=True)
+class Key:
+    """A value of [axis.law] and what is written beside it."""
+
+    value: float
+    comment: str
+
+
+def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
+    """The file with these keys in the axis' [axis.law], each with its comment; all else stays as it is written.
 
     Raises UsageError where the file's layout does not allow it.
     """
@@ -19,18 +33,33 @@ def with_slew(text: str, axis: str, slew: float) -> str:
     table = next(table for table in document["axis"] if table["name"] == axis)
     if "law" not in table:
         table["law"] = tomlkit.table()
-    table["law"]["slew"] = slew
+    law = table["law"]
+    for name, key in keys.items():
+        law[name] = key.value
+        if not isinstance(law, tomlkit.items.InlineTable):
+            law[name].comment(MARK + key.comment)
     new: str = tomlkit.dumps(document)
     wanted = tomllib.loads(text)
     chosen = next(table for table in wanted["axis"] if table["name"] == axis)
-    chosen["law"] = {**chosen.get("law", {}), "slew": slew}
-    if tomllib.loads(new) != wanted:
-        raise UsageError(f"axis '{axis}': slew = {slew:g} does not go into this layout; put it into [axis.law]")
+    chosen["law"] = {**chosen.get("law", {}), **{name: key.value for name, key in keys.items()}}
+    try:
+        same = tomllib.loads(new) == wanted
+    except tomllib.TOMLDecodeError:
+        same = False
+    if not same:
+        lines = ", ".join(f"{name} = {key.value:g}" for name, key in keys.items())
+        raise UsageError(f"axis '{axis}': {lines} does not go into this layout; put it into [axis.law]")
     return new
 
 
-def differ_in_slew_alone(old: str, new: str, axis: str) -> bool:
-    """Whether `new` is what `with_slew` makes of `old`."""
-    tables = tomllib.loads(new).get("axis", [])
-    slew = next((table.get("law", {}).get("slew") for table in tables if table.get("name") == axis), None)
-    return slew is not None and with_slew(old, axis, slew) == new
+def differ_in_law_alone(old: str, new: str, axis: str) -> bool:
+    """Whether `new` is what `with_law` makes of `old`."""
+    document: Any = tomlkit.parse(new)
+    law: Any = next((table.get("law", {}) for table in document.get("axis", []) if table.get("name") == axis), {})
+    keys = {}
+    for name in TUNED:
+        if name in law:
+            comment = law[name].trivia.comment.removeprefix("#").strip()
+            if comment.startswith(MARK) or isinstance(law, tomlkit.items.InlineTable):
+                keys[name] = Key(float(law[name]), comment.removeprefix(MARK))
+    return bool(keys) and with_law(old, axis, keys) == new

@@ -19,6 +19,8 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.sliding import bending_centre
+from tsa_ctrl.tune.bends import Bends, bends
 from tsa_ctrl.tune.lag import EFFECT, velocity_lag, with_lag
 
 if TYPE_CHECKING:
@@ -37,6 +39,11 @@ class Form(Enum):
     GIVEN = "as the file gives it"
     UNIFORM = "full model (3.53), evenly bent sheath"
     MOTOR_END = "full model (3.53), sheath bent at the motor"
+    JOINT_END = "(3.55), sheath bent at the joint"
+    ANGLES = "full model (3.53), sheath bent as the angles of motor and joint show"
+
+
+NAMED_FORMS = {"uniform": Form.UNIFORM, "motor_end": Form.MOTOR_END, "joint_end": Form.JOINT_END}
 
 
 @dataclass(frozen=True)
@@ -58,13 +65,17 @@ class Estimate:
 
 
 def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool, forms: bool) -> Estimate:
-    """Calibrate `model`; with `forms` also as the full model with an evenly or a motor-side bent sheath, and how late
-    the velocity is.
+    """Calibrate `model`; with `forms` also by where the sheath bends, and how late the velocity is.
 
-    Raises UsageError when the logs do not show enough.
+    The angles of motor and joint tell where it bends, if the logs have both; else an evenly and a motor-side bent
+    sheath are tried. Raises UsageError when the logs do not show enough.
     """
+    excluded = set(CATALOGUE[COUPLING].excludes) & set(model.effects)
+    found_bends = bends(logs, model) if forms and not excluded else None
+    if found_bends is not None:
+        return _late(_bent(logs, model, found_bends, certified_gain), logs)
     candidates = {Form.GIVEN: model}
-    if forms and not {COUPLING, *CATALOGUE[COUPLING].excludes} & set(model.effects):
+    if forms and not excluded and COUPLING not in model.effects:
         for form, profile in ((Form.UNIFORM, "uniform"), (Form.MOTOR_END, "motor_end")):
             effects = {**model.effects, COUPLING: {"curvature_profile": profile}}
             candidates[form] = model.with_effects(effects)
@@ -87,7 +98,39 @@ def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool,
             "constant would look alike"
         )
     chosen = Estimate(found[best].model, found[best], best, errors, (), tuple(notes))
-    lag = velocity_lag(logs, chosen.model) if forms else None
+    return _late(chosen, logs) if forms else chosen
+
+
+def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_gain: bool) -> Estimate:
+    """The model bent as the angles show; as it was given where that agrees."""
+    form, bent = Form.GIVEN, model
+    if not found.centre.low <= bending_centre(model) <= found.centre.high:
+        rest = {name: effect for name, effect in model.effects.items() if name != COUPLING}
+        form = NAMED_FORMS.get(str(found.profile), Form.ANGLES)
+        profile = found.profile if isinstance(found.profile, str) else [list(point) for point in found.profile]
+        bent = model.with_effects(rest if found.at_joint else {**rest, COUPLING: {"curvature_profile": profile}})
+    result = calibrate(logs, bent, certified_gain=certified_gain)
+    notes = [*result.notes]
+    if form is not Form.GIVEN:
+        notes.append(
+            f"the angles of motor and joint show the centre of the bending at {found.centre.value:.2f} of the sheath's "
+            f"length from the motor ({found.centre.low:.2f} to {found.centre.high:.2f}), the file has it at "
+            f"{bending_centre(model):.2f}: {form.value}"
+        )
+    return Estimate(
+        model=result.model,
+        calibration=result,
+        form=form,
+        errors={form: sliding_error(logs, result.model)},
+        effects=(),
+        notes=tuple(notes),
+        parameters={"centre of the bending": found.centre},
+    )
+
+
+def _late(chosen: Estimate, logs: Sequence[Dataset]) -> Estimate:
+    """The same with how late the velocity is, where the logs show it."""
+    lag = velocity_lag(logs, chosen.model)
     if lag is None:
         return chosen
     model = with_lag(chosen.model, lag.value)
@@ -96,8 +139,8 @@ def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool,
         model=model,
         calibration=dataclasses.replace(chosen.calibration, model=model),
         effects=(EFFECT,),
-        notes=(*notes, f"the velocity is {1e3 * lag.value:.2f} ms late: the loop turns its friction term ahead of it"),
-        parameters={f"{EFFECT}.time_constant": lag},
+        notes=(*chosen.notes, f"the log's velocity is {1e3 * lag.value:.2f} ms late"),
+        parameters={**chosen.parameters, f"{EFFECT}.time_constant": lag},
     )
 
 

@@ -32,7 +32,7 @@ FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sen
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
 VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside what was learned from
 DOMAIN_SHARE = 0.7  # of 2 T_p r_M: nominal parameters may be 20 % off, and both tendons must pull
-REVERSALS_SECONDS = 6.0
+SHAKE_SECONDS = 8.0
 MOVING = 0.05  # rad/s RMS; slower is called standing
 MOVED_BY_TORQUE = 0.3  # share of the velocity's variance that the torque explains
 HEADROOM = 0.7  # of the speed and travel that are left when a probe's response is scaled up
@@ -82,7 +82,7 @@ class Design:
 
     excitation: Waveform
     verification: Waveform
-    reversals: Waveform  # short, for what happens after reversals
+    shake: Waveform  # the slow torque beneath a shaking of the motor
     reasons: tuple[str, ...]
 
 
@@ -203,7 +203,7 @@ def design(found: Response, probed: float, bounds: Bounds, seconds: float, verif
     return Design(
         multi_sine(frequencies, torque, seconds),
         multi_sine(others, VERIFICATION_SHARE * torque, verification_seconds),
-        multi_sine(frequencies, VERIFICATION_SHARE * torque, REVERSALS_SECONDS),
+        multi_sine(frequencies, VERIFICATION_SHARE * torque, SHAKE_SECONDS),
         tuple(reasons),
     )
 

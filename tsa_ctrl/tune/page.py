@@ -31,7 +31,7 @@ def write_page(
         runs=run_rows(outcome),
         notes=[*(outcome.design.reasons if outcome.design else ()), *outcome.estimate.notes],
         pictures=encoded,
-        file=path.name if outcome.turn is None else f"{path.name} and the controller's file",
+        file=path.name if outcome.law is None else f"{path.name} and the controller's file",
         diff=difference or "nothing",
         logs=", ".join(log.name for log in outcome.logs),
         version=__version__,
@@ -64,9 +64,8 @@ def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
         ("slope", None, result.slope),
         *((name.replace("_", " "), None, found) for name, found in outcome.estimate.parameters.items()),
     ]
-    if outcome.turn is not None:
-        rows.append(("ringing after reversals", None, outcome.turn.ringing))
-        rows.append(("slew of the friction term", outcome.turn.before, outcome.turn.interval()))
+    if outcome.law is not None:
+        rows += [(name.replace("_", " "), None, found) for name, found in outcome.law.quantities.items()]
     return [
         (
             name,

@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
+from tsa_ctrl.tune.controller_file import MOTOR
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
-from tsa_ctrl.tune.excitation import MOVING, PROBE_SHARES, Bounds, Design, Waveform, design, playing, probe, response
-from tsa_ctrl.tune.lag import EFFECT
-from tsa_ctrl.tune.ringing import Turn, ringing, slew_without_ringing, turn_of
+from tsa_ctrl.tune.excitation import (
+    MOVING,
+    PROBE_SHARES,
+    SHAKE_SECONDS,
+    Bounds,
+    Design,
+    Waveform,
+    design,
+    playing,
+    probe,
+    response,
+)
+from tsa_ctrl.tune.mechanics import LawTuning, Mechanics, measured, pulling, stiffened
 from tsa_ctrl.tune.run import RigRunner, Run, longest
+from tsa_ctrl.tune.shake import SHARE, fastest, shaken
 
 PROBE_SECONDS = 6.0
-SAME_SLEW = 0.02  # relative; nearer to the one that is there is not worth a change
+STIFFNESS = "axial_stiffness"
+BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without what moves or damps the motor by itself
+LawOf = Callable[[Estimate, Mechanics], LawTuning | None]
 Progress = Callable[[str, float], None]  # what is being done, share of the whole that is done
 
 
@@ -28,8 +42,7 @@ class Settings:
     seconds: float  # of the excitation
     verification_seconds: float
     compensation: float  # share of the friction term in the verification, as the loop would use it
-    slew: float  # N*m/s of the friction term at the motor, as the controller's file has it
-    most_slew: float  # N*m/s, what the limiter lets through
+    period: float  # s, of the loop
     certified_gain: bool
     forms: bool
     extended: bool
@@ -51,7 +64,7 @@ class Verification:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Everything that was found; `text` is the new model file, `turn` another slew for the controller's."""
+    """Everything that was found; `text` is the new model file, `law` what the controller's gets."""
 
     nominal: TendonSheath
     estimate: Estimate
@@ -59,7 +72,7 @@ class Outcome:
     design: Design | None  # None when the logs were given
     verification: Verification | None
     text: str
-    turn: Turn | None = None
+    law: LawTuning | None = None
 
     @property
     def better(self) -> bool:
@@ -79,79 +92,86 @@ class Procedure:
         model: TendonSheath,
         bounds: Bounds,
         settings: Settings,
+        law_of: LawOf,
         folder: Path,
         say: Progress,
     ) -> None:
-        """`path` is the axis' model file and `model` what it says; the new one is tried from `folder`."""
+        """`path` is the axis' model file and `model` what it says; the new one is tried from `folder`.
+
+        `law_of`: what [axis.law] gets for an estimate and what was measured of the motor.
+        """
         self._runner = runner
         self._path = path
         self._model = model
         self._bounds = bounds
         self._settings = settings
+        self._law_of = law_of
         self._folder = folder
         self._say = say
-        self._total = 2.0 * PROBE_SECONDS + settings.seconds + 3.0 * settings.verification_seconds
+        self._total = PROBE_SECONDS + SHAKE_SECONDS + settings.seconds + 3.0 * settings.verification_seconds
         self._done = 0.0
 
     def run(self) -> Outcome:
-        """Probe, excite, estimate and verify.
+        """Probe, shake, excite, estimate and verify.
 
         Raises UsageError when the rig cannot show what is wanted, BusError when a run fails.
         """
         designed = self._design()
-        excited = self._play("excitation", self._path, 0.0, designed.excitation)
+        mechanics = self._shake(designed.shake)
+        excited = self._play("excitation", self._path, 0.0, designed.excitation, BARE)
         self._say("estimate", self._done / self._total)
-        found = learn(excited.learnable(), self._model, self._settings)
-        text = new_file(self._path, found, excited.pieces, "tune")
+        logs = excited.learnable()
+        if mechanics.swing is not None:
+            logs = tuple(pulling(log, mechanics.swing.inertia.value) for log in logs)
+        found = stiff(learn(logs, self._model, self._settings), mechanics)
+        law = self._law_of(found, mechanics)
+        notes = mechanics.notes if law is None else law.notes
+        found = dataclasses.replace(found, notes=(*found.notes, *notes))
+        text = new_file(self._path, found, logs, "tune", law)
         new = self._folder / f"new-{self._path.name}"
         new.write_text(text, encoding="utf-8")
-        found, turn = self._turn(designed.reversals, found, new)
-        slew = None if turn is None else turn.slew
         factor, motion = self._settings.compensation, designed.verification
         verification = Verification(
-            without=self._play("without", self._path, 0.0, motion),
+            without=self._play("without", self._path, 0.0, motion, BARE),
             before=self._play("before", self._path, factor, motion),
-            after=self._play("after", new, factor, motion, slew),
+            after=self._play("after", new, factor, motion, None if law is None else law.values),  # its own factor
         )
-        return Outcome(self._model, found, excited.pieces, designed, verification, text, turn)
+        return Outcome(self._model, found, logs, designed, verification, text, law)
 
-    def _turn(self, motion: Waveform, found: Estimate, new: Path) -> tuple[Estimate, Turn | None]:
-        """Where friction turns at once: another slew, if the motor rings and that one does better; and a note."""
-        settings = self._settings
-        if EFFECT not in found.model.effects or settings.compensation == 0.0:
-            return found, None
-        self._total += 2.0 * motion.seconds
-        turn = turn_of(found.model, settings.compensation)
-        first = self._play("turn-1", new, settings.compensation, motion)
-        rings = ringing(first.pieces, found.model, turn / settings.slew)
-        slew = settings.slew if rings is None else slew_without_ringing(turn, rings.value, settings.most_slew)
-        if rings is None or abs(slew - settings.slew) < SAME_SLEW * settings.slew:
-            self._total -= motion.seconds
-            return found, None
-        second = self._play("turn-2", new, settings.compensation, motion, slew)
-        tried = Turn(settings.slew, slew, rings, first.rms, second.rms)
-        noted = dataclasses.replace(found, notes=(*found.notes, tried.note))
-        return noted, tried if tried.better else None
+    def _shake(self, slow: Waveform) -> Mechanics:
+        """What a little shaking shows of the motor on its tendons; a rig that cannot be shaken is tuned without."""
+        peak, period = SHARE * self._bounds.torque, self._settings.period
+        played = self._play("shake", self._path, 0.0, shaken(slow, peak, period), BARE, fastest(peak, period))
+        return measured(played.learnable(), self._model)
 
     def _design(self) -> Design:
         """Little torque first, more until the joint moves."""
         for number, share in enumerate(PROBE_SHARES):
             wave = probe(self._bounds, share, PROBE_SECONDS)
-            found = response(longest(self._play(f"probe-{number + 1}", self._path, 0.0, wave).learnable()))
+            played = self._play(f"probe-{number + 1}", self._path, 0.0, wave, BARE)
+            found = response(longest(played.learnable()))
             if found.rms_speed >= MOVING:
                 break
         settings = self._settings
         designed = design(found, wave.peak, self._bounds, settings.seconds, settings.verification_seconds)
         return designed if settings.excitation is None else playing(designed, settings.excitation)
 
-    def _play(self, name: str, model: Path, compensation: float, waveform: Waveform, slew: float | None = None) -> Run:
+    def _play(
+        self,
+        name: str,
+        model: Path,
+        compensation: float,
+        waveform: Waveform,
+        law: Mapping[str, float | None] | None = None,
+        rate: float | None = None,
+    ) -> Run:
         seconds, begin = waveform.seconds, self._done
 
         def tick(share: float) -> None:
             self._say(name, min(1.0, (begin + share * seconds) / self._total))
 
         tick(0.0)
-        played = self._runner.play(name, model, compensation, waveform, tick, slew)
+        played = self._runner.play(name, model, compensation, waveform, tick, law, rate)
         self._done += seconds
         return played
 
@@ -168,9 +188,24 @@ def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> E
     return extended(logs, model, found) if settings.extended else found
 
 
-def new_file(path: Path, found: Estimate, logs: Sequence[Dataset], command: str) -> str:
+def stiff(found: Estimate, mechanics: Mechanics) -> Estimate:
+    """The estimate with the stiffness of the tendons that the motor's swing shows."""
+    changed = None if mechanics.swing is None else stiffened(found.model, mechanics.swing)
+    if changed is None:
+        return found
+    model, quantity = changed
+    return dataclasses.replace(
+        found,
+        model=model,
+        calibration=dataclasses.replace(found.calibration, model=model),
+        parameters={**found.parameters, STIFFNESS: quantity},
+    )
+
+
+def new_file(path: Path, found: Estimate, logs: Sequence[Dataset], command: str, law: LawTuning | None = None) -> str:
     """Text of the new model file: the old one's comments and layout, the new numbers, and where they came from."""
     result = found.calibration
     how = {"split": result.split, "form": found.form.value, "effects": list(found.effects)}
-    source = provenance(command, logs, path, {**result.quantities, **found.parameters}, **how)
+    motor = {} if law is None else law.quantities
+    source = provenance(command, logs, path, {**result.quantities, **found.parameters, **motor}, **how)
     return dump_model(found.model, template=path, provenance=source)

@@ -54,7 +54,7 @@ def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None
         "effects": list(found.effects),
         "parameters": {name: quantity.to_dict() for name, quantity in found.parameters.items()},
         "calibration": found.calibration.to_dict(),
-        "law": None if outcome.turn is None else outcome.turn.to_dict(),
+        "law": None if outcome.law is None else outcome.law.to_dict(),
         "verification": {"rms": rms, "reduction_percent": reduction} if verified is not None else None,
         "design": list(outcome.design.reasons) if outcome.design is not None else None,
         "notes": list(found.notes),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,13 +81,18 @@ class RigRunner:
         compensation: float,
         waveform: Waveform,
         tick: Callable[[float], None],
-        slew: float | None = None,
+        law: Mapping[str, float | None] | None = None,
+        rate: float | None = None,
     ) -> Run:
-        """Play once, with the file's slew or this one (N*m/s), and read the log; raises BusError when the run fails."""
+        """Play once and read the log; raises BusError when the run fails.
+
+        `law`: keys of [axis.law] in place of the file's, None for one that is left out; `rate`: N*m/s that the
+        set-point may change by, in place of the default.
+        """
         table = np.column_stack([waveform.t, waveform.tau_j_des])
         setpoint = self._folder / f"{name}.csv"
         np.savetxt(setpoint, table, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
-        text = self._controller(name, model, compensation, setpoint, slew)
+        text = self._controller(name, model, compensation, setpoint, law or {}, rate)
         (self._folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
         summary = self._run(self._folder, name, waveform.seconds, tick)
         if summary["log"] is None or summary["failed"]:
@@ -95,7 +100,15 @@ class RigRunner:
         log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds)
 
-    def _controller(self, name: str, model: Path, compensation: float, setpoint: Path, slew: float | None) -> str:
+    def _controller(
+        self,
+        name: str,
+        model: Path,
+        compensation: float,
+        setpoint: Path,
+        law: Mapping[str, float | None],
+        rate: float | None,
+    ) -> str:
         """The user's file with this axis alone, this model and set-point, and limits no wider than those given."""
         data = tomllib.loads(self._configuration.text)
         keep = {self._axis.name, *self._axis.bending.gains}
@@ -107,9 +120,10 @@ class RigRunner:
             if axis["name"] == self._axis.name:
                 axis["model"] = str(model.resolve())
                 axis["setpoint"] = {"kind": "file", "file": str(setpoint.resolve())}
-                axis["law"] = {**axis.get("law", {}), "compensation": compensation}
-                if slew is not None:
-                    axis["law"]["slew"] = slew
+                if rate is not None:
+                    axis["setpoint"]["rate"] = rate
+                keys = {**axis.get("law", {}), "compensation": compensation, **law}
+                axis["law"] = {key: value for key, value in keys.items() if value is not None}
             else:
                 axis["model"] = str((self._configuration.folder / axis["model"]).resolve())
                 axis["setpoint"] = {"kind": "constant"}

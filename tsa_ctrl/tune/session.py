@@ -20,15 +20,16 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune import model_file
-from tsa_ctrl.tune.controller_file import differ_in_slew_alone, with_slew
+from tsa_ctrl.tune.controller_file import differ_in_law_alone, with_law
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     OTHER_FREQUENCIES,
-    REVERSALS_SECONDS,
+    SHAKE_SECONDS,
     Bounds,
     from_file,
     most_torque,
 )
+from tsa_ctrl.tune.mechanics import law_tuning
 from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
@@ -67,8 +68,7 @@ class Session:
             seconds=plan.seconds if played is None else played.seconds,
             verification_seconds=plan.verification_seconds,
             compensation=self.axis.law.compensation,
-            slew=self.axis.law.slew,
-            most_slew=self.axis.limits.rate,
+            period=self._configuration.period,
             certified_gain=plan.certified_gain,
             forms=plan.forms,
             extended=plan.extended,
@@ -123,9 +123,9 @@ class Session:
         kept = model_file.last(self.path, controller)
         if controller in kept:
             before = kept[controller].read_text(encoding="utf-8")
-            if not differ_in_slew_alone(before, self._configuration.text, self.axis.name):
+            if not differ_in_law_alone(before, self._configuration.text, self.axis.name):
                 raise UsageError(
-                    f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] slew to that of "
+                    f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] to that of "
                     f"{kept[controller].name}, remove that file, and undo again"
                 )
         model_file.undo(kept)
@@ -146,7 +146,7 @@ class Session:
             "seconds": {
                 "probe": PROBE_SECONDS,
                 "excitation": settings.seconds,
-                "reversals": 2.0 * REVERSALS_SECONDS,
+                "shake": SHAKE_SECONDS,
                 "verification": 3.0 * settings.verification_seconds,
             },
             "compensation": settings.compensation,
@@ -164,13 +164,13 @@ class Session:
                 f"axis {self.axis.name}, model file {self.path}",
                 f"limits: {bounds.torque:.3g} N*m at the joint, {bounds.speed:g} rad/s, travel {travel}",
                 f"1. probe, {PROBE_SECONDS:g} s with a fifth of the torque: does the joint move, and by what",
-                f"2. excitation, {settings.seconds:.4g} s {wave}, without compensation",
-                "3. estimate of friction angle and pretension; where friction turns at once, "
-                f"2 x {REVERSALS_SECONDS:g} s: does the motor ring after reversals, and with which slew it does not",
+                f"2. the motor is shaken a little, {SHAKE_SECONDS:g} s: delay, motor inertia, stiffness of the tendons",
+                f"3. excitation, {settings.seconds:.4g} s {wave}, without compensation, and estimate: friction angle, "
+                "pretension, where the sheath bends; turn, lead and damping with a gain margin of 2",
                 f"4. verification, 3 x {settings.verification_seconds:g} s at "
                 f"{', '.join(f'{f:g}' for f in OTHER_FREQUENCIES)} Hz: without compensation, with the given and with "
                 f"the new file at {settings.compensation:g} of the friction term",
-                "5. a diff of the model file and, for another slew, of the controller's; and a question",
+                "5. a diff of the model file and of the controller's, and a question",
                 "dry run: nothing was moved, nothing written",
             )
         )
@@ -196,7 +196,8 @@ class Session:
         """The whole procedure on the rig; raises UsageError, BusError."""
         self._check_ready()
         runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play())
-        return Procedure(runner, self.path, self._model, self.bounds, self._settings, self._folder, say).run()
+        law_of = functools.partial(law_tuning, self._configuration, self.axis)
+        return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, self._folder, say).run()
 
     def _play(self) -> Play:
         if self._plant is None:
@@ -225,11 +226,11 @@ class Session:
         return from_logs(self.path, self._model, [load_log(log) for log in logs], self._settings)
 
     def changes(self, outcome: Outcome) -> dict[Path, str]:
-        """The files to be written and their new texts: the model's and, for another slew, the controller's."""
+        """The files to be written and their new texts: the model's and, with the motor measured, the controller's."""
         texts = {self.path: outcome.text}
-        if outcome.turn is not None:
+        if outcome.law is not None:
             configuration = self._configuration
-            texts[configuration.path] = with_slew(configuration.text, self.axis.name, outcome.turn.slew)
+            texts[configuration.path] = with_law(configuration.text, self.axis.name, outcome.law.keys)
         return texts
 
     def difference(self, outcome: Outcome) -> str:

@@ -196,12 +196,15 @@ class Elongating:
 
     def line(self, functions: Functions[F], x: F, pretension: F) -> transmission.FullModel[F]:
         """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
+        alpha, beta = self.lengths(functions, x)
+        return transmission.full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
+
+    def lengths(self, functions: Functions[F], x: F) -> tuple[F, F]:
+        """alpha and beta over l_us at the signed angle x, the series element included."""
         alpha, beta = self.profile.mean_exponential(functions, x), self.profile.mean_exponential(functions, -x)
         if self.at_joint:
-            alpha, beta = alpha + self.series * functions.exp(x), beta + self.series * functions.exp(-x)
-        else:
-            alpha, beta = alpha + self.series, beta + self.series
-        return transmission.full_model(functions, x, alpha, beta, pretension * (1.0 + self.series), *self.radii)
+            return alpha + self.series * functions.exp(x), beta + self.series * functions.exp(-x)
+        return alpha + self.series, beta + self.series
 
     def _now(self, x: float, pretension: float) -> transmission.FullModel[float]:
         """`line` for floats; the last one is kept, since the inverse asks for it three times a cycle."""

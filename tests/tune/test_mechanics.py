@@ -1,0 +1,147 @@
+"""What a shaken motor shows, against the plant that was shaken: delay, inertia, stiffness, where the sheath bends."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.tune.shaken import LAG, PERIOD, play, true_delay
+from tests.virtual.rigs import Drawn, draw
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.plant.axis import CURVATURES
+from tsa_ctrl.tune.bends import bends, course
+from tsa_ctrl.tune.delay import command_delay, torque_of
+from tsa_ctrl.tune.excitation import multi_sine
+from tsa_ctrl.tune.mechanics import measured, pulling, rounded, stiffened
+from tsa_ctrl.tune.shake import shaken
+
+SECONDS = 4.0
+RIGS = [
+    draw(1, number) for number in (1, 3, 9, 13, 16)
+]  # all shapes, delays of 1 and 3 periods, light and heavy motors
+CENTRES = {"motor_end": 0.0, "uniform": 0.5, "s_bent": 0.5, "joint_end": 1.0}
+
+
+def shake(folder: Path, drawn: Drawn, peak: float = 0.035) -> Dataset:
+    slow = multi_sine((0.9,), 0.1, SECONDS)
+    return play(folder, drawn, shaken(slow, peak, PERIOD).tau_j_des)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drawn", RIGS, ids=str)
+def test_delay_inertia_and_stiffness_lie_in_their_intervals(tmp_path: Path, drawn: Drawn) -> None:
+    found = measured([shake(tmp_path, drawn)], drawn.nominal)
+    assert found.delay is not None
+    assert found.swing is not None
+    assert found.delay.delay.low <= true_delay(drawn) <= found.delay.delay.high
+    assert found.swing.inertia.low <= drawn.inertia <= found.swing.inertia.high
+    profile = [list(point) for point in CURVATURES[drawn.curvature]]
+    bent = drawn.nominal.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+    if drawn.curvature == "motor_end":
+        bent = drawn.nominal.with_effects({"elongation_coupling": {"curvature_profile": "motor_end"}})
+    x = drawn.truth.friction_angle
+    changed = stiffened(bent.recalibrated(x), found.swing)
+    assert changed is not None
+    model, stiffness = changed
+    assert stiffness.low <= drawn.truth.axial_stiffness <= stiffness.high
+    assert stiffness.low <= model.axial_stiffness <= stiffness.high
+    assert stiffness.high - stiffness.low < 0.15 * stiffness.value
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drawn", RIGS, ids=str)
+def test_the_centre_of_the_bending_lies_in_its_interval(tmp_path: Path, drawn: Drawn) -> None:
+    load = multi_sine((0.31, 0.53, 0.87), 0.5, 8.0)
+    t = PERIOD * np.arange(round(load.seconds / PERIOD))
+    log = play(tmp_path, drawn, np.interp(t, load.t, load.tau_j_des))
+    found = bends([pulling(log, drawn.inertia)], drawn.nominal)
+    assert found is not None
+    assert found.centre.low <= CENTRES[drawn.curvature] <= found.centre.high
+    assert found.profile == {"s_bent": "uniform"}.get(drawn.curvature, drawn.curvature)
+
+
+@pytest.mark.slow
+def test_an_arbitrary_course_gets_its_centre(tmp_path: Path) -> None:
+    """Straight for 30 % of the length, half of the bending within the next tenth, the rest evenly."""
+    points = [[0.0, 0.0], [0.3, 0.0], [0.4, 0.5], [1.0, 1.0]]
+    centre = 1.0 - float(np.trapezoid(*np.array(points).T[::-1]))
+    drawn = draw(1, 2)
+    load = multi_sine((0.31, 0.53, 0.87), 0.5, 8.0)
+    t = PERIOD * np.arange(round(load.seconds / PERIOD))
+    tendon = {"kind": "distributed", "curvature": points}
+    log = play(tmp_path, drawn, np.interp(t, load.t, load.tau_j_des), tendon=tendon)
+    found = bends([pulling(log, drawn.inertia)], drawn.nominal)
+    assert found is not None
+    assert found.centre.low <= centre <= found.centre.high
+    assert found.profile == course(found.centre.value)
+
+
+@pytest.mark.parametrize("centre", [0.0, 0.13, 0.5, 0.8, 0.97])
+def test_a_course_has_its_centre(centre: float) -> None:
+    places, bending = np.array(course(centre)).T
+    assert 1.0 - np.trapezoid(bending, places) == pytest.approx(centre, abs=1e-3)
+
+
+@pytest.mark.parametrize("transport", [0.6, 1.0, 2.37, 6.0])
+@pytest.mark.parametrize("lag", [0.1e-3, 1.2e-3])
+def test_a_delay_of_any_size_is_found(transport: float, lag: float) -> None:
+    """A torque loop in steps of a fiftieth of a period, which shares nothing with the package."""
+    rng = np.random.default_rng(5)
+    command = np.cumsum(rng.normal(0.0, 0.02, 3000))
+    command -= np.linspace(command[0], command[-1], command.size)
+    torque = stepped(command, transport, lag / PERIOD) + rng.normal(0.0, 2e-3, command.size)
+    columns = {"t": PERIOD * np.arange(command.size), "tau_m_cmd": command, "tau_m": torque, "omega_j": command}
+    found = command_delay([Dataset.from_arrays(columns, "drive")])
+    assert found is not None
+    true = (transport + 0.5) * PERIOD + lag
+    assert found.delay.low <= true <= found.delay.high
+    settled = lag < 0.2 * PERIOD  # when it is measured: the instant within the period does not show
+    assert found.delay.high - found.delay.low < (1.2 if settled else 0.25) * PERIOD
+
+
+def stepped(command: NDArray[np.float64], transport: float, lag: float) -> NDArray[np.float64]:
+    """What a lag makes of a held command that begins `transport` periods late; both in periods."""
+    fine = 50
+    torque, found = 0.0, np.zeros(command.size)
+    for k in range(command.size):
+        found[k] = torque
+        for i in range(fine):
+            newest = int(np.floor(k + (i + 0.5) / fine - transport))
+            torque += (1.0 - np.exp(-1.0 / (fine * lag))) * ((command[newest] if newest >= 0 else 0.0) - torque)
+    return found
+
+
+def test_torque_of_a_command_is_the_stepped_one() -> None:
+    rng = np.random.default_rng(2)
+    command = rng.normal(size=200)
+    assert torque_of(command, 1.4, 0.5) == pytest.approx(stepped(command, 1.4, 0.5), abs=1e-9)
+
+
+def test_a_drive_that_does_not_follow_has_no_delay() -> None:
+    rng = np.random.default_rng(1)
+    columns = {name: rng.normal(size=3000) for name in ("tau_m_cmd", "tau_m", "omega_j")}
+    log = Dataset.from_arrays({"t": PERIOD * np.arange(3000), **columns}, "drive")
+    assert command_delay([log]) is None
+
+
+@pytest.mark.slow
+def test_a_joint_that_hardly_moves_says_nothing_of_the_motor(tmp_path: Path) -> None:
+    drawn = dataclasses.replace(RIGS[0], delay=2)
+    slow = multi_sine((0.9,), 0.1, SECONDS)
+    log = play(tmp_path, drawn, shaken(slow, 0.035, PERIOD).tau_j_des, amplitude=0.02)
+    found = measured([log], drawn.nominal)
+    assert found.swing is None
+    assert found.delay is not None
+    assert found.delay.lag == pytest.approx(LAG, abs=1e-4)
+    assert "slides too little" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("value", "share", "wanted"), [(1.02345e-4, 0.02, 1.02e-4), (49.317, 0.2, 49.0), (2.0037e-3, 0.003, 2.004e-3)]
+)
+def test_numbers_have_the_digits_that_their_interval_is_worth(value: float, share: float, wanted: float) -> None:
+    assert rounded(value, share) == wanted

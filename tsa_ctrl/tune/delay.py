@@ -1,0 +1,92 @@
+"""How late a command acts: the drive's reported torque against what it was told, sample by sample.
+
+The command holds for a period, begins to act D periods after the measurements that it follows from, and the drive's
+torque loop follows with a lag. All of it, from a measurement to the middle of the torque that answers it, is
+
+    delay = D T + T/2 + lag
+
+which is what leads, plans and damping work with. D need be no whole number: a command may act on its arrival.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
+
+FloatArray = NDArray[np.float64]
+
+MOST = 12  # periods; a drive that is later is no drive for a torque loop
+LAGS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)  # periods, tried
+TRANSPORT_STEP = 0.02  # periods between those that are tried
+AROUND = 2.5  # periods beside the one of the largest correlation
+AS_GOOD = 9.0  # times the variance: the 99 % quantile of chi^2 with two degrees of freedom
+RESOLUTION = 0.05  # of a period: narrower is no interval, for the instant of a drive's own cycle is not known better
+EXPLAINED = 0.8  # share of the reported torque's variance, at least: less is no answer to the command
+
+
+@dataclass(frozen=True)
+class Delay:
+    """`transport` D in periods, `lag` of the torque loop in s, and the whole `delay` in s with its interval."""
+
+    transport: float
+    lag: float
+    delay: Quantity
+
+
+def torque_of(command: FloatArray, transport: float, lag: float) -> FloatArray:
+    """Torque (n) at the samples for a command (n) in the same unit; `transport` and `lag` in periods."""
+    whole = math.floor(transport)
+    part = transport - whole  # of a period in which the command before still acts
+    kept, kept_late = math.exp(-1.0 / lag), math.exp(-(1.0 - part) / lag)
+    taps = np.zeros(whole + 3)
+    taps[whole + 1], taps[whole + 2] = 1.0 - kept_late, kept_late - kept
+    answer: FloatArray = lfilter(taps, [1.0, -kept], command)
+    return answer
+
+
+def command_delay(logs: Sequence[Dataset]) -> Delay | None:
+    """From logs with tau_m_cmd and tau_m, best of one whose command changes fast; None where one does not follow.
+
+    The interval holds every sum of D and lag that explains the torque as well as the best. A torque loop so fast that
+    it has settled when the torque is measured leaves the instant within the period open, and the interval says so.
+    """
+    pairs = [(log["tau_m_cmd"], log["tau_m"]) for log in logs]
+    period = logs[0].period
+    skip = 4 * MOST  # samples until the begin of a log is forgotten
+
+    def left(transport: float, lag: float) -> float:
+        return sum(float(np.sum(np.square((torque_of(u, transport, lag) - y)[skip:]))) for u, y in pairs)
+
+    whole = _likely(pairs)
+    transports = np.arange(max(0.0, whole - AROUND), whole + AROUND, TRANSPORT_STEP)
+    squares = np.array([[left(transport, lag) for lag in LAGS] for transport in transports])
+    wanted = np.concatenate([y[skip:] for _, y in pairs])
+    least = float(squares.min())
+    if least > (1.0 - EXPLAINED) * float(np.sum(np.square(wanted - wanted.mean()))):
+        return None
+    as_good = squares <= least * (1.0 + AS_GOOD / wanted.size)
+    totals = (transports[:, None] + 0.5 + np.array(LAGS))[as_good]
+    low, high = float(totals.min()), float(totals.max())
+    total = 0.5 * (low + high)
+    best = np.unravel_index(int(np.argmin(squares)), squares.shape)
+    lag = LAGS[int(best[1])]
+    return Delay(
+        total - 0.5 - lag,
+        period * lag,
+        Quantity(period * total, period * (low - RESOLUTION), period * (high + RESOLUTION), "s"),
+    )
+
+
+def _likely(pairs: Sequence[tuple[FloatArray, FloatArray]]) -> int:
+    """Whole periods of the largest correlation."""
+    steps = [(np.diff(u), np.diff(y)) for u, y in pairs]
+    scores = [sum(float(u[: -1 - whole] @ y[whole + 1 :]) for u, y in steps) for whole in range(MOST + 1)]
+    return int(np.argmax(scores))

@@ -1,0 +1,189 @@
+"""What is measured of the motor on its tendons, and what follows from it for [axis.law], with a written margin.
+
+    motor_inertia, delay, ringing    measured (`swing`, `delay`)
+    turn, lead, damping              by `control.plan` from these; damping at the upper end of the delay's interval
+    compensation                     the lower end of the half loop's interval: never more than friction that is there
+
+The gain of the damping keeps a margin of 2 there, at stiffnesses from 0.8 to 1.25 of the measured one. Where no gain
+worth having does, damping is 0, and that is said: in the file, and to people.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from tsa_ctrl.config import AxisSettings, Configuration, plan_for
+from tsa_ctrl.control.plan import Plan
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.signals import zero_phase_derivative
+from tsa_ctrl.model.sliding import motor_stiffness, sliding_stiffness
+from tsa_ctrl.tune.controller_file import MOTOR, Key
+from tsa_ctrl.tune.delay import Delay, command_delay
+from tsa_ctrl.tune.estimate import Estimate
+from tsa_ctrl.tune.swing import Swing, swing
+
+NEEDED = frozenset(("tau_m_cmd", "tau_m", "q_m", "omega_m", "q_j", "omega_j"))
+LEAST_MARGIN = 2.0
+DIGITS = 3  # of what is derived
+MOST_COMPENSATION = 0.98  # whatever the interval says: what friction may lose until a guard has seen it
+LEAST_COMPENSATION = 0.8  # an interval that is wider says too little about friction
+STIFFEST = 10.0  # times the model's stiffness, or a tenth: a measurement beyond it is of something else
+
+
+@dataclass(frozen=True)
+class Mechanics:
+    """What a shaken motor showed; None for what it did not, `notes` say why."""
+
+    delay: Delay | None
+    swing: Swing | None
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class LawTuning:
+    """`keys` of [axis.law], `quantities` with their intervals, the damping's gain `margin` (None without damping)."""
+
+    keys: Mapping[str, Key]
+    quantities: Mapping[str, Quantity]
+    margin: float | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {name: key.value for name, key in self.keys.items()}
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready."""
+        return {
+            "keys": self.values,
+            "quantities": {name: quantity.to_dict() for name, quantity in self.quantities.items()},
+            "gain_margin": self.margin,
+        }
+
+
+def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
+    """From logs of a motor that was shaken while the joint slid."""
+    missing = sorted({name for name in NEEDED for log in logs if name not in log})
+    if missing:
+        note = f"the log has no {', '.join(missing)}: delay and motor inertia are not measured"
+        return Mechanics(None, None, (note,))
+    delay = command_delay(logs)
+    if delay is None:
+        note = "the drive's reported torque does not follow the command: delay and motor inertia are not measured"
+        return Mechanics(None, None, (note,))
+    radii = model.motor_pulley_radius, model.joint_pulley_radius
+    found = swing(logs, radii, motor_stiffness(model), delay)
+    if found is None:
+        note = (
+            "the joint slides too little beside the motor's swing: motor inertia and stiffness are not measured, and "
+            "the swing is not damped unless [axis.law] has motor_inertia; move the joint farther and faster"
+        )
+        return Mechanics(delay, None, (note,))
+    return Mechanics(delay, found)
+
+
+def pulling(log: Dataset, inertia: float) -> Dataset:
+    """The log with the torque that reaches the tendons: without what carries the motor (kg*m^2) itself."""
+    carrying = inertia * zero_phase_derivative(log["omega_m"], log.period)
+    return dataclasses.replace(log, columns={**log.columns, "tau_m": log["tau_m"] - carrying})
+
+
+def stiffened(model: TendonSheath, found: Swing) -> tuple[TendonSheath, Quantity] | None:
+    """The model with the measured stiffness of its tendons, a series spring with them; and E A (N).
+
+    None where it is beyond `STIFFEST`.
+    """
+    factor = found.stiffness.value / sliding_stiffness(model)
+    if not 1.0 / STIFFEST < factor < STIFFEST:
+        return None
+    axial, share = factor * model.axial_stiffness, found.stiffness.high / found.stiffness.value - 1.0
+    quantity = Quantity(axial, axial * (1.0 - share), axial * (1.0 + share), "N")
+    series = None if model.series_stiffness is None else rounded(factor * model.series_stiffness, share)
+    return dataclasses.replace(model, axial_stiffness=rounded(axial, share), series_stiffness=series), quantity
+
+
+def law_tuning(
+    configuration: Configuration, axis: AxisSettings, learned: Estimate, found: Mechanics
+) -> LawTuning | None:
+    """What [axis.law] gets for an estimate; None where nothing was measured."""
+    model = learned.model
+    if found.delay is None:
+        return None
+    delay, swing = found.delay.delay, found.swing
+    known: dict[str, Quantity] = {"delay": delay}
+    if swing is not None:
+        known |= {"motor_inertia": swing.inertia, "ringing": swing.ringing}
+    keys = {
+        name: Key(rounded(q.value, _share(q)), f"measured, {q.low:.3g} to {q.high:.3g} {q.unit}")
+        for name, q in known.items()
+    }
+    if swing is None:
+        return LawTuning(keys, known, None, found.notes)
+    anew = {**dict.fromkeys(MOTOR), **{name: key.value for name, key in keys.items()}}
+    law = msgspec.structs.replace(axis.law, **anew)
+    keys |= _compensation(axis, learned)
+
+    def planned(**changes: float) -> Plan:
+        changed = msgspec.structs.replace(axis, law=msgspec.structs.replace(law, **changes))
+        return plan_for(f"axis '{axis.name}'", changed, model, configuration.file)
+
+    late = delay.high + max(0.0, swing.late)
+    plan, worst = planned(), planned(delay=late)
+    keys["turn"] = Key(_floored(plan.turn), "s that a reversal takes, by the limits of the drive")
+    keys["lead"] = Key(_floored(plan.lead), "half the turn and the delay")
+    notes = list(found.notes)
+    gain = _floored(min(plan.damping, worst.damping))
+    if gain > 0.0:
+        try:
+            margin = min(planned(damping=gain).margin, planned(damping=gain, delay=late).margin)
+        except UsageError:
+            gain = 0.0
+    if gain > 0.0:
+        keys["damping"] = Key(gain, f"gain margin {margin:.2g} at {1e3 * late:.2g} ms")
+        notes.append(
+            f"damping of the motor's swing: {gain:.3g} N*m*s/rad, gain margin {margin:.2g} at a delay of "
+            f"{1e3 * late:.2g} ms and a ringing of {swing.ringing.value:.3g} Hz"
+        )
+        return LawTuning(keys, known, margin, tuple(notes))
+    keys["damping"] = Key(0.0, f"none: no gain margin of {LEAST_MARGIN:g} at {1e3 * late:.2g} ms")
+    notes.append(
+        f"a delay of {1e3 * late:.2g} ms leaves no gain margin of {LEAST_MARGIN:g} at a ringing of "
+        f"{swing.ringing.value:.3g} Hz: the motor's swing is not damped"
+    )
+    return LawTuning(keys, known, None, tuple(notes))
+
+
+def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
+    """As much of the friction term as the half loop's lower end lets be friction; none for a file that wants none."""
+    loop, given = learned.calibration.half_loop_torque, axis.law.compensation
+    share = _floored(min(MOST_COMPENSATION, loop.low / loop.value))
+    if not share >= LEAST_COMPENSATION or given == 0.0:
+        return {}
+    return {"compensation": Key(share, f"half loop at least {100.0 * share:.3g} % of the model's")}
+
+
+def rounded(value: float, share: float) -> float:
+    """With as many digits as an interval of this relative half width is worth: a tenth of it."""
+    digits = max(2, 1 + math.ceil(-math.log10(max(share, 1e-6))))
+    return float(f"{value:.{digits}g}")
+
+
+def _share(found: Quantity) -> float:
+    return 0.5 * (found.high - found.low) / found.value
+
+
+def _floored(value: float) -> float:
+    """Three digits, not more than the value."""
+    if value <= 0.0:
+        return 0.0
+    step = 10.0 ** (math.floor(math.log10(value)) - DIGITS + 1)
+    return float(f"{math.floor(value / step + 1e-9) * step:.{DIGITS}g}")

@@ -1,0 +1,195 @@
+"""Motor inertia and tendon stiffness, from how the motor swings on its tendons while the joint slides.
+
+    J_M e'' + b e' + K e = tau - what moves slowly,     e = q_M - r_J/r_M q_J
+
+is linear while every part of both tendons slides one way: while what the motor's swing adds to the slip is less than
+the joint's own. Stretches of the log where that is so are fitted together, each with its own beginning (angle and
+speed, so that a swing that was there already is used as well) and its own slow part (a cubic in angle and speed), by
+J_M, K, b and how late the motor answers. The command is the input, exactly as it is held and as the drive's torque loop
+follows it (`delay`). A joint at rest would ring elsewhere: there the slip fronts move.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.linalg import expm
+from scipy.optimize import least_squares
+from scipy.signal import lfilter
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.tune.delay import Delay
+
+FloatArray = NDArray[np.float64]
+
+WINDOW = 0.15  # s: some periods of any ringing, short beside a gait
+TRAVEL = 0.1  # rad of the joint since its reversal, after which every part of the tendons slides
+FEWEST = 6  # windows
+CUBIC = 4  # coefficients of the slow part
+ANGLE, SPEED = 2e-4, 0.02  # rad, rad/s: a motor encoder's count and a drive's velocity, as weights
+STARTS = (-1.4, -0.7, 0.0, 0.7, 1.4)  # of log J_M around the first guess
+GUESS = 1e-4  # kg*m^2
+FLOOR = 0.03  # relative: what play, cables and a drive's own filters make of any such measurement
+LATE = 4.0  # periods that the motor's answer may be later than its torque
+
+
+@dataclass(frozen=True)
+class Swing:
+    """`inertia` J_M (kg*m^2), `stiffness` of sliding tendons (N*m/rad), `ringing` (Hz), `decay` (1/s) of that swing.
+
+    `late`: s by which the motor's angle and speed say it later than the torque that the drive reports.
+    """
+
+    inertia: Quantity
+    stiffness: Quantity
+    ringing: Quantity
+    decay: float
+    late: float
+    windows: int
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A log: its command, what the motor did beyond the joint (rad, rad/s), and the windows in it."""
+
+    command: FloatArray
+    angle: FloatArray
+    speed: FloatArray
+    windows: tuple[slice, ...]
+
+
+def swing(logs: Sequence[Dataset], radii: tuple[float, float], stiffness: float, delay: Delay) -> Swing | None:
+    """From logs with tau_m_cmd and angles and velocities of motor and joint.
+
+    `radii`: r_M, r_J in m; `stiffness`: a first guess, N*m/rad. None where the joint slides too little
+    beside the motor's swing.
+    """
+    period = logs[0].period
+    pieces = [_piece(log, radii) for log in logs]
+    count = sum(len(piece.windows) for piece in pieces)
+    if count < FEWEST:
+        return None
+    samples = round(WINDOW / period)
+    scale = math.sqrt(GUESS * stiffness)
+
+    def residuals(parameters: FloatArray) -> FloatArray:
+        inertia, spring = GUESS * math.exp(parameters[0]), stiffness * math.exp(parameters[1])
+        motor = _Motor(inertia, spring, scale * parameters[2], delay.transport + parameters[3], delay.lag, period)
+        basis = motor.free(samples)
+        found = []
+        for piece in pieces:
+            angle, speed = motor.driven(piece.command)
+            for window in piece.windows:
+                left = np.concatenate(
+                    ((piece.angle - angle)[window] / ANGLE, (piece.speed - speed)[window] / SPEED),
+                )
+                found.append(left - basis @ (basis.T @ left))
+        return np.clip(np.concatenate(found), -1e6, 1e6)
+
+    bounds = ([-4.0, -1.2, 0.0, -min(1.0, delay.transport)], [4.0, 1.2, 0.5, LATE])
+    fits = [
+        least_squares(residuals, [start, 0.0, 0.02, 0.0], bounds=bounds, loss="soft_l1", max_nfev=30)
+        for start in STARTS
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    spread = _spread(np.asarray(best.jac), best.fun, count)
+    inertia, spring = GUESS * math.exp(best.x[0]), stiffness * math.exp(best.x[1])
+    ringing = math.sqrt(spring / inertia) / (2.0 * math.pi)
+    across = np.array([-0.5, 0.5, 0.0, 0.0])  # of log ringing by the parameters
+    factor = float(stats.t.ppf(0.975, count - len(best.x)))
+    widths = [factor * math.sqrt(float(v @ spread @ v)) for v in (np.eye(4)[0], np.eye(4)[1], across)]
+    if max(widths) > 0.5:  # nothing of it is known
+        return None
+    return Swing(
+        _around(inertia, widths[0], "kg*m^2"),
+        _around(spring, widths[1], "N*m/rad"),
+        _around(ringing, widths[2], "Hz"),
+        0.5 * scale * float(best.x[2]) / inertia,
+        period * float(best.x[3]),
+        count,
+    )
+
+
+def _around(value: float, width: float, unit: str) -> Quantity:
+    width = max(width, FLOOR)
+    return Quantity(value, value * (1.0 - width), value * (1.0 + width), unit)
+
+
+def _piece(log: Dataset, radii: tuple[float, float]) -> _Piece:
+    r_m, r_j = radii
+    angle = log["q_m"] - r_j / r_m * log["q_j"]
+    speed = log["omega_m"] - r_j / r_m * log["omega_j"]
+    q, omega = log["q_j"], log["omega_j"]
+    added, slip = r_m * np.abs(speed), r_j * np.abs(omega)
+    count = round(WINDOW / log.period)
+    turns = np.flatnonzero(np.diff(np.sign(omega)) != 0.0) + 1
+    windows = []
+    for turn, end in zip(turns.tolist(), [*turns[1:].tolist(), omega.size], strict=True):
+        first = turn + int(np.searchsorted(np.abs(q[turn:end] - q[turn]), TRAVEL))
+        while first + count <= end:
+            part = slice(first, first + count)
+            slides = float(slip[part].min()) > float(added[part].max())
+            if slides:
+                windows.append(part)
+            first += count if slides else count // 4
+    return _Piece(log["tau_m_cmd"], angle, speed, tuple(windows))
+
+
+class _Motor:
+    """The motor on its tendons and its torque loop, over one period exactly: e, e', torque."""
+
+    def __init__(
+        self, inertia: float, stiffness: float, damping: float, transport: float, lag: float, period: float
+    ) -> None:
+        whole = math.floor(transport)
+        part = transport - whole
+        system = np.zeros((4, 4))
+        system[0, 1] = 1.0
+        system[1, :3] = -stiffness / inertia, -damping / inertia, 1.0 / inertia
+        system[2, 2:] = -1.0 / lag, 1.0 / lag
+        first, second = expm(system * period * part), expm(system * period * (1.0 - part))
+        self._step = second[:3, :3] @ first[:3, :3]
+        self._pushes = second[:3, :3] @ first[:3, 3], second[:3, 3]  # by the command before, by the newest
+        self._back = whole
+
+    def driven(self, command: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Angle and speed (n) that a command (n) makes of a motor at rest."""
+        values, vectors = np.linalg.eig(self._step)
+        before, newest = (np.linalg.solve(vectors, push.astype(complex)) for push in self._pushes)
+        states = np.empty((3, command.size), dtype=complex)
+        for i in range(3):
+            taps = np.zeros(self._back + 3, dtype=complex)
+            taps[self._back + 1], taps[self._back + 2] = newest[i], before[i]
+            states[i] = lfilter(taps, [1.0, -values[i]], command)
+        angle, speed = (vectors[:2] @ states).real
+        return angle, speed
+
+    def free(self, samples: int) -> FloatArray:
+        """Orthonormal basis of what a window's beginning and slow part can be, weighted (2 samples, 2 + 2 CUBIC)."""
+        swing = np.empty((2, samples, 2))
+        state = np.eye(3)[:, :2]
+        for i in range(samples):
+            swing[:, i] = state[:2]
+            state = self._step @ state
+        slow = np.vander(np.linspace(-1.0, 1.0, samples), CUBIC)
+        none = np.zeros_like(slow)
+        angle, speed = np.hstack((swing[0], slow, none)) / ANGLE, np.hstack((swing[1], none, slow)) / SPEED
+        basis = np.vstack((angle, speed))
+        orthonormal: FloatArray = np.linalg.qr(basis / np.linalg.norm(basis, axis=0))[0]
+        return orthonormal
+
+
+def _spread(jacobian: FloatArray, residual: FloatArray, windows: int) -> FloatArray:
+    """Covariance of the parameters from the scatter of the windows' own scores."""
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    scores = np.array(
+        [j.T @ r for j, r in zip(np.array_split(jacobian, windows), np.array_split(residual, windows), strict=True)]
+    )
+    spread: FloatArray = inverse @ (scores.T @ scores) @ inverse
+    return spread
