@@ -98,3 +98,15 @@ def test_a_zero_of_the_encoders_and_a_missing_value_do_no_harm() -> None:
     torques = [damping.update(0.0, 0.7, 0.0, 0.1, 0.0) for _ in range(50)]
     assert np.abs(torques).max() == 0.0
     assert damping.update(0.0, math.nan, 0.0, 0.1, 0.0) == 0.0
+
+
+def test_the_guard_takes_its_share_of_it() -> None:
+    """Half of the torque, or none."""
+    whole, half, none = (Damping(0.02, 600.0, 2e-3, GEARING, PERIOD) for _ in range(3))
+    half.share, none.share = 0.5, 0.0
+    for n in range(20):
+        motion = (0.0, 1e-3 * n, 0.3 * n, 0.0, 0.0)
+        torque = whole.update(*motion)
+        assert half.update(*motion) == pytest.approx(0.5 * torque)
+        assert none.update(*motion) == 0.0
+    assert torque != 0.0

@@ -15,8 +15,8 @@ PERIOD = 1e-3
 HALF_LOOP = 0.5  # N*m at the joint
 
 
-def observer(threshold: float = 3e-3, gain: float = 0.03, zero: float = 0.03) -> Passivity:
-    return Passivity(threshold, gain, zero, PERIOD)
+def observer(threshold: float = 3e-3, doubts: tuple[float, float, float] = (0.03, 0.03, 0.01)) -> Passivity:
+    return Passivity(threshold, doubts, PERIOD)
 
 
 def rows(*columns: Sequence[float] | np.ndarray) -> list[tuple[float, ...]]:
@@ -107,7 +107,7 @@ def test_energy_is_the_most_that_was_added_within_any_window() -> None:
     excess = np.repeat(draw.normal(0.0, 0.2, 40), 25)
     speed = np.repeat(draw.uniform(-2.0, 2.0, 100), 10)
     side = np.sign(speed)
-    passivity = observer(threshold=1e9, gain=0.0, zero=0.0)
+    passivity = observer(threshold=1e9, doubts=(0.0, 0.0, 0.0))
     found = 0.0
     for row in rows(excess * side, 0.0 * excess, 0.0 * excess, speed, 10.0 * side):
         passivity.update(*row, HALF_LOOP)

@@ -14,11 +14,12 @@ Tables = dict[str, Any]
 
 
 def merged(tables: Tables, changes: Mapping[str, Any]) -> Tables:
-    """`changes` over `tables`, table by table."""
+    """`changes` over `tables`, table by table; None takes a key out."""
     result = dict(tables)
     for key, value in changes.items():
-        inner = result.get(key)
-        result[key] = merged(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
+        inner = result.pop(key, None)
+        if value is not None:
+            result[key] = merged(inner, value) if isinstance(inner, dict) and isinstance(value, Mapping) else value
     return result
 
 

@@ -9,14 +9,7 @@ from __future__ import annotations
 
 from tsa_ctrl.safety.buzz import Buzz
 from tsa_ctrl.safety.limiter import Reason
-from tsa_ctrl.safety.passivity import (
-    SENSOR_GAIN,
-    SENSOR_ZERO,
-    STRETCH_GAIN,
-    STRETCH_ZERO,
-    Passivity,
-    PassivitySettings,
-)
+from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity, PassivitySettings
 
 HOLD = 0.05  # s without compensation: in which the swing of motor and tendons has died out
 RECOVERY = 0.3  # s back to all of it: so that a joint that still moves shows within a second that it was no chance
@@ -35,8 +28,7 @@ class Guard:
 
     def __init__(self, settings: PassivitySettings, period: float, by_stretch: bool = False) -> None:
         """`by_stretch`: the delivered torque comes from the tendons' stretch, which is less certain; `period` in s."""
-        gain, zero = (STRETCH_GAIN, STRETCH_ZERO) if by_stretch else (SENSOR_GAIN, SENSOR_ZERO)
-        self._passivity = Passivity(settings.energy, gain, zero, period)
+        self._passivity = Passivity(settings.energy, STRETCH if by_stretch else SENSOR, period)
         self._buzz = Buzz(settings.buzz, period)
         self._period = period
         self.count = 0

@@ -1,0 +1,89 @@
+"""Stable and unstable: share of the friction that is compensated over the share that is there, for each load.
+
+Usage: tools/run figures/runaway [--out .readme] [--quick]
+
+Lines are the condition, c h_model = h_true; points are runs of the real loop in virtual time, on distributed tendons
+whose pretension is that share of the model file's, at a set-point of 0, nudged once and with the guard asleep. A point
+is a runaway when term and friction together did work on the joint from the nudge on; where they took it, it is passive.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from matplotlib.lines import Line2D
+
+from tools import command
+from tools.bench.control import true_model
+from tools.figures import look
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.virtual.script import Fault
+from tsa_ctrl.virtual.simulation import simulate_loop
+
+LOADS = ("weight", "spring", "free", "limb")
+LEFT = (0.25, 0.5, 0.75, 1.0)  # of the half loop: h_true / h_model
+BESIDE = (-0.2, -0.05, 0.05, 0.2)  # c less that
+NUDGED, SECONDS = 0.4, 0.8  # s of the log, and from there to the end
+ASLEEP = 100.0  # J: the guard is not to end what is shown
+
+
+def work(load: str, left: float, compensation: float) -> float:
+    """J that the joint is given from the nudge on, beyond what was wanted, which is nothing."""
+    with tempfile.TemporaryDirectory(prefix="figure-runaway-") as name:
+        folder = Path(name)
+        model = true_model("uniform")
+        save_model(model, folder / "true.toml")
+        controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
+        axis = controller["axis"][0]
+        axis["law"] |= {"fade_in": 0.1, "settle": 0.0}
+        axis["setpoint"] = {"kind": "constant"}
+        axis["passivity"] = {"energy": ASLEEP}
+        pretension = left * rig.TRUTH["pretension"]
+        plant = rig.plant(VIRTUAL, "distributed", {"perturbation": {"pretension": pretension}}, load)
+        rig.write(folder, gait(), plant, {"run": controller})
+        faults = [Fault("push value=0.8 duration=0.05", NUDGED)]
+        result = simulate_loop(folder / "controller-run.toml", folder / "plant.toml", NUDGED + SECONDS, faults=faults)
+    truth, axis_result = result.truth, result.axes[0]
+    t = truth["clock"] - axis_result.start
+    on = (t > NUDGED) & (t < axis_result.until)
+    return float(np.sum((truth["tau_j"] * truth["omega_j"])[on]) * 1e-3)
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--out", type=Path, default=command.ROOT / ".readme")
+    parser.add_argument("--quick", action="store_true", help="one share of the friction a load")
+    options = parser.parse_args()
+    figure, (axes,) = look.grid(1, len(LOADS), 11.0, 3.2)
+    agree = total = 0
+    for axis, load in zip(axes, LOADS, strict=True):
+        line = np.array([0.0, 1.25])
+        axis.fill_between(line, line, 1.25, color=look.BACKWARD, alpha=0.10, linewidth=0.0)
+        axis.fill_between(line, 0.0, line, color=look.FORWARD, alpha=0.10, linewidth=0.0)
+        axis.plot(line, line, color=look.NEUTRAL, linewidth=1.0)
+        for left in LEFT[1:2] if options.quick else LEFT:
+            for beside in BESIDE:
+                compensation = round(left + beside, 3)
+                given = work(load, left, compensation)
+                runs = given > 0.0
+                total += 1
+                agree += runs is (beside > 0.0)
+                print(f"{load}: h {left:g}, c {compensation:g}: {1e3 * given:+.1f} mJ", flush=True)
+                colour = look.BACKWARD if runs else look.FORWARD
+                axis.plot(left, compensation, "o" if runs else "s", color=colour, markersize=4)
+        axis.set(xlim=(0.0, 1.25), ylim=(0.0, 1.25), title=load, xlabel="h true / h model (1)")
+    axes[0].set_ylabel("compensation c (1)")
+    marks = [
+        Line2D([], [], marker="o", linestyle="", markersize=4, color=look.BACKWARD, label="given: moves by itself"),
+        Line2D([], [], marker="s", linestyle="", markersize=4, color=look.FORWARD, label="taken: passive"),
+        Line2D([], [], color=look.NEUTRAL, linewidth=1.0, label="condition"),
+    ]
+    axes[0].legend(handles=marks, loc="upper left", fontsize=7)
+    look.save(figure, options.out, "runaway.png")
+    print(f"{agree} of {total} points lie on the side of the line that the condition says")
+    return 0
