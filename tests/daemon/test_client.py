@@ -122,7 +122,7 @@ def test_a_daemon_that_goes_or_hangs_ends_the_lease(serving: Serving, how: str, 
 
 def test_a_server_that_reads_no_more_ends_the_lease_at_once_when_its_buffer_is_full(serving: Serving) -> None:
     """Not after the last value that fits, and without a traceback for who asks then."""
-    with Client(serving.path) as client, client.lease(0.05) as lease:
+    with Client(serving.path) as client, client.lease(10.0) as lease:
         serving.process.send_signal(signal.SIGSTOP)
         client.stream(b"", 0.05)
         with pytest.raises(LeaseLostError, match="does not read any longer"):
@@ -188,6 +188,14 @@ def test_what_the_holder_is_told_meanwhile_does_not_disturb_its_requests(serving
             assert client.measure().cycle == 0
             time.sleep(0.005)
         assert [event.number for event in client.events()] == [4]
+
+
+def test_a_daemon_of_another_version_is_one_line(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
+    with Client(serving.path) as client:
+        monkeypatch.setattr(client, "ask", lambda request: {"cycle": "seven"})
+        for asks in (client.measure, client.events):
+            with pytest.raises(BusError, match="the daemon is of another version"):
+                asks()
 
 
 def test_stop_and_recover(serving: Serving) -> None:

@@ -22,6 +22,11 @@ GOOD = (
     b'{"verb":"set","name":"hip.compensation","value":1.1999}',
     b'{"verb":"setpoint","axis":"knee","value":-0.25}',
     b'{"verb":"setpoint","axis":"knee","value":0.5,"time":12.5}',
+    b'{"verb":"setpoint","axis":"knee","value":1.5,"quiet":true}',
+    b'{"verb":"lease","seconds":0.05}',
+    b'{"verb":"release"}',
+    b'{"verb":"measure"}',
+    b'{"verb":"events","since":0}',
     b'{"verb":"recover"}',
 )
 PIECES = (
@@ -100,6 +105,9 @@ def _connection(serving: Serving, draw: random.Random, part: Part) -> None:
                 answers += piece
             for answer in answers.splitlines():
                 found = json.loads(answer)
+                if "event" in found:
+                    part.counts[f"told: {found['event']}"] += 1
+                    continue
                 part.counts["refused" if not found["ok"] else "taken"] += 1
                 if not found["ok"] and not found["error"]:
                     part.blame("a refusal without words")

@@ -18,7 +18,7 @@ DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part
     (master.run, 60_000, ("cycles with torque", "faults")),
     (nodes.run, 40_000, ("answers", "frames with torque", "resets")),
     (configuring.run, 12, ("succeeded",)),
-    (requests.run, 2_000, ("refused", "taken", "commands", "alive")),
+    (requests.run, 2_000, ("refused", "taken", "commands", "told: refused", "alive")),
     (files.run, 600, ("refused", "taken")),
 ]
 

@@ -258,6 +258,8 @@ def _reading(axis: ControlAxis) -> Reading:
         tau_m_cmd=terms.tau_m_cmd,
         tau_m=image.tau_m,
         tau_j=axis.instruments.tau_j,
+        tau_j_stretch=axis.joint_torque.torque[0],
+        tau_j_model=axis.joint_torque.model.torque,
         q_j=terms.q_j,
         omega_j=terms.omega_j,
         q_m=image.q_m,

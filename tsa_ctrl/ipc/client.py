@@ -13,7 +13,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -26,6 +26,8 @@ LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
 PIECE = 65536  # bytes
 MOST_RATE = 4000.0  # Hz: no loop is faster
 
+T = TypeVar("T")
+
 
 class AxisMeasured(msgspec.Struct, frozen=True):
     """One axis in one cycle; None where this rig does not measure it."""
@@ -35,6 +37,8 @@ class AxisMeasured(msgspec.Struct, frozen=True):
     tau_m_cmd: float | None  # N*m, motor torque commanded
     tau_m: float | None  # N*m, motor torque
     tau_j: float | None  # N*m, of the joint torque sensor
+    tau_j_stretch: float | None  # N*m, joint torque by the tendons' stretch
+    tau_j_model: float | None  # N*m, joint torque by the motor's and the model
     q_j: float  # rad, joint
     omega_j: float  # rad/s
     q_m: float  # rad, motor
@@ -134,7 +138,7 @@ class Client:
 
     def measure(self) -> Measured:
         """What the newest cycle measured, zeros with the age None before the first; BusError when no answer comes."""
-        return msgspec.convert(self.ask(protocol.Measure()), Measured)
+        return self._as(self.ask(protocol.Measure()), Measured)
 
     def cycles(self, rate: float) -> Iterator[Measured]:
         """`measure`, `rate` (Hz) times a second, from the loop's first cycle on; times that have passed are left out.
@@ -156,7 +160,7 @@ class Client:
 
     def events(self) -> list[Told]:
         """What the daemon told since the last call, faults among it; raises BusError when no answer comes."""
-        found = msgspec.convert(self.ask(protocol.Events(self._next_event))["events"], list[Told])
+        found = self._as(self.ask(protocol.Events(self._next_event)).get("events"), list[Told])
         if found:
             self._next_event = found[-1].number + 1
         return found
@@ -194,6 +198,12 @@ class Client:
         self._read(0.0)
         for message in self._messages():
             self._take(message)
+
+    def _as(self, found: object, kind: type[T]) -> T:
+        try:
+            return msgspec.convert(found, kind)
+        except msgspec.ValidationError as error:
+            raise BusError(f"{self._path}: the daemon is of another version ({error}); start it anew") from None
 
     def _ended(self, why: str) -> BusError:
         """What is raised when nothing more will come."""

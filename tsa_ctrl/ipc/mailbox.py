@@ -71,6 +71,8 @@ class Reading(NamedTuple):
     tau_m_cmd: float = 0.0
     tau_m: float = 0.0
     tau_j: float = 0.0
+    tau_j_stretch: float = 0.0
+    tau_j_model: float = 0.0
     q_j: float = 0.0
     omega_j: float = 0.0
     q_m: float = 0.0

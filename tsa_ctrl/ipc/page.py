@@ -94,20 +94,22 @@ class Page:
             f"{cycles['dropped']} frames dropped, {cycles['log_lost']} records lost",
             style="not bold default",
         )
+        if status.get("lease"):
+            head.append("   set-points of process {process}, user {user}".format(**status["lease"]), "not bold default")
         if status["waiting_for"]:
             head.append(f"   since {status['waiting']:.1f} s: {status['waiting_for']}", style="bold yellow")
         elif status["age"] > STALE:
             head.append(f"   no news for {status['age']:.1f} s: the loop hangs or is gone", style="bold red")
-        parts: list[RenderableType] = [head]
+        parts: list[RenderableType] = [head]  # what is below the end of a screen of 24 lines is not seen: this first
+        if status["faults"] and status["faults"][0].get("cure"):
+            parts.append(Text(f"do: {status['faults'][0]['cure']}", style="bold red"))
+        if self.message:
+            parts.append(Text(self.message, style="yellow"))
         parts += [self._axis(axis) for axis in status["axes"]]
         parts.append(_times(status))
         for event in [*status["events"], *status["faults"]][-8:]:
             where = f"{event['axis']}: " if event["axis"] else ""
             parts.append(Text(f"{event['t']:.3f} s  {where}{event['text']}", style="red" if event["fault"] else ""))
-        if status["faults"] and status["faults"][0].get("cure"):
-            parts.append(Text(f"do: {status['faults'][0]['cure']}", style="bold red"))
-        if self.message:
-            parts.append(Text(self.message, style="yellow"))
         return Group(*parts)
 
     def _axis(self, axis: dict[str, Any]) -> Table:
