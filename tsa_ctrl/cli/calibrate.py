@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl import outputs
+from tsa_ctrl.cli.strict import STRICT
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     help="Where the data cannot part x and T_p: keep the file's proportion, or fit the simulation error.",
 )
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
+@STRICT
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     logs: tuple[Path, ...],
@@ -47,11 +49,12 @@ def command(
     tensioner: tuple[str, ...],
     split: str,
     hold_out: str | None,
+    strict: bool,
     as_json: bool,
 ) -> None:
     """Estimate friction angle and pretension from LOG files with honest intervals."""
     from tsa_ctrl.identify.calibrate import calibrate
-    from tsa_ctrl.identify.dataset import load_log
+    from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.provenance import provenance
     from tsa_ctrl.log.table import split_axis
     from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
@@ -59,7 +62,7 @@ def command(
     if out is not None:
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
     nominal = load_tendon_sheath(model)
-    datasets = [load_log(path) for path in logs]
+    datasets = load_logs(logs, strict)
     result = calibrate(
         datasets,
         nominal,

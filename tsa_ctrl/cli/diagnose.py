@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl import outputs
+from tsa_ctrl.cli.strict import STRICT
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ Examples:
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for JSON, model, report, pictures.")
 @click.option("--example", is_flag=True, help="On a log made on the spot, with a cause hidden in it; told at the end.")
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
+@STRICT
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on stdout, and nothing else there.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes for a folder of logs (default: one per core).")
@@ -39,6 +41,7 @@ def command(
     out: Path | None,
     example: bool,
     hold_out: str | None,
+    strict: bool,
     seed: int,
     as_json: bool,
     jobs: int | None,
@@ -63,13 +66,15 @@ def command(
             raise UsageError("--hold-out: of a folder each log is diagnosed by itself; leave it out, or name the logs")
         from tsa_ctrl.cli.fleet import diagnose_folder
 
-        diagnose_folder(folders[0], model, out, seed=seed, jobs=jobs, scheduler=scheduler, as_json=as_json)
+        diagnose_folder(
+            folders[0], model, out, seed=seed, strict=strict, jobs=jobs, scheduler=scheduler, as_json=as_json
+        )
         return
     if jobs is not None or scheduler is not None:
         raise UsageError(
             f"{'--jobs' if jobs else '--scheduler'}: is for a folder of logs; leave it out, or give a folder"
         )
-    result = _diagnose(logs, model, out, hold_out, seed)
+    result = _diagnose(logs, model, out, hold_out, seed, strict)
     if as_json:
         click.echo(result.to_json(), nl=False)
     else:
@@ -89,7 +94,7 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
         raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
     click.echo(f"running the loop on a simulated joint, in virtual time: {folder}", err=True)
     made = example.make(folder.resolve(), seed)
-    result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed)
+    result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed, False)
     if as_json:
         click.echo(result.to_json(), nl=False)
         return
@@ -98,12 +103,14 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
     click.echo(f"the same by hand: tsa diagnose {made.log} --model {made.model} --out DIR")
 
 
-def _diagnose(logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | None, seed: int) -> Diagnosis:
+def _diagnose(
+    logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | None, seed: int, strict: bool
+) -> Diagnosis:
     """Read, diagnose and write, with what is being done on stderr."""
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    from tsa_ctrl.identify.dataset import load_log
+    from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
     from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
@@ -119,7 +126,7 @@ def _diagnose(logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | No
         def say(stage: str) -> None:
             progress.update(task, description=stage)
 
-        datasets = [load_log(path) for path in logs]
+        datasets = load_logs(logs, strict)
         result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
         say("report")
         for name in (JSON, MODEL):

@@ -18,7 +18,15 @@ SHOWN = 40  # rows of the table on a screen; all of them stand in verdicts.csv
 
 
 def diagnose_folder(
-    folder: Path, model: Path, out: Path, *, seed: int, jobs: int | None, scheduler: str | None, as_json: bool
+    folder: Path,
+    model: Path,
+    out: Path,
+    *,
+    seed: int,
+    strict: bool,
+    jobs: int | None,
+    scheduler: str | None,
+    as_json: bool,
 ) -> None:
     """Work through the folder and show what came out; a log that cannot be read is a row of the table."""
     load_model(model)  # what is wrong with it is said once, and now
@@ -40,7 +48,7 @@ def diagnose_folder(
             if row is None and done:
                 console.print(f"{done} of {total} logs are answered in {out} already", soft_wrap=True, markup=False)
 
-        rows = sweep(logs, model, out, workers, seed=seed, progress=tell)
+        rows = sweep(logs, model, out, workers, seed=seed, strict=strict, progress=tell)
     verdicts, causes = counted(rows)
     if as_json:
         data = {"schema": 1, "verdicts": dict(sorted(verdicts.items())), "causes": dict(sorted(causes.items()))}

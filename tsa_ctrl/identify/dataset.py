@@ -5,8 +5,10 @@ Whatever a log lacks is said in one line that names file, column and row; whatev
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
-from collections.abc import Mapping
+import fnmatch
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,19 +20,19 @@ from numpy.typing import ArrayLike, NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.units import check_pairs, check_rate, check_sizes
 from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
+from tsa_ctrl.log.mending import mended
 from tsa_ctrl.log.table import Table, read_table, sha256_of
-from tsa_ctrl.log.timing import check_increasing, fit_grid
+from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals, zero_phase_derivative
 
 Array = NDArray[np.float64]
 
 CUTOFF = 10.0  # Hz, of the zero-phase low-pass in front of the derivative of an angle
-MOST_JITTER = 0.20  # of the period; worse is an error
+MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
 STANDING = 0.5  # s: slower than one encoder count in it, an angle has no velocity of a certain direction
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST = 10  # rows
-LONGEST_SKIP = 0.020  # s without a cycle, or without a value of a device, that a straight line fills
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
 
@@ -64,7 +66,7 @@ class Dataset:
         for key, array in arrays.items():
             if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
                 raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
-        return _dataset(Table(name, arrays, recorded=recorded), name, "")
+        return _longest(_datasets(Table(name, arrays, recorded=recorded), name, "", strict=False))
 
     def __len__(self) -> int:
         return len(self.columns["t"])
@@ -109,18 +111,47 @@ class Dataset:
         return self._signals
 
 
-def load_log(path: str | Path) -> Dataset:
+def load_log(path: str | Path, strict: bool = False) -> Dataset:
     """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
 
-    Needs t, tau_m and one velocity or angle; `Dataset.require` asks for what a model needs beyond that. Raises
-    UsageError that names file, column and row for a missing column, a nan, a time that does not increase, an empty or
-    damaged file, jitter above 20 % of the period, or a unit that cannot be right.
+    Needs t, tau_m and one velocity or angle; `Dataset.require` asks for what a model needs beyond that. Late rows, lost
+    samples, doubled stamps and holes are mended and told in `notes`; of pieces between holes this is the longest.
+    `strict` mends no more than jitter of 20 % of the period. Raises UsageError that names file, column and row for a
+    missing column, a nan, a time that runs back, an empty or damaged file, or a unit that cannot be right.
     """
-    table = read_table(path, SIGNAL_NAMES)
-    return _dataset(table, Path(path).name, sha256_of(path))
+    return _longest(_datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict))
 
 
-def _dataset(table: Table, name: str, sha256: str) -> Dataset:
+def load_logs(paths: Iterable[str | Path], strict: bool = False) -> list[Dataset]:
+    """Read logs as `load_log` does, with all pieces between their holes: those of run.csv are run.csv#1, run.csv#2."""
+    return [
+        dataset
+        for path in paths
+        for dataset in _datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict)
+    ]
+
+
+def matches(name: str, pattern: str) -> bool:
+    """Whether a pattern of the command line means this dataset; the name of a file means all of its pieces."""
+    return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.partition("#")[0], pattern)
+
+
+def _datasets(table: Table, name: str, sha256: str, strict: bool) -> list[Dataset]:
+    """One dataset for each piece of the table."""
+    pieces = mended(table, strict)
+    names = [name] if len(pieces) == 1 else [f"{name}#{number}" for number in range(1, len(pieces) + 1)]
+    return [_dataset(piece, own, sha256, strict) for piece, own in zip(pieces, names, strict=True)]
+
+
+def _longest(pieces: list[Dataset]) -> Dataset:
+    longest = max(pieces, key=lambda piece: piece.seconds)
+    if len(pieces) == 1:
+        return longest
+    used = f"of them the longest is used, {longest.seconds:.4g} s from t = {longest.columns['t'][0]:.6g} s on"
+    return dataclasses.replace(longest, name=longest.name.rpartition("#")[0], notes=(*longest.notes, used))
+
+
+def _dataset(table: Table, name: str, sha256: str, strict: bool) -> Dataset:
     columns = dict(table.columns)
     everything = (*columns, *table.left_out)
     for column in ("t", "tau_m"):
@@ -128,7 +159,7 @@ def _dataset(table: Table, name: str, sha256: str) -> Dataset:
             raise UsageError(_missing(table.label, column, everything))
     if len(table) < FEWEST:
         raise UsageError(f"{table.label}: holds {len(table)} rows; at least {FEWEST} are needed: give a longer log")
-    notes: list[str] = []
+    notes = list(table.notes)
     for column in [key for key in columns if key != "t" and key in SIGNAL_NAMES and bool(np.isnan(columns[key]).all())]:
         if column == "tau_m":
             raise UsageError(f"{table.label}: column tau_m has no value in any row; log the drive's torque")
@@ -140,7 +171,7 @@ def _dataset(table: Table, name: str, sha256: str) -> Dataset:
     if table.recorded:
         columns, start = _recorded(columns, notes)
     _check_numbers(table, columns, start)
-    columns, period, jitter = _uniform(table, columns, start, notes)
+    columns, period, jitter = _uniform(table, columns, start, notes, strict)
     derivatives: dict[str, Array] = {
         angle: zero_phase_derivative(columns[angle], period, CUTOFF) for angle in ("q_j", "q_m") if angle in columns
     }
@@ -231,14 +262,15 @@ def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> No
 
 
 def _uniform(
-    table: Table, columns: dict[str, Array], start: int, notes: list[str]
+    table: Table, columns: dict[str, Array], start: int, notes: list[str], strict: bool
 ) -> tuple[dict[str, Array], float, float]:
     """The columns on a uniform grid, its period and the jitter found (fraction of the period)."""
     t = columns["t"]
     check_increasing(table, t, start)
-    grid = fit_grid(t, LONGEST_SKIP if table.recorded else 0.0)
-    check_rate(table.label, grid.typical)
-    if grid.jitter > MOST_JITTER:
+    whole = table.recorded or strict
+    grid = fit_grid(t, LONGEST_SKIP if table.recorded else 0.0) if whole else fit_stamps(t)
+    check_rate(table.label, grid.typical, float(t[-1] - t[0]), strict)
+    if whole and grid.jitter > MOST_JITTER:
         row = grid.worst
         raise UsageError(
             f"{table.label}: column t, {table.place(row + start)}: a step of {t[row] - t[row - 1]:.6g} s where the "
@@ -246,9 +278,18 @@ def _uniform(
         )
     if grid.skipped:
         share = grid.skipped / (grid.index[-1] + 1)
-        notes.append(f"{grid.skipped} cycles ({share:.2%}) that the daemon skipped are filled by straight lines")
-    if grid.jitter > UNIFORM:
-        period = f"the period of {grid.period * 1e3:.4g} ms"
+        lost = "cycles" if table.recorded else "samples"
+        cause = "the daemon skipped" if table.recorded else "the file lacks"
+        notes.append(f"{grid.skipped} {lost} ({share:.2%}) that {cause} are filled by straight lines")
+    period = f"the period of {grid.period * 1e3:.4g} ms"
+    if grid.jitter > MOST_JITTER:
+        off = np.abs(np.diff(t) / grid.period - np.diff(grid.index)) > MOST_JITTER
+        notes.append(
+            f"{np.count_nonzero(off)} of {len(off)} steps of time ({off.mean():.2%}) are off by more than "
+            f"{MOST_JITTER:.0%} of {period}, the most at {table.place(grid.worst + start)} "
+            f"({1e3 * (t[grid.worst] - t[grid.worst - 1]):.4g} ms); resampled to a uniform grid"
+        )
+    elif grid.jitter > UNIFORM:
         notes.append(f"time jitters by {grid.jitter:.1%} of {period}; resampled to a uniform grid")
     if not grid.skipped and grid.jitter <= UNIFORM:
         return columns, grid.period, grid.jitter

@@ -15,7 +15,10 @@ from tsa_ctrl.errors import UsageError
 
 Array = NDArray[np.float64]
 
-SLOWEST, FASTEST = 12.0, 50e3  # Hz, sampling rates; 10 Hz is what 10 kHz looks like with time in ms
+FASTEST = 50e3  # Hz, sampling rate
+SLOWEST = 2.0  # Hz: a 1 or 2 kHz log looks like this or slower with time in ms
+SLOW = 12.0  # Hz: a 10 kHz log looks like this with time in ms; a steady motion may well be logged at such a rate,
+LONGEST_SLOW = 3000.0  # s: but no longer than the 3 s that anything can be told from look like with time in ms
 LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a larger value hints at
     "tau_m": (500.0, "N*m", "N*mm"),
     "tau_j": (500.0, "N*m", "N*mm"),
@@ -34,15 +37,19 @@ INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have cha
 MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
 
 
-def check_rate(label: str, period: float) -> None:
-    """Raise UsageError when the sampling period in s cannot be right."""
+def check_rate(label: str, period: float, seconds: float, strict: bool = False) -> None:
+    """Raise UsageError when the sampling period in s of `seconds` cannot be right; `strict`: nor a slow one."""
     rate = 1.0 / period
-    if SLOWEST <= rate <= FASTEST:
+    slow = rate < SLOW and (strict or seconds > LONGEST_SLOW)
+    if SLOWEST <= rate <= FASTEST and not slow:
         return
-    hint = "milliseconds or microseconds" if rate < SLOWEST else "minutes or hours"
+    hint = "milliseconds or microseconds" if rate < SLOW else "minutes or hours"
+    least = SLOW if slow and rate >= SLOWEST else SLOWEST
+    where = "" if least == SLOWEST or strict else f" of a log of {seconds:.4g} s"
+    cut = "" if not where else f", or cut the log into pieces of {LONGEST_SLOW:g} s if it is right"
     raise UsageError(
-        f"{label}: column t has a step of {period:g} s ({rate:g} Hz), which cannot be right (allowed are "
-        f"{SLOWEST:g} to {FASTEST:g} Hz); t seems to be in {hint}: convert it to s"
+        f"{label}: column t has a step of {period:g} s ({rate:g} Hz), which cannot be right{where} (allowed are "
+        f"{least:g} to {FASTEST:g} Hz); t seems to be in {hint}: convert it to s{cut}"
     )
 
 

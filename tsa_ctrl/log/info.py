@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.columns import BY_NAME
 from tsa_ctrl.log.csv_out import coded
+from tsa_ctrl.log.mending import mended
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
@@ -91,7 +92,7 @@ def inspect(path: str | Path) -> LogInfo:
     sha256 = sha256_of(path)
     if kind_of(file) != ".mcap":
         table = read_table(path)
-        return LogInfo(str(path), sha256, [_axis_info(table, 0.0)])
+        return LogInfo(str(path), sha256, [_axis_info(table, 0.0)], problems=_to_be_mended(table))
     log = LogFile(file)
     if axis is not None and axis not in log.axes:
         raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(log.axes)}")
@@ -108,6 +109,14 @@ def inspect(path: str | Path) -> LogInfo:
     return LogInfo(str(path), sha256, infos, log.about, log.problems, log.notes)
 
 
+def _to_be_mended(table: Table) -> list[str]:
+    """Doubled stamps and holes in words, as they are told when the log is used."""
+    try:
+        return list(dict.fromkeys(note for piece in mended(table) for note in piece.notes))
+    except UsageError as error:
+        return [str(error).removeprefix(f"{table.label}: ")]
+
+
 def _axis_info(table: Table, longest_skip: float, codes: Codes | None = None) -> AxisInfo:
     columns = table.columns
     if "t" not in columns:
@@ -115,8 +124,8 @@ def _axis_info(table: Table, longest_skip: float, codes: Codes | None = None) ->
     t = columns["t"]
     if len(t) < 2:
         raise UsageError(f"{table.label}: holds {len(t)} rows; at least 2 are needed to tell a rate: give a longer log")
-    check_increasing(table, t)
-    grid = fit_grid(t, longest_skip)
+    check_increasing(table, t, doubled=True)
+    grid = fit_grid(np.unique(t), longest_skip) if np.ptp(t) > 0.0 else fit_grid(t)
     ranges = [_range(name, values, (codes or {}).get(name, {})) for name, values in columns.items()]
     return AxisInfo(
         table.axis, grid.rate, float(t[-1] - t[0]), len(t), grid.jitter, grid.skipped, ranges, table.left_out

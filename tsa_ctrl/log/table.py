@@ -22,7 +22,8 @@ class Table:
     """Columns of one axis, float64, all of one length; nan where the file has nothing.
 
     `label` names the file (and axis) in messages, `above` is the number of lines above the first row of a text file
-    (None otherwise), `left_out` the columns not loaded, `recorded` true for the daemon's own log.
+    (None otherwise), `left_out` the columns not loaded, `recorded` true for the daemon's own log. `rows` (n) are the
+    file's rows of those here (None: all of them), `notes` what was done to them in words.
     """
 
     label: str
@@ -32,13 +33,16 @@ class Table:
     axis: str | None = None
     recorded: bool = False
     metadata: dict[str, Any] = field(default_factory=dict)
+    rows: NDArray[np.int64] | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()), ()))
 
     def place(self, row: int) -> str:
         """A row (0-based index) for people: counted from 1, with the line of a text file."""
-        return f"row {row + 1}" if self.above is None else f"row {row + 1} (line {row + 1 + self.above})"
+        number = (row if self.rows is None else int(self.rows[row])) + 1
+        return f"row {number}" if self.above is None else f"row {number} (line {number + self.above})"
 
 
 def kind_of(path: Path) -> str:

@@ -12,6 +12,9 @@ from tsa_ctrl.log.table import Table
 
 Array = NDArray[np.float64]
 
+# s without a row, or without a value of a device, that a straight line fills: of the fastest motion of a joint, 5 Hz, it
+# misses (2 pi 5 Hz 20 ms)^2 / 8 = 5 % at most
+LONGEST_SKIP = 0.020
 CLOSE = 0.20  # of the typical step: a fitted period further away than this is the work of holes, not of rounding
 
 
@@ -44,6 +47,11 @@ class TimeGrid:
         return int(self.index[-1]) + 1 - len(self.index)
 
 
+def longest_step(typical: float, longest_skip: float) -> float:
+    """The longest step in s between two rows that is no hole: a skip, at a slow rate one sample, and its lateness."""
+    return max(longest_skip, typical) + 1.5 * typical
+
+
 def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
     """The grid of increasing times, shape (n,), n >= 2; skips of up to `longest_skip` s count as whole samples."""
     steps = np.diff(t)
@@ -52,6 +60,26 @@ def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
     whole[steps > longest_skip + 1.5 * typical] = 1.0
     if longest_skip == 0.0:
         whole[:] = 1.0
+    return _counted(t, typical, whole)
+
+
+def fit_stamps(t: Array) -> TimeGrid:
+    """The grid of a table's increasing stamps without holes, (n,), n >= 2: lost samples counted where that fits better.
+
+    Late rows and noisy stamps are the alternative: then every row is one sample, and a long step is followed by a short.
+    """
+    steps = np.diff(t)
+    typical = float(np.median(steps))
+    each = _counted(t, typical, np.ones(len(steps)))
+    if each.jitter <= CLOSE:
+        return each
+    lost = _counted(t, typical, np.maximum(np.rint(steps / typical), 1.0))
+    return min((each, lost), key=lambda grid: float(np.mean(np.square(t - grid.times))) / grid.period**2)
+
+
+def _counted(t: Array, typical: float, whole: Array) -> TimeGrid:
+    """The grid of which each step spans `whole` samples (n - 1)."""
+    steps = np.diff(t)
     index = np.concatenate([[0], np.cumsum(whole)]).astype(np.int64)
     centred = index - float(np.mean(index))
     fitted = float(centred @ t) / float(centred @ centred)
@@ -62,16 +90,21 @@ def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
     return TimeGrid(index, period, typical, times, jitter, int(np.argmax(step_error)) + 1)
 
 
-def check_increasing(table: Table, t: Array, first: int = 0) -> None:
-    """Raise UsageError where time is no number, stands still or runs back; `first` is the table's row of t[0]."""
+def check_increasing(table: Table, t: Array, first: int = 0, doubled: bool = False) -> None:
+    """Raise UsageError where time is no number, stands still or runs back; `first` is the table's row of t[0].
+
+    `doubled`: a stamp may be that of the row before.
+    """
     good = np.isfinite(t)
     if not good.all():
         place = table.place(int(np.argmin(good)) + first)
         raise UsageError(f"{table.label}: column t, {place}: found no number; every row needs its time: correct it")
     steps = np.diff(t)
-    if not (steps > 0.0).all():
-        row = int(np.argmin(steps > 0.0)) + 1
+    onward = steps >= 0.0 if doubled else steps > 0.0
+    if not onward.all():
+        row = int(np.argmin(onward)) + 1
+        cure = "sort the rows by time" if doubled else "sort the rows by time and remove doubled ones"
         raise UsageError(
             f"{table.label}: column t, {table.place(row + first)}: time {t[row]:.9g} s does not increase (before it "
-            f"{t[row - 1]:.9g} s); sort the rows by time and remove doubled ones"
+            f"{t[row - 1]:.9g} s); {cure}"
         )

@@ -15,7 +15,7 @@ from tsa_ctrl.config import AxisSettings, load_configuration
 from tsa_ctrl.doctor import can_interface
 from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.processes import daemon
@@ -223,7 +223,7 @@ class Session:
 
     def from_logs(self, logs: Sequence[str]) -> Outcome:
         """The estimate from logs that exist; raises UsageError."""
-        return from_logs(self.path, self._model, [load_log(log) for log in logs], self._settings)
+        return from_logs(self.path, self._model, load_logs(logs), self._settings)
 
     def changes(self, outcome: Outcome) -> dict[Path, str]:
         """The files to be written and their new texts: the model's and, with the motor measured, the controller's."""

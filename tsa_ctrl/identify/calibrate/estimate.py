@@ -9,7 +9,6 @@ the interval that follows is narrower than what the nominal file already claims.
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
@@ -23,7 +22,7 @@ from tsa_ctrl.identify.calibrate.joint_fit import combinations_of, joint_fit, qu
 from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split, least_error, narrower
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, prepare, varied
 from tsa_ctrl.identify.calibrate.result import Calibration
-from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.dataset import Dataset, matches
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -140,7 +139,7 @@ def _experiment(model: TendonSheath) -> str:
 def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[PreparedLog], list[PreparedLog]]:
     """Logs to learn from and logs to measure the error on: whole logs, or blocks of the one log with gaps."""
     if pattern is not None:
-        chosen = [fnmatch.fnmatch(log.name, pattern) for log in logs]
+        chosen = [matches(log.name, pattern) for log in logs]
         if not any(chosen) or all(chosen):
             names = ", ".join(log.name for log in logs)
             raise UsageError(f"calibrate: hold-out '{pattern}' must match some but not all of the logs: {names}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify import admit as admissible
 from tsa_ctrl.identify.calibrate.admission import Admission, admit, require
 from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag
-from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.dataset import Dataset, matches
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import Signals
 
@@ -52,7 +51,7 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
     if not logs:
         raise UsageError("calibrate: no log given; name at least one")
     for pattern in tensioner:
-        if not any(fnmatch.fnmatch(d.name, pattern) for d in logs):
+        if not any(matches(d.name, pattern) for d in logs):
             raise UsageError(
                 f"calibrate: tensioner '{pattern}' matches no log; logs are {', '.join(d.name for d in logs)}"
             )
@@ -64,7 +63,7 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         signals = dataset.signals()
         admission = admit(signals.t, signals.omega_j)
         admissions.append(admission)
-        change = sum(value for pattern, value in tensioner.items() if fnmatch.fnmatch(dataset.name, pattern))
+        change = sum(value for pattern, value in tensioner.items() if matches(dataset.name, pattern))
         columns = dataset.columns
         tensions = 0.5 * (columns["t1"] + columns["t3"]) if "t1" in columns and "t3" in columns else None
         everything = np.ones(signals.t.size, dtype=np.bool_)
@@ -78,11 +77,12 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
 
 def _check_different(logs: Sequence[Dataset]) -> None:
     """The same data twice would make every interval too narrow."""
-    seen: dict[str, str] = {}
+    seen: dict[tuple[str, float], str] = {}
     for log in logs:
-        if log.sha256 and log.sha256 in seen:
-            raise UsageError(f"calibrate: {seen[log.sha256]} and {log.name} hold the same data; give each log once")
-        seen[log.sha256] = log.name
+        piece = log.sha256, float(log.columns["t"][0])  # of one file, between its holes
+        if log.sha256 and piece in seen:
+            raise UsageError(f"calibrate: {seen[piece]} and {log.name} hold the same data; give each log once")
+        seen[piece] = log.name
 
 
 def varied(logs: list[PreparedLog], model: TendonSheath) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tsa_ctrl.errors import TsaError
-from tsa_ctrl.identify.dataset import load_log
+from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.identify.diagnosis import diagnose
 from tsa_ctrl.identify.diagnosis.report.page import write
 from tsa_ctrl.identify.fleet.ledger import Row, row_of
@@ -27,6 +27,7 @@ class Job:
     model_name: str
     model: bytes
     seed: int
+    strict: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def carry_out(job: Job) -> Done:
         model = _laid(folder / "model" / job.model_name, job.model)
         log = job.log if isinstance(job.log, Path) else _laid(folder / "log" / job.name, job.log)
         try:
-            result = diagnose([load_log(log)], load_model(model), seed=job.seed)
+            result = diagnose(load_logs([log], job.strict), load_model(model), seed=job.seed)
             write(result, folder / "report", model)
         except TsaError as error:
             return Done(Row(job.name, job.key, "error", error=_plain(error, log, model)), {})

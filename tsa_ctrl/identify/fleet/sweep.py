@@ -38,6 +38,7 @@ def sweep(
     workers: Workers,
     *,
     seed: int = 0,
+    strict: bool = False,
     progress: Progress = lambda done, total, row: None,
 ) -> list[Row]:
     """Diagnose each log by itself with `model`; returns the rows of the table by name.
@@ -53,7 +54,7 @@ def sweep(
     except OSError as error:
         raise UsageError(f"{error.filename}: {error.strerror}; choose another") from None
     known = known_rows(out)
-    waiting = {path: _key(path, model_text, seed) for path in logs}
+    waiting = {path: _key(path, model_text, seed, strict) for path in logs}
     rows = {path: known[key] for path, key in waiting.items() if key in known and _reported(out, known[key])}
     queue = [path for path in logs if path not in rows]
     progress(len(rows), len(logs), None)
@@ -63,7 +64,7 @@ def sweep(
             while queue and len(running) < AHEAD * workers.count:
                 path = queue.pop(0)
                 log = path.absolute() if workers.same_disk else _contents(path)
-                job = Job(path.name, waiting[path], log, model.name, model_text, seed)
+                job = Job(path.name, waiting[path], log, model.name, model_text, seed, strict)
                 running[workers.executor.submit(carry_out, job)] = path
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 path, done = running.pop(future), future.result()
@@ -80,9 +81,9 @@ def sweep(
     return [rows[path] for path in logs]
 
 
-def _key(path: Path, model: bytes, seed: int) -> str:
+def _key(path: Path, model: bytes, seed: int, strict: bool) -> str:
     """The same for the same name and contents of the log, model, seed and version."""
-    digest = hashlib.sha256(f"{__version__} {seed} {path.name} ".encode())
+    digest = hashlib.sha256(f"{__version__} {seed} {'strict ' if strict else ''}{path.name} ".encode())
     digest.update(hashlib.sha256(model).digest())
     try:
         with path.open("rb") as file:

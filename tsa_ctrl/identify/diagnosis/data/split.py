@@ -7,7 +7,6 @@ come from parameters fitted on the other stretches alone.
 
 from __future__ import annotations
 
-import fnmatch
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import matches
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run, block_numbers
 
 STRETCHES = 12  # of one log; every third is held out
@@ -51,7 +51,7 @@ def split(runs: Sequence[Run], hold_out: str | None) -> Split:
 def _chosen(names: Sequence[str], hold_out: str | None) -> set[str]:
     if hold_out is None:
         return set(sorted(names)[2::3]) if len(names) >= FEWEST_LOGS else set()
-    chosen = {name for name in names if fnmatch.fnmatch(name, hold_out)}
+    chosen = {name for name in names if matches(name, hold_out)}
     if not chosen:
         raise UsageError(f"--hold-out '{hold_out}' matches no log; the logs are {', '.join(names)}")
     if len(chosen) == len(names):
