@@ -12,8 +12,8 @@ from tsa_ctrl.log.table import Table
 
 Array = NDArray[np.float64]
 
-# s without a row, or without a value of a device, that a straight line fills: of the fastest motion of a joint, 5 Hz, it
-# misses (2 pi 5 Hz 20 ms)^2 / 8 = 5 % at most
+# s without a row, or without a value of a device, that a straight line fills: of a joint's fastest motion, 5 Hz,
+# it misses (2 pi 5 Hz 20 ms)^2 / 8 = 5 % at most
 LONGEST_SKIP = 0.020
 CLOSE = 0.20  # of the typical step: a fitted period further away than this is the work of holes, not of rounding
 
@@ -64,9 +64,9 @@ def fit_grid(t: Array, longest_skip: float = 0.0) -> TimeGrid:
 
 
 def fit_stamps(t: Array) -> TimeGrid:
-    """The grid of a table's increasing stamps without holes, (n,), n >= 2: lost samples counted where that fits better.
+    """The grid of a table's increasing stamps without holes, (n,), n >= 2; counts lost samples where that fits better.
 
-    Late rows and noisy stamps are the alternative: then every row is one sample, and a long step is followed by a short.
+    Late rows and noisy stamps are the alternative: every row is one sample, and a long step is followed by a short.
     """
     steps = np.diff(t)
     typical = float(np.median(steps))
