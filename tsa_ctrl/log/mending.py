@@ -73,7 +73,7 @@ def _pieces(table: Table) -> list[Table]:
     if rows < LEAST_KEPT * len(t):
         raise UsageError(
             f"{table.label}: column t, {where}; {len(holes)} such holes leave {rows / len(t):.0%} of the rows in "
-            f"pieces of {SHORTEST:g} s, at least {LEAST_KEPT:.0%} are needed: log at a steady rate, or correct the stamps"
+            f"pieces of {SHORTEST:g} s, at least {LEAST_KEPT:.0%} must be: log at a steady rate, or correct the stamps"
         )
     dropped = (
         f", {len(t) - rows} rows ({1.0 - rows / len(t):.2%}) in shorter ones are left out" if rows < len(t) else ""
