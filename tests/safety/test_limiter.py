@@ -295,6 +295,16 @@ def test_settings_are_bounded_from_both_sides(key: str, low: float, high: float)
             read(bad)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("ceiling", "most", "reason"), [(0.3, 0.3, Reason.SENSE), (2.0, 2.0, Reason.ABSOLUTE)])
+def test_a_ceiling_is_an_absolute_limit_for_now(sign: float, ceiling: float, most: float, reason: Reason) -> None:
+    limiter = Limiter(LimiterSettings(torque=2.0, rate=100_000.0, distance=100.0), PERIOD)
+    limiter.ceiling = ceiling
+    assert limiter.update(sign * 5.0, **CALM) == (sign * most, reason)
+    limiter.ceiling = math.inf
+    assert limiter.update(sign * 5.0, **CALM) == (sign * 2.0, Reason.ABSOLUTE)
+
+
 def test_reasons_are_the_codes_of_the_log() -> None:
     """Logs that were written stay readable."""
     assert {reason.name: reason.value for reason in Reason} == {
@@ -311,6 +321,7 @@ def test_reasons_are_the_codes_of_the_log() -> None:
         "OSCILLATION": 10,
         "DOMAIN": 11,
         "PASSIVITY": 12,
+        "SENSE": 13,
     }
 
 

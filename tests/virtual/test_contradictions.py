@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.virtual.joints import play
+from tests.virtual.joints import CASES, GAIT, play, play_case, sine
 from tsa_ctrl.virtual.script import Change
 
 CONSTANT = {"kind": "constant", "offset": 0.5}
@@ -57,3 +58,42 @@ def test_a_second_drive_of_the_same_id_is_found_before_a_recovery_enables_anythi
 def test_a_single_repeated_frame_stops_nothing(tmp_path: Path) -> None:
     faults = [f"repeated_tpdo duration=0.001@{0.8 + 0.05 * n}" for n in range(8)]
     assert not play(tmp_path, "held", CONSTANT, 1.2, faults=faults).axes[0].faults
+
+
+LOADS = ["imposed", "held", "spring", "weight", "free", "limb", "wearer"]
+
+
+@pytest.mark.parametrize("sensor", [True, False])
+@pytest.mark.parametrize("load", LOADS)
+def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path, load: str, sensor: bool) -> None:
+    """At small torque, 15 % of the limit, before the joint has moved; a joint torque sensor is not needed."""
+    setpoint = GAIT if load == "imposed" else {"kind": "constant", "offset": 0.8}
+    changes = {"law": {"fade_in": 0.01}, "plausibility": {"joint_torque": 0.2 if sensor else 100.0}}
+    result = play(tmp_path, load, setpoint, 0.8, axis=changes, faults=["reversed_sign@0"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert ("joint torque sensor says" if sensor and load == "imposed" else "the wrong way round") in fault.text
+    assert np.abs(result.truth["tau_m"]).max() <= 0.15 * 2.5 + 0.02
+    if load != "imposed":
+        assert np.abs(result.truth["omega_j"]).max() < 2.0
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_path: Path, load: str) -> None:
+    """As soon as the torque changes: up to 0.8 N*m wanted, the opposite delivered."""
+    result = play(tmp_path, load, GAIT if load == "imposed" else sine(0.8, 1.0), 2.6, faults=["reversed_sign@1.1"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.t < 2.1
+
+
+@pytest.mark.parametrize("load", ["held", "spring", "wearer"])
+def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path, load: str) -> None:
+    result = play(tmp_path, load, sine(0.8, 0.5), 2.0, known=False, faults=["torque_gain@0.001"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert "the joint torque sensor follows" in fault.text
+    assert fault.t < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_no_sound_joint_contradicts_itself(tmp_path: Path, name: str) -> None:
+    assert not play_case(tmp_path, name).axes[0].faults

@@ -22,6 +22,7 @@ from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
+from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
@@ -83,6 +84,8 @@ class ControlAxis:
         self.bound = bound
         self.plausibility = plausibility
         self.joint_torque = joint_torque
+        self.sense = Sense(limiter.torque, model.joint_pulley_radius / model.motor_pulley_radius, period)
+        limiter.ceiling = self.sense.ceiling
         self.most_age = most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
@@ -109,8 +112,8 @@ class ControlAxis:
 
     @property
     def is_off(self) -> bool:
-        """Whether no torque is permitted, and the drive did not say last that its power stage is on."""
-        return self.at_rest and decode(self.image.statusword) not in _ON
+        """Whether no torque is permitted, and the drive does not say that its power stage is on."""
+        return self.at_rest and not (self.image.fresh and decode(self.image.statusword) in _ON)
 
     def enable(self) -> None:
         """Ask for torque; it comes when drive and supervisor agree, and fades in."""
@@ -174,14 +177,28 @@ class ControlAxis:
         if image.fresh:
             feedback = (image.tau_m, image.q_m, image.omega_m)
             tau_j = instruments.tau_j
-            expected = self._transmitted(image.tau_m, terms.sigma, *self._used) if tau_j == tau_j else 0.0
+            expected = self._expected() if tau_j == tau_j else (0.0, 0.0)
             wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
+            wrong = wrong or self.sense.update(now, image.tau_m, self._stretch(), image.tau_j, terms.sigma)
+            self.limiter.ceiling = self.sense.ceiling
             if wrong is not None:
                 self.supervisor.trip(wrong, now)
         self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
         self.adapt()
         self._watch()
         self.law.follow(self.set_point.rate, self.set_point.silent)
+
+    def _expected(self) -> tuple[float, float]:
+        """What the model makes of the motor's torque at the joint, N*m, with friction one way and the other.
+
+        A tendon that is slow may stick for seconds after the law's direction has turned.
+        """
+        tau_m, used = self.image.tau_m, self._used
+        return self._transmitted(tau_m, 1.0, *used), self._transmitted(tau_m, -1.0, *used)
+
+    def _stretch(self) -> float:
+        """Rad that motor and joint are apart; nan without an encoder."""
+        return self.image.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
     def release(self) -> None:
         """Torque is not permitted: forget everything, once. Disabled means reset."""
@@ -197,6 +214,8 @@ class ControlAxis:
         self.law.damping.share = 1.0
         self.law.bound = self._bounded()
         self.plausibility.reset()
+        self.sense.reset()
+        self.limiter.ceiling = self.sense.ceiling
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)
 

@@ -52,6 +52,7 @@ class DriveFaults:
     ignore_command: bool = False  # bit 12 low, the target torque is not followed
     wrong_mode: int | None = None  # what 0x6061 says
     torque_sign: int = 1  # -1: motor wired the wrong way round
+    torque_gain: float = 1.0  # of what the motor gives, over what the drive believes
     clock_drift: float | None = None  # relative; the drive samples by a clock of its own, not at the SYNC
 
 
@@ -207,7 +208,7 @@ class Drive:
             self.limited = target != wanted
         scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / self.persona.torque_digits
         wanted_command = (
-            target * scale * self.faults.torque_sign,
+            target * scale * self.faults.torque_sign * self.faults.torque_gain,
             enabled,
             values.get((0x6080, 0), _NO_SPEED_CLAMP) * _RPM / settings.gear_ratio,
         )
@@ -262,7 +263,7 @@ class Drive:
         gear = settings.gear_ratio
         digits = (
             self.persona.torque_digits * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
-        )
+        ) / self.faults.torque_gain
         turns = settings.position_sign * gear / (2.0 * math.pi)
         velocity = settings.position_sign * gear * readings.motor_speed / self._velocity_digit()
         torque = readings.motor_torque

@@ -187,6 +187,10 @@ FAULTS: Mapping[str, FaultKind] = {
     "reversed_sign": FaultKind(
         "the motor turns the wrong way", lambda t: _swap(t.drive.faults, "torque_sign", -t.drive.faults.torque_sign)
     ),
+    "torque_gain": FaultKind(
+        "the motor gives so many times the torque that the drive reports",
+        lambda t: _swap(t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.0, 10.0,
+    ),
     "torn_tendon": FaultKind(
         "a tendon tears: 0 is a (backward), 1 is b (forward)",
         lambda t: _parameter(t, "torn_b" if t.value else "torn_a", 1),

@@ -29,6 +29,11 @@ CURES: Mapping[str, str] = MappingProxyType(
         "the joint torque sensor says": (
             "compare sensor and motor at a small torque: zero, gain and sign of both, then the model (tsa calibrate)"
         ),
+        "the wrong way round": (
+            "torque_sign and position_sign of the drive, sign of the encoder, crossed tendons or motor wires; "
+            "then recover"
+        ),
+        "the joint torque sensor follows": "torque constant and rated torque of the motor, gain of the sensor",
         Cause.BUS_FAULT.value: f"cable, termination, bit rate, or the interface was taken down; {_BRING_UP}",
         Cause.SECOND_MASTER.value: f"another program commands this bus: end it (who sends is said above); {_BRING_UP}",
         Cause.BOOT_UP.value: f"the node lost its power or was reset: supply, plug, brown-out; {_BRING_UP}",

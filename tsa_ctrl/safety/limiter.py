@@ -8,6 +8,7 @@ was asked: a lying measurement can only weaken the motor. The absolute limit has
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 from math import isfinite
 from typing import Annotated
@@ -35,6 +36,7 @@ class Reason(Enum):
     OSCILLATION = 10  # the torque is as wanted, but the motor buzzed and the guard holds the compensation back
     DOMAIN = 11  # cut by the law before it came here: beyond it a tendon would have to push
     PASSIVITY = 12  # as wanted, but the compensation moved the joint by itself and the guard holds it back
+    SENSE = 13  # small until the motor has shown since the enable that it pulls the way it says: see safety.sense
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -68,6 +70,7 @@ class Limiter:
         self.torque = settings.torque
         self.rate = settings.rate
         self.over_speed = False
+        self.ceiling = math.inf  # N*m, an absolute limit for now
         self._distance = settings.torque if settings.distance is None else settings.distance
         self._speed = settings.joint_speed
         self._speed_onset = 0.8 * settings.joint_speed
@@ -127,10 +130,11 @@ class Limiter:
             bound = tau_m - self._distance
             if torque < bound:
                 torque, reason = (bound if bound < 0.0 else 0.0), Reason.DISTANCE
-        if torque > self.torque:
-            torque, reason = self.torque, Reason.ABSOLUTE
-        elif torque < -self.torque:
-            torque, reason = -self.torque, Reason.ABSOLUTE
+        most, cut = (self.torque, Reason.ABSOLUTE) if self.torque <= self.ceiling else (self.ceiling, Reason.SENSE)
+        if torque > most:
+            torque, reason = most, cut
+        elif torque < -most:
+            torque, reason = -most, cut
         self._last = torque
         return torque, reason
 

@@ -3,7 +3,8 @@
     torque        the drive reports another torque than was commanded
     frozen        not one bit of what the drive reports moves, while the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped encoder, a wrong count or sign
-    joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign
+    joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign,
+                  or a motor that gives more than it reports
 
 Contradictions must last before they count, and a sample that agrees does not clear them: see `safety.leaky`. Like the
 limiter it imports nothing of the control law.
@@ -23,7 +24,8 @@ Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
 Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
 
 DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
-DEFAULT_JOINT_TORQUE = 0.5  # of that limit, at the joint
+DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: a person is not thrown by it
+PREDICTION_SHARE = 0.4  # of what the model says without friction: calibration may be so far off
 FROZEN_SHARE = 0.05  # of rated torque that the command moves while nothing of the feedback does
 FROZEN_TIME = 0.03  # s that a drive may take to show it
 SLIP_TIME = 0.01  # s
@@ -33,7 +35,7 @@ class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     """[axis.plausibility]: how far measured and commanded torque, joint and motor, may disagree."""
 
     torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
-    joint_torque: Torque | None = None  # N*m at the joint; default: half of limits.torque, at the joint
+    joint_torque: Torque | None = None  # N*m at the joint; default: 0.15 of limits.torque, at the joint
     duration: Duration = 0.1  # s that either must last, less a quarter of the time for which it did not
     slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 0.5  # rad at the motor since the enable
 
@@ -81,12 +83,12 @@ class Plausibility:
         feedback: tuple[float, float, float],
         q_j: float,
         tau_j: float,
-        expected: float,
+        expected: tuple[float, float],
     ) -> str | None:
         """What is wrong, in words; None while everything agrees.
 
         `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
-        sensor; `expected`: the joint torque that the model makes of the reported motor torque.
+        sensor; `expected`: the joint torques between which it may lie, as the model makes them of the reported torque.
         """
         tau_m, q_m, _ = feedback
         if feedback != self._last:
@@ -103,7 +105,7 @@ class Plausibility:
                 )
         if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        return self._apart(now, q_m, q_j) or self._joint(now, tau_j, expected)
+        return self._apart(now, q_m, q_j) or self._joint(now, tau_j, *expected)
 
     def _apart(self, now: float, q_m: float, q_j: float) -> str | None:
         if not self._has_encoder:
@@ -118,11 +120,13 @@ class Plausibility:
             "torn or loose, or an encoder slipped, or its counts or sign are wrong"
         )
 
-    def _joint(self, now: float, tau_j: float, expected: float) -> str | None:
+    def _joint(self, now: float, tau_j: float, one: float, other: float) -> str | None:
         known = tau_j == tau_j  # else no sensor, or no value of it that is fresh
-        if not self._joint_wrong.update(now, known and not abs(tau_j - expected) <= self._joint_torque):
+        low, high = (one, other) if one < other else (other, one)
+        most = max(self._joint_torque, PREDICTION_SHARE * 0.5 * abs(low + high))
+        if not self._joint_wrong.update(now, known and not low - most <= tau_j <= high + most):
             return None
         return (
-            f"the joint torque sensor says {tau_j:.2f} N*m, the model {expected:.2f} N*m, for {self._duration:g} s: "
-            "a sign is reversed, or one of the two torques is wrong"
+            f"the joint torque sensor says {tau_j:.2f} N*m, the model {low:.2f} to {high:.2f} N*m, for "
+            f"{self._duration:g} s: a sign is reversed, or one of the two torques is wrong"
         )

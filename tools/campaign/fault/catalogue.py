@@ -67,8 +67,10 @@ FAULTS: tuple[Fault, ...] = (
     Fault("a node is reset by somebody", _stops("second master|node booted"), act="reset_node"),
     Fault("joint encoder jumps", _stops("over-speed|moved apart"), "encoder_jump"),
     Fault(
-        "motor turns the wrong way", _stops("joint torque sensor|moved apart", LIE, SWING), "reversed_sign", watch=LIE
+        "motor turns the wrong way", _stops("wrong way round|joint torque sensor|moved apart", LIE, SWING),
+        "reversed_sign", watch=LIE,
     ),
+    Fault("motor gives twice its torque", _stops("joint torque sensor", LIE, SWING), "torque_gain", watch=LIE),
     Fault("tendon that pulls tears", _stops("over-speed|moved apart"), "torn_tendon value=1", watch=0.8),
     Fault(  # the loop tells such counts once a second
         "error frame: error passive", _goes_on("the bus still carries frames", "error frame"),

@@ -1,0 +1,76 @@
+"""The sense of the motor's torque, on a spring between motor and joint that the test makes itself."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tsa_ctrl.safety.sense import PATIENCE, Sense
+
+PERIOD = 1e-3  # s
+GEARED = 1.25  # r_J/r_M
+STIFFNESS = 10.0  # N*m/rad
+UNKNOWN = math.nan
+
+
+def run(sense: Sense, sign: float = 1.0, gain: float = UNKNOWN, seconds: float = 0.5, rise: float = 1.0) -> float | str:
+    """A torque that rises by `rise` N*m/s; what is found, or when the torque was free to grow, s."""
+    free = math.inf
+    for n in range(round(seconds / PERIOD)):
+        torque = rise * n * PERIOD
+        apart = sign * torque / STIFFNESS + 3.0
+        wrong = sense.update(n * PERIOD, torque, apart, gain * GEARED * torque, 0.0)
+        if wrong is not None:
+            return wrong
+        if sense.ceiling == math.inf:
+            free = min(free, n * PERIOD)
+    return free
+
+
+def test_torque_is_small_until_the_stretch_shows_its_sense() -> None:
+    sense = Sense(2.0, GEARED, PERIOD)
+    assert sense.ceiling == pytest.approx(0.3)
+    free = run(sense)
+    assert isinstance(free, float)
+    assert 0.02 + 0.17 < free < 0.1 + 0.17  # which it grows in from 15 % to all of the limit
+
+
+def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
+    sense = Sense(2.0, GEARED, PERIOD)
+    found = run(sense, sign=-1.0)
+    assert "the wrong way round" in str(found)
+    assert sense.ceiling == pytest.approx(0.3)
+
+
+def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
+    for gain, expected in ((0.5, float), (-0.5, str)):
+        assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
+
+
+@pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True)])
+def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> None:
+    said = run(Sense(2.0, GEARED, PERIOD), gain=gain)
+    assert isinstance(said, str) is found
+    if found:
+        assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
+
+
+def test_what_shows_nothing_is_not_held_up_for_longer_than_its_patience() -> None:
+    free = run(Sense(2.0, GEARED, PERIOD), sign=0.0)
+    assert isinstance(free, float)
+    assert PATIENCE + 0.17 < free < PATIENCE + 0.27
+
+
+def test_nothing_known_accuses_nothing_and_a_torque_that_rests_shows_nothing() -> None:
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN), float)
+    assert run(Sense(2.0, GEARED, PERIOD), sign=-1.0, rise=0.0) == math.inf
+
+
+def test_each_enable_shows_it_anew() -> None:
+    sense = Sense(2.0, GEARED, PERIOD)
+    run(sense)
+    assert sense.ceiling == math.inf
+    sense.reset()
+    assert sense.ceiling == pytest.approx(0.3)
+    assert "the wrong way round" in str(run(sense, sign=-1.0))

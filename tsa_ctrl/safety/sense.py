@@ -1,0 +1,132 @@
+"""Whether the motor pulls the way it says, and as much: its torque against what the torque does.
+
+A torque stretches the tendons, and motor and joint move apart by it: q_m - (r_J/r_M) q_j follows tau_M with the sign of
+the stiffness, held or moving, whatever the load. Where there is a joint torque sensor, its torque follows, too, by
+r_J/r_M at most: friction only takes away. All are filtered to a band in which neither the motor's ringing on its
+tendons nor the drift of the friction counts, and correlated over the last fifth of a second, but for what came before
+the tendon turned last: on a joint that is moved, friction stretches the tendon against the torque that begins.
+
+On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
+below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
+motor gives twice what it reports.
+
+After every enable the torque stays small until the sense is shown, or until it could have been: a rig that is too stiff
+for its encoders shows nothing, and is not held up by that.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tsa_ctrl.safety.leaky import Leaky
+
+SMALL = 0.15  # of the limiter's absolute limit: a person bears that in the wrong direction
+RIPPLE = 0.005  # of that limit, RMS in the band, from which it counts: above what a drive's torque reading fluctuates
+SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
+DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
+MEMORY = 0.2  # s of the correlation
+SHOWN = 0.5  # correlation from which the sense is right, or wrong
+CLEAR = 0.8  # correlation from which it is said how much the joint gets
+EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
+TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
+LAST = 0.02  # s that either must be wrong
+GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
+PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
+
+
+class Sense:
+    """One axis' test; `update` once per fresh cycle while torque is permitted, `reset` when it is not.
+
+    Attribute: `ceiling` (N*m, most torque for now).
+    """
+
+    def __init__(self, limit: float, geared: float, period: float) -> None:
+        """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s."""
+        self._limit = limit
+        self._least = (RIPPLE * limit) ** 2
+        self._most = EXCESS * geared
+        self._period = period
+        self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
+        self._memory = 1.0 - math.exp(-period / MEMORY)
+        self._reversed, self._excessive = Leaky(LAST), Leaky(LAST)
+        self.reset()
+
+    def reset(self) -> None:
+        """Torque is not permitted: the next enable shows it anew."""
+        self.ceiling = SMALL * self._limit
+        self._waited = 0.0
+        self._shown = False
+        self._reversed.reset()
+        self._excessive.reset()
+        self._begin(0.0, -math.inf)
+
+    def _begin(self, direction: float, until: float) -> None:
+        """Look at nothing `until` then, s, and then afresh."""
+        self._direction = direction
+        self._until = until
+        self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
+        self._tt = self._ta = self._aa = self._tj = self._jj = 0.0
+
+    def update(self, now: float, torque: float, apart: float, tau_j: float, sigma: float) -> str | None:
+        """What is wrong, in words; None while all is well.
+
+        `torque`: N*m, as the drive reports it; `apart`: rad, of motor and geared joint; `tau_j`: N*m, of the joint
+        torque sensor, nan each where it is not known; `sigma`: the law's, 1, of the tendon's motion.
+        """
+        if self._shown and self.ceiling != math.inf:
+            self.ceiling += self._limit * self._period / GROWTH
+            if self.ceiling >= self._limit:
+                self.ceiling = math.inf
+        direction = (sigma > 0.0) - (sigma < 0.0)
+        if direction != self._direction:
+            self._begin(direction, now + TURN)
+        if now < self._until:
+            return None
+        memory = self._memory
+        t, a, j = self._torque.of(torque), self._apart.of(apart), self._joint.of(tau_j)
+        self._tt += memory * (t * t - self._tt)
+        self._ta += memory * (t * a - self._ta)
+        self._aa += memory * (a * a - self._aa)
+        self._tj += memory * (t * j - self._tj)
+        self._jj += memory * (j * j - self._jj)
+        if self._tt < self._least:
+            return None
+        self._waited += self._period
+        by_stretch, by_sensor = _correlation(self._ta, self._tt * self._aa), _correlation(self._tj, self._tt * self._jj)
+        sense = by_stretch if apart == apart else by_sensor
+        if sense > SHOWN or self._waited > PATIENCE:
+            self._shown = True
+        if self._reversed.update(now, sense < -SHOWN):
+            return (
+                "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
+                "sign of a torque or of an encoder is reversed"
+            )
+        gain = self._tj / self._tt
+        if self._excessive.update(now, by_sensor > CLEAR and gain > self._most):
+            return (
+                f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
+                f"{self._most / EXCESS:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
+            )
+        return None
+
+
+def _correlation(product: float, squares: float) -> float:
+    return product / math.sqrt(squares) if squares > 0.0 else 0.0
+
+
+class _Band:
+    """What of a signal is neither too quick nor too slow; it begins with the first sample that is known."""
+
+    def __init__(self, quick: float, slow: float) -> None:
+        self._quick = quick
+        self._slow = slow
+        self._smooth = self._drift = math.nan
+
+    def of(self, value: float) -> float:
+        if value != value:
+            return 0.0
+        if self._smooth != self._smooth:
+            self._smooth = self._drift = value
+        self._smooth += self._quick * (value - self._smooth)
+        self._drift += self._slow * (self._smooth - self._drift)
+        return self._smooth - self._drift
