@@ -28,6 +28,7 @@ HISTORY = 60  # values in a sparkline
 STEP = 0.02  # of a parameter's range per key press
 DECADES = 1000.0  # between the bounds of a parameter that is moved by a share of its value instead
 SHARE = 0.1
+BANDS = 72  # columns of a terminal from which there is room for bands
 WIDE = 100  # columns of a terminal from which there is room for the recent past
 STALE = 0.5  # s without news from the loop
 BARS = " ▁▂▃▄▅▆▇█"
@@ -114,7 +115,8 @@ class Page:
 
     def _axis(self, axis: dict[str, Any]) -> Table:
         title = f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}"
-        past = shutil.get_terminal_size().columns >= WIDE
+        columns = shutil.get_terminal_size().columns
+        past, bands = columns >= WIDE, columns >= BANDS
         table = Table(title=title, title_justify="left")
         for heading in ("", "value", "unit", *(["past"] if past else []), "parameter", "set to"):
             table.add_column(heading, no_wrap=heading != "past")
@@ -127,7 +129,7 @@ class Page:
                 value = _value(axis[name])
                 cells = [
                     name,
-                    "-" if value is None else f"{value:.4f}{_half(axis[name])}",
+                    "-" if value is None else f"{value:.4f}{_half(axis[name]) if bands else ''}",
                     unit,
                 ]
                 if past:
