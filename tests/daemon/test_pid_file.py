@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,8 @@ from click.testing import CliRunner
 
 from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.ipc import client, pid_file
+from tsa_ctrl.ipc import pid_file
+from tsa_ctrl.ipc.client import Client
 
 # Listens as a socket server that hangs would: connections are taken by the kernel, nobody answers.
 DAEMON = """
@@ -48,7 +50,7 @@ def test_stop_ends_a_daemon_whose_socket_does_not_answer(
     daemon: tuple[str, subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, process = daemon
-    monkeypatch.setattr(client.Client.__init__, "__defaults__", (0.2,))
+    monkeypatch.setattr("tsa_ctrl.cli.stop.Client", partial(Client, timeout=0.2))
     result = CliRunner().invoke(cli, ["stop", "--socket", path])
     assert process.communicate(timeout=30)[0] == "told to stop\n"
     assert f"process {process.pid} got SIGTERM instead" in result.output
