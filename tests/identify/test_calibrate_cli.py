@@ -57,7 +57,7 @@ def test_json_has_exactly_the_public_keys(folder: Path, capsys: pytest.CaptureFi
         "schema", "parameters", "combinations", "split", "condition_number", "admitted_seconds", "refused", "rms",
         "experiment",
     }  # fmt: skip
-    assert set(data) == public | {"notes"}
+    assert set(data) == public | {"notes", "rms_in_sample", "worse_than_given"}
     assert data["schema"] == 1
     assert {name: value["unit"] for name, value in data["parameters"].items()} == {
         "friction_angle": "1",
@@ -103,6 +103,43 @@ def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys:
     assert "held-out" in out
 
 
+def of_another_drive(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The joint torque of a drive without friction whose gain is half of what the pulleys say."""
+    return {**log, "tau_j": 0.5 * log["tau_m"]}
+
+
+def test_the_error_told_is_that_of_the_file_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("low.csv", "--model", "a.toml", "--out", "new.toml", "--json") == 0
+    told = json.loads(capsys.readouterr().out)["rms_in_sample"]
+    for file, value in (("a.toml", told["before"]), ("new.toml", told["after"])):
+        with pytest.raises(SystemExit):
+            main(["simulate", "low.csv", "--model", file, "--json"])
+        assert json.loads(capsys.readouterr().out)["models"][0]["rms"] == pytest.approx(value, rel=1e-6)
+
+
+def test_worse_than_given_is_told_and_not_written_unasked(
+    folder: Path, recorded, capsys: pytest.CaptureFixture[str]
+) -> None:  # type: ignore[no-untyped-def]
+    """Two of three logs hold a torque that (3.55) cannot have: what is learned from them makes the third worse."""
+    _, low, high = recorded
+    for number, log in enumerate((low, of_another_drive(low), of_another_drive(high))):
+        write_csv(folder / f"{number}.csv", log)
+    logs = [f"{number}.csv" for number in range(3)]
+    assert tsa(*logs, "--hold-out", "0.csv", "--model", "a.toml", "--out", "new.toml") == 2
+    captured = capsys.readouterr()
+    assert "WORSE than as given" in captured.out
+    assert "new.toml: not written" in captured.err
+    assert not (folder / "new.toml").exists()
+    assert tsa(*logs, "--hold-out", "0.csv", "--model", "a.toml", "--out", "new.toml", "--yes") == 0
+    assert (folder / "new.toml").exists()
+
+
+def test_a_note_keeps_its_brackets(folder: Path, recorded, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[no-untyped-def]
+    write_csv(folder / "half.csv", of_another_drive(recorded[1]))
+    assert tsa("half.csv", "--model", "a.toml") == 0
+    assert "[uncertainty]" in capsys.readouterr().out
+
+
 def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
     assert tsa("low.csv", "--model", "a.toml", "--out", "a.toml") == 0
     once = load_tendon_sheath("a.toml")
@@ -115,7 +152,7 @@ def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
     [
         (("nowhere.csv", "--model", "a.toml"), "nowhere.csv: no such file"),
         (("low.csv", "--model", "nowhere.toml"), "nowhere.toml: no such file"),
-        (("low.csv", "--model", "drive.toml"), "rigid_drive"),
+        (("low.csv", "--model", "drive.toml"), "tsa diagnose LOG --model drive.toml --out DIR"),
         (("low.csv", "--model", "slack.toml"), "must be above 0"),
         (("low.csv",), "Missing option '--model'"),
         (("--model", "a.toml"), "Missing argument"),

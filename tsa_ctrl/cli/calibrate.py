@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
     from tsa_ctrl.identify.calibrate import Calibration
+    from tsa_ctrl.model.parameters import TendonSheath
 
 
 @click.command(
@@ -40,7 +42,8 @@ if TYPE_CHECKING:
 )
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
 @STRICT
-@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+@click.option("--yes", is_flag=True, help="Do not ask whether to write what is worse than the model given.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def command(
     logs: tuple[Path, ...],
     model: Path,
@@ -50,6 +53,7 @@ def command(
     split: str,
     hold_out: str | None,
     strict: bool,
+    yes: bool,
     as_json: bool,
 ) -> None:
     """Estimate friction angle and pretension from LOG files with honest intervals."""
@@ -57,11 +61,11 @@ def command(
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.provenance import provenance
     from tsa_ctrl.log.table import split_axis
-    from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+    from tsa_ctrl.model.parameters import save_model
 
     if out is not None:
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
-    nominal = load_tendon_sheath(model)
+    nominal = _loaded(model)
     datasets = load_logs(logs, strict)
     result = calibrate(
         datasets,
@@ -71,17 +75,44 @@ def command(
         hold_out=hold_out,
         split="fit" if split == "fit" else "keep",
     )
+    if not as_json:
+        _show(result, [note for dataset in datasets for note in dataset.notes], nominal)
     kept = None
     if out is not None:
+        if result.worse and not yes:
+            _ask(result, model, out, as_json)
         kept = outputs.keep(out)
         source = provenance("calibrate", datasets, model, result.quantities, split=result.split)
         save_model(result.model, out, template=model, provenance=source)
     if as_json:
         click.echo(result.to_json())
-    else:
-        _show(result, nominal.friction_angle, nominal.pretension)
-        if out is not None:
-            click.echo(outputs.kept_words(out, kept))
+    elif out is not None:
+        click.echo(outputs.kept_words(out, kept))
+
+
+def _ask(result: Calibration, model: Path, out: Path, as_json: bool) -> None:
+    """Raise UsageError unless a person says that what is worse is to be written."""
+    asked = sys.stdin.isatty() and sys.stdout.isatty() and not as_json
+    if asked and click.confirm(f"the calibrated model is worse than {model}; write {out}?", default=False):
+        return
+    raise UsageError(
+        f"{out}: not written: calibrated, the simulation is worse than with {model} ({result.worse}): an effect is "
+        "missing, which tsa diagnose names; as given is kept, --yes writes it nevertheless"
+    )
+
+
+def _loaded(model: Path) -> TendonSheath:
+    """The nominal model; a plain drive's parameters are the diagnosis' work."""
+    from tsa_ctrl.model.parameters import RigidDrive, TendonSheath, load_model
+
+    loaded = load_model(model)
+    if isinstance(loaded, TendonSheath):
+        return loaded
+    assert isinstance(loaded, RigidDrive)
+    raise UsageError(
+        f"{model}: is a rigid_drive, whose inertia and friction tsa diagnose calibrates: "
+        f"tsa diagnose LOG --model {model} --out DIR writes them to DIR/extended.toml"
+    )
 
 
 def _change(text: str) -> tuple[str, float]:
@@ -95,7 +126,7 @@ def _change(text: str) -> tuple[str, float]:
         raise UsageError(f"--tensioner: found '{text}'; write LOG=NEWTON, for example high.csv=+20") from None
 
 
-def _show(result: Calibration, friction_angle: float, pretension: float) -> None:
+def _show(result: Calibration, done: list[str], nominal: TendonSheath) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -103,11 +134,11 @@ def _show(result: Calibration, friction_angle: float, pretension: float) -> None
     rows = (
         ("half loop torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
-        ("friction angle", friction_angle, result.friction_angle),
-        ("pretension", pretension, result.pretension),
+        ("friction angle", nominal.friction_angle, result.friction_angle),
+        ("pretension", nominal.pretension, result.pretension),
     )
-    for name, nominal, quantity in rows:
-        value = "" if nominal is None else f"{nominal:.4g}"
+    for name, given, quantity in rows:
+        value = "" if given is None else f"{given:.4g}"
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
         table.add_row(name, value, f"{quantity.value:.4g}", interval, quantity.unit)
     console = Console()
@@ -119,8 +150,17 @@ def _show(result: Calibration, friction_angle: float, pretension: float) -> None
             "friction angle and pretension are NOT parted by these logs; their intervals are what is left open"
         )
         console.print(f"to settle it: {result.experiment}", soft_wrap=True)
-    for note in result.notes:
-        console.print(f"note: {note}", soft_wrap=True)
+    for note in (*dict.fromkeys(done), *result.notes):
+        click.echo(f"note: {note}")
     refused = ", ".join(result.refused) or "nothing"
-    console.print(f"admitted {result.admitted_seconds:.1f} s; refused: {refused}")
-    console.print(f"RMS error on held-out data: {result.rms_before:.4g} N*m before, {result.rms_after:.4g} N*m after")
+    click.echo(f"admitted {result.admitted_seconds:.1f} s; refused: {refused}")
+    click.echo(
+        f"RMS error of the calibrated model on these logs: {result.rms_given:.4g} N·m as given, "
+        f"{result.rms_written:.4g} N·m calibrated"
+    )
+    click.echo(
+        f"RMS error on held-out data, calibrated without them: {result.rms_before:.4g} N·m as given, "
+        f"{result.rms_after:.4g} N·m calibrated"
+    )
+    if result.worse:
+        click.echo(f"calibrated, the simulation is WORSE than as given: {result.worse}; tsa diagnose names what lacks")

@@ -61,7 +61,13 @@ def calibrate(
     result = _fit(prepared, model, certified_gain, split)
     train, test = _held_out(prepared, hold_out)
     after = _fit(train, model, certified_gain, split).model
-    return dataclasses.replace(result, rms_before=_rms(test, model), rms_after=_rms(test, after))
+    return dataclasses.replace(
+        result,
+        rms_before=_rms(test, model),
+        rms_after=_rms(test, after),
+        rms_given=_rms(prepared, model),
+        rms_written=_rms(prepared, result.model),
+    )
 
 
 def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, split: Split) -> Calibration:
@@ -109,6 +115,8 @@ def _fit(logs: list[PreparedLog], model: TendonSheath, certified_gain: bool, spl
         refused=tuple(sorted({name for log in logs for name in log.admission.refused})),
         rms_before=math.nan,
         rms_after=math.nan,
+        rms_given=math.nan,
+        rms_written=math.nan,
         experiment="" if is_split else _experiment(model),
         notes=tuple(notes),
         model=model.recalibrated(x.value, tension.value),

@@ -10,6 +10,11 @@ from typing import Any
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 
+# Of the mean square, that a held-out error may rise by chance: two parameters learned from about 18 independent blocks
+# (`regression.BLOCKS`), against a file that may have learned from the held-out logs, too.
+BY_CHANCE = 2.0 / 18.0
+ROUNDING = 1e-4  # of the error on the data learned from, which shows no further digits
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -19,6 +24,9 @@ class Calibration:
     the model's own bending angle and pretension: for the simplified model r_J/r_M cosh x and 2 T_p r_J sinh x.
     `split`: the data part the product into x and T_p; otherwise `friction_angle` and `pretension` keep the nominal
     file's proportion and their intervals are what [uncertainty] and the half loop leave open.
+
+    RMS errors in N*m: `rms_before` (the model as given) and `rms_after` (fitted to the other data) on held-out data;
+    `rms_given` and `rms_written` (`model`, which is what a file gets) on all data, which `model` has learned from.
     """
 
     friction_angle: Quantity
@@ -31,9 +39,21 @@ class Calibration:
     refused: tuple[str, ...]
     rms_before: float
     rms_after: float
+    rms_given: float
+    rms_written: float
     experiment: str
     notes: tuple[str, ...]
     model: TendonSheath
+
+    @property
+    def worse(self) -> str:
+        """In words where the calibrated model is worse than the one given; empty where it is not."""
+        found = []
+        if self.rms_written > (1.0 + ROUNDING) * self.rms_given:
+            found.append(f"{self.rms_given:.4g} -> {self.rms_written:.4g} N·m on these logs")
+        if self.rms_after > math.sqrt(1.0 + BY_CHANCE) * self.rms_before:
+            found.append(f"{self.rms_before:.4g} -> {self.rms_after:.4g} N·m on held-out data")
+        return " and ".join(found)
 
     @property
     def quantities(self) -> dict[str, Quantity]:
@@ -58,6 +78,8 @@ class Calibration:
             "admitted_seconds": self.admitted_seconds,
             "refused": list(self.refused),
             "rms": {"before": self.rms_before, "after": self.rms_after, "held_out": True, "unit": "N*m"},
+            "rms_in_sample": {"before": self.rms_given, "after": self.rms_written, "unit": "N*m"},
+            "worse_than_given": bool(self.worse),
             "experiment": self.experiment,
             "notes": list(self.notes),
         }
