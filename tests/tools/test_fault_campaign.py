@@ -12,6 +12,7 @@ from tests.conftest import ROOT
 from tools.campaign.fault.acts import ACTS
 from tools.campaign.fault.catalogue import FAULTS
 from tools.campaign.fault.verdict import Expected, Row, Seen, judge, longest_gap, stopped_after, zero_after
+from tsa_ctrl.plant.ailments import AILMENTS
 from tsa_ctrl.plant.faults import FAULTS as PLANT_FAULTS
 from tsa_ctrl.plant.faults import parse_fault
 
@@ -120,8 +121,9 @@ def test_a_stop_is_timed_from_where_the_machine_stood_still() -> None:
 
 
 def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
+    """Those that a real bus shows here, those of parts that still answer in virtual time."""
     lines = [fault.plant for fault in FAULTS if fault.plant]
-    assert {line.split()[0] for line in lines} == set(PLANT_FAULTS)
+    assert {line.split()[0] for line in lines} == set(PLANT_FAULTS) - set(AILMENTS)
     for line in lines:
         parse_fault(line)
     names = [fault.name for fault in FAULTS]

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from tools.manual import drives, measure
+from tools.manual import drives, hazards, measure
 from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
@@ -104,6 +104,19 @@ def licences() -> str:
     )
 
 
+def hazard_table() -> str:
+    """Every hazard of the campaign in virtual time, and what only hardware can do."""
+    about = hazards.load()["about"]
+    counted = (
+        f"{about['trials']} trials of `tools/run campaign/virtual --seed {about['seed']}`, {about['pairs']} of them "
+        f"with two faults at once; {about['safe']} safe; on {about['date']}."
+    )
+    missing = hazards.not_shown()
+    shown = f"Causes by which no trial ended first: {', '.join(missing)}." if missing else ""
+    only = table(("what no software can do", "what can"), hazards.HARDWARE)
+    return "\n\n".join(part for part in (counted, table(hazards.HEAD, hazards.rows()), shown, only) if part)
+
+
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -112,4 +125,5 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "quirks": quirks,
     "figures": figures,
     "licences": licences,
+    "hazards": hazard_table,
 }

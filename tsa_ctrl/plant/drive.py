@@ -54,6 +54,10 @@ class DriveFaults:
     torque_sign: int = 1  # -1: motor wired the wrong way round
     torque_gain: float = 1.0  # of what the motor gives, over what the drive believes
     clock_drift: float | None = None  # relative; the drive samples by a clock of its own, not at the SYNC
+    most_torque: float | None = None  # of rated torque, that a drive which is too hot still gives: bit 11
+    dead_stage: bool = False  # the power stage has no voltage: no torque, bit 4 low, the state machine goes on
+    torque_off: bool = False  # the input of safe torque off is open
+    turned: int = 1  # -1: position and velocity count the other way
 
 
 class Drive:
@@ -118,7 +122,7 @@ class Drive:
         self._obey()
 
     def _control(self, controlword: int) -> None:
-        if self.settings.safe_torque_off:
+        if self.settings.safe_torque_off or self.faults.torque_off:
             return
         if self.settings.step_time > 0.0 and command_of(controlword) in _UPWARDS and self._must_wait(controlword):
             return
@@ -202,7 +206,7 @@ class Drive:
         enabled = self.node.powered and self.machine.state is PowerState.OPERATION_ENABLED
         target = 0
         self.limited = False
-        if enabled and values[0x6060, 0] == CST and not self.faults.ignore_command:
+        if enabled and values[0x6060, 0] == CST and not (self.faults.ignore_command or self.faults.dead_stage):
             wanted, limit = values[0x6071, 0], self._clamp()
             target = max(-limit, min(limit, wanted))
             self.limited = target != wanted
@@ -218,6 +222,12 @@ class Drive:
 
     def _clamp(self) -> int:
         """Largest torque in digits of 0x6071."""
+        share = self.faults.most_torque
+        most = self._written_clamp()
+        return most if share is None else min(most, round(share * self.persona.torque_digits))
+
+    def _written_clamp(self) -> int:
+        """The same by the objects alone."""
         values = self.values
         clamp = self.persona.clamp
         if clamp is not None:
@@ -242,7 +252,7 @@ class Drive:
     def statusword(self) -> int:
         settings = self.settings
         word = self.machine.state.value | _REMOTE | settings.statusword_bits
-        if not settings.safe_torque_off:
+        if not (settings.safe_torque_off or self.faults.torque_off or self.faults.dead_stage):
             word |= _VOLTAGE_ENABLED
         if self.limited or self.readings.speed_limited:
             word |= _INTERNAL_LIMIT
@@ -264,8 +274,9 @@ class Drive:
         digits = (
             self.persona.torque_digits * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
         ) / self.faults.torque_gain
-        turns = settings.position_sign * gear / (2.0 * math.pi)
-        velocity = settings.position_sign * gear * readings.motor_speed / self._velocity_digit()
+        sign = settings.position_sign * self.faults.turned
+        turns = sign * gear / (2.0 * math.pi)
+        velocity = sign * gear * readings.motor_speed / self._velocity_digit()
         torque = readings.motor_torque
         if settings.torque_noise > 0.0:
             torque += self._noise.gauss(0.0, settings.torque_noise)

@@ -6,87 +6,15 @@ import difflib
 import heapq
 import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.plant.axis import Axis
-from tsa_ctrl.plant.drive import Drive
-from tsa_ctrl.plant.node import Node
-from tsa_ctrl.plant.outlet import Outlet
-from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
+from tsa_ctrl.plant.ailments import AILMENTS
+from tsa_ctrl.plant.fault_kind import FaultKind, Target, Undo, nothing, parameter, swap
 from tsa_ctrl.plant.settings import FaultSettings
-
-Undo = Callable[[float], None]
-
-
-class Rig(Protocol):
-    """What a fault may get hold of beside its axis."""
-
-    flood_rate: float
-
-    def inject(self, can_id: int, data: bytes) -> bool:
-        """Put any frame on the bus."""
-
-    def set_interface(self, up: bool) -> None:
-        """Take the interface down, or up again; raises UsageError where this user may not."""
-
-    def replay_commands(self, since: float, now: float) -> None:
-        """Hear again what the master sent since then."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """Where a fault acts, and how strongly."""
-
-    rig: Rig
-    axis: Axis
-    drive: Drive
-    encoder: Encoder | None
-    torque_sensor: TorqueSensor | None
-    nodes: tuple[Node, ...]
-    node: Node
-    outlet: Outlet
-    value: float
-    duration: float
-    now: float
-
-
-@dataclass(frozen=True)
-class FaultKind:
-    """One fault: what it does, what its value means, the value unless given."""
-
-    doc: str
-    start: Callable[[Target], Undo]
-    value: float = 0.0
-    unit: str = ""
-    low: float = 0.0
-    high: float = 0.0
-
-
-def _nothing(now: float) -> None:
-    """Nothing to undo: it happened once."""
-
-
-def _swap(target: object, name: str, value: Any) -> Undo:
-    before = getattr(target, name)
-    setattr(target, name, value)
-    return lambda now: setattr(target, name, before)
-
-
-def _parameter(target: Target, name: str, value: float) -> Undo:
-    """Change a parameter of the mechanics from now on."""
-    record = target.axis.parameters
-    before = record[name][0].item()
-    record[name] = value
-
-    def undo(now: float) -> None:
-        record[name] = before
-
-    return undo
 
 
 def _power_cycle(target: Target) -> Undo:
@@ -107,34 +35,34 @@ def _fault(target: Target) -> Undo:
     def cause_gone(now: float) -> None:
         drive.error_cause = False
 
-    return cause_gone if target.duration > 0.0 else _nothing
+    return cause_gone if target.duration > 0.0 else nothing
 
 
 def _emcy(target: Target) -> Undo:
     target.node.emergency(int(target.value), 0x20)
-    return _nothing
+    return nothing
 
 
 def _encoder_jump(target: Target) -> Undo:
     if target.encoder is None:
         raise UsageError(f"fault encoder_jump: axis '{target.axis.name}' has no encoder; choose another fault")
-    return _swap(target.encoder.faults, "offset", target.encoder.faults.offset + target.value)
+    return swap(target.encoder.faults, "offset", target.encoder.faults.offset + target.value)
 
 
 def _torque_sensor_stuck(target: Target) -> Undo:
     if target.torque_sensor is None:
         raise UsageError(f"fault torque_sensor_stuck: axis '{target.axis.name}' has no torque sensor")
-    return _swap(target.torque_sensor.faults, "stuck", True)
+    return swap(target.torque_sensor.faults, "stuck", True)
 
 
 def _error_frame(target: Target) -> Undo:
     target.rig.inject(ERROR_FLAG | int(target.value), bytes(8))
-    return _nothing
+    return nothing
 
 
 def _replay(target: Target) -> Undo:
     target.outlet.replay(target.value)
-    return _nothing
+    return nothing
 
 
 def _interface_down(target: Target) -> Undo:
@@ -152,27 +80,27 @@ FAULTS: Mapping[str, FaultKind] = {
     "power_cycle": FaultKind("the nodes of the axis lose power; after the duration they boot", _power_cycle),
     "fault": FaultKind("the drive faults", _fault, 0x2310, "error code", 1, 0xFFFF),
     "emcy": FaultKind("an EMCY without a fault", _emcy, 0x2310, "error code", 0, 0xFFFF),
-    "stuck_tpdo": FaultKind("TPDOs repeat their last data", lambda t: _swap(t.outlet, "stuck", True)),
+    "stuck_tpdo": FaultKind("TPDOs repeat their last data", lambda t: swap(t.outlet, "stuck", True)),
     "repeated_tpdo": FaultKind(
-        "each TPDO is sent several times", lambda t: _swap(t.outlet, "copies", int(t.value)), 2, "times", 1, 10
+        "each TPDO is sent several times", lambda t: swap(t.outlet, "copies", int(t.value)), 2, "times", 1, 10
     ),
-    "late_tpdo": FaultKind("TPDOs are late", lambda t: _swap(t.outlet, "delay", t.value), 2e-3, "s", 0.0, 1.0),
-    "missing_tpdo": FaultKind("TPDOs are lost", lambda t: _swap(t.outlet, "loss", t.value), 1.0, "probability", 0, 1),
+    "late_tpdo": FaultKind("TPDOs are late", lambda t: swap(t.outlet, "delay", t.value), 2e-3, "s", 0.0, 1.0),
+    "missing_tpdo": FaultKind("TPDOs are lost", lambda t: swap(t.outlet, "loss", t.value), 1.0, "probability", 0, 1),
     "sparse_tpdo": FaultKind(
         "so many of each TPDO are lost in a row, then one is sent",
-        lambda t: _swap(t.outlet, "lost_in_a_row", int(t.value)), 2, "TPDOs", 0, 1000,
+        lambda t: swap(t.outlet, "lost_in_a_row", int(t.value)), 2, "TPDOs", 0, 1000,
     ),
     "wrong_length": FaultKind(
-        "TPDOs have a wrong length", lambda t: _swap(t.outlet, "length", int(t.value)), 3, "bytes", 0, 8
+        "TPDOs have a wrong length", lambda t: swap(t.outlet, "length", int(t.value)), 3, "bytes", 0, 8
     ),
     "wrong_mode": FaultKind(
-        "0x6061 shows another mode", lambda t: _swap(t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
+        "0x6061 shows another mode", lambda t: swap(t.drive.faults, "wrong_mode", int(t.value)), 8, "mode", -128, 127
     ),
     "ignored_command": FaultKind(
-        "bit 12 is low, the target torque is not followed", lambda t: _swap(t.drive.faults, "ignore_command", True)
+        "bit 12 is low, the target torque is not followed", lambda t: swap(t.drive.faults, "ignore_command", True)
     ),
-    "rpdo_lost": FaultKind("commands do not reach the node", lambda t: _swap(t.node, "deaf", True)),
-    "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: _swap(t.outlet, "mute", True)),
+    "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t.node, "deaf", True)),
+    "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t.outlet, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
     "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),
     "interface_down": FaultKind(
@@ -180,52 +108,53 @@ FAULTS: Mapping[str, FaultKind] = {
         _interface_down, 0.05, "s", 0.0, 10.0,
     ),
     "flood": FaultKind(
-        "frames of other identifiers", lambda t: _swap(t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
+        "frames of other identifiers", lambda t: swap(t.rig, "flood_rate", t.value), 2000, "frames/s", 0, 20000
     ),
     "torque_sensor_stuck": FaultKind("the joint torque sensor stands still", _torque_sensor_stuck),
     "encoder_jump": FaultKind("the joint encoder jumps", _encoder_jump, 0.5, "rad", -100.0, 100.0),
     "reversed_sign": FaultKind(
-        "the motor turns the wrong way", lambda t: _swap(t.drive.faults, "torque_sign", -t.drive.faults.torque_sign)
+        "the motor turns the wrong way", lambda t: swap(t.drive.faults, "torque_sign", -t.drive.faults.torque_sign)
     ),
     "torque_gain": FaultKind(
         "the motor gives so many times the torque that the drive reports",
-        lambda t: _swap(t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.0, 10.0,
+        lambda t: swap(t.drive.faults, "torque_gain", t.value), 2.0, "1", 0.0, 10.0,
     ),
     "torn_tendon": FaultKind(
         "a tendon tears: 0 is a (backward), 1 is b (forward)",
-        lambda t: _parameter(t, "torn_b" if t.value else "torn_a", 1),
+        lambda t: parameter(t, "torn_b" if t.value else "torn_a", 1),
         1, "tendon", 0, 1,
     ),
     "slack": FaultKind(
-        "the tensioner gives way", lambda t: _parameter(t, "pretension_factor", t.value), 0.1, "of the pretension", 0, 1
+        "the tensioner gives way", lambda t: parameter(t, "pretension_factor", t.value), 0.1, "of the pretension", 0, 1
     ),
     "clock_drift": FaultKind(
-        "the drive works by a clock of its own", lambda t: _swap(t.drive.faults, "clock_drift", t.value),
+        "the drive works by a clock of its own", lambda t: swap(t.drive.faults, "clock_drift", t.value),
         0.01, "relative", -0.1, 0.1,
     ),
+    **AILMENTS,
 }  # fmt: skip
 
 
 CHANGES: Mapping[str, FaultKind] = {
     "friction": FaultKind(
         "the friction coefficient changes",
-        lambda t: _parameter(t, "friction", t.value * t.axis.friction),
+        lambda t: parameter(t, "friction", t.value * t.axis.friction),
         0.5, "of that at the start", 0, 10,
     ),
     "pretension": FaultKind(
         "the pretension changes",
-        lambda t: _parameter(t, "pretension_factor", t.value),
+        lambda t: parameter(t, "pretension_factor", t.value),
         0.5, "of that at the start", 0, 10,
     ),
     "bending": FaultKind(
         "the sheath bends otherwise; the path length follows (3.50)",
-        lambda t: _parameter(t, "theta_factor", t.value),
+        lambda t: parameter(t, "theta_factor", t.value),
         1.2, "of the bending angle", 0, 10,
     ),
     "push": FaultKind(
-        "a torque on the joint from outside", lambda t: _parameter(t, "push", t.value), 0.5, "N*m", -100, 100
+        "a torque on the joint from outside", lambda t: parameter(t, "push", t.value), 0.5, "N*m", -100, 100
     ),
-    "let_go": FaultKind("the hand lets the joint go", lambda t: _parameter(t, "hand_factor", 0.0)),
+    "let_go": FaultKind("the hand lets the joint go", lambda t: parameter(t, "hand_factor", 0.0)),
 }  # fmt: skip
 """What may happen to a healthy rig while it runs; begun, ended and parsed as faults are."""
 
@@ -283,7 +212,7 @@ class FaultPlan:
     def start(self, kind: FaultKind, target: Target) -> None:
         """Begin a fault now; it ends after its duration, or stays."""
         undo = kind.start(target)
-        if undo is _nothing:
+        if undo is nothing:
             return
         number = next(self._number)
         self._undo[number] = undo

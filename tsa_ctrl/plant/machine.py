@@ -18,7 +18,8 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_node import DriveNode
-from tsa_ctrl.plant.faults import FaultPlan, Target, check_fault
+from tsa_ctrl.plant.fault_kind import Target
+from tsa_ctrl.plant.faults import FaultPlan, check_fault
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.outlet import Outlet
 from tsa_ctrl.plant.record import Record
@@ -242,6 +243,10 @@ class Machine:
     def inject(self, can_id: int, data: bytes) -> bool:
         """Put any frame on the bus."""
         return self.bus.send(can_id, data)
+
+    def later(self, at: float, action: Callable[[float], None]) -> None:
+        """Call `action(now)` in the first tick at or after `at`."""
+        self.faults.schedule(at, action)
 
     def set_interface(self, up: bool) -> None:
         """Take the interface down, or up again; raises UsageError where this user may not."""

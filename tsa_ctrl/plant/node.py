@@ -45,6 +45,7 @@ class Node:
         self.node_id = node_id
         self.powered = True
         self.deaf = False  # RPDOs are lost on their way
+        self.unhearing = False  # and everything else, too
         self.state = NmtState.BOOT_UP
         self.transmit: Send = send
         self.routes: dict[int, Handler] = {}
@@ -182,7 +183,7 @@ class Node:
     def receive(self, can_id: int, data: bytes, now: float) -> None:
         """Take one frame from the bus; identifiers that are not in `routes` are of no concern to this node."""
         handler = self.routes.get(can_id)
-        if handler is not None and self.powered:
+        if handler is not None and self.powered and not self.unhearing:
             self.now = now
             handler(data, now)
 

@@ -24,6 +24,15 @@ class EncoderFaults:
 
     offset: float = 0.0  # rad, a jump
     sign: int = 1
+    noise: float = 0.0  # rad, standard deviation
+    drift: float = 0.0  # rad/s, since `since`
+    gain: float = 1.0  # of what the joint moved since it was at `pivot`: a coupling that slips
+    since: float = 0.0  # s
+    pivot: float = 0.0  # rad
+
+    def seen(self, angle: float, now: float) -> float:
+        """rad that the disc of the encoder turned, without its noise."""
+        return self.pivot + self.gain * (angle - self.pivot) + self.offset + self.drift * (now - self.since)
 
 
 class Encoder(Node):
@@ -33,6 +42,7 @@ class Encoder(Node):
         self.settings = settings
         self.readings = readings
         self.faults = EncoderFaults()
+        self._noise = random.Random(settings.node_id)
         assert settings.node_id is not None
         node = settings.node_id
         ro = Access.RO
@@ -57,7 +67,10 @@ class Encoder(Node):
     def sample(self) -> None:
         settings, readings = self.settings, self.readings
         scale = settings.sign * self.faults.sign * settings.counts_per_revolution / (2.0 * math.pi)
-        counts = math.floor((readings.joint_angle + self.faults.offset) * scale) + settings.zero
+        angle = self.faults.seen(readings.joint_angle, self.now)
+        if self.faults.noise > 0.0:
+            angle += self._noise.gauss(0.0, self.faults.noise)
+        counts = math.floor(angle * scale) + settings.zero
         self.values[0x6004, 0] = counts & 0xFFFFFFFF
         speed = round(readings.joint_speed * scale / SPEED_DIVIDER)
         self.values[0x6030, 1] = max(-0x8000, min(0x7FFF, speed))
@@ -68,6 +81,7 @@ class TorqueSensorFaults:
     """What is wrong with a torque sensor."""
 
     stuck: bool = False
+    gain: float = 1.0
 
 
 class TorqueSensor(Node):
@@ -97,7 +111,7 @@ class TorqueSensor(Node):
         if self.faults.stuck:
             return
         settings = self.settings
-        torque = settings.sign * self.readings.joint_torque + settings.offset
+        torque = settings.sign * self.faults.gain * self.readings.joint_torque + settings.offset
         if settings.noise > 0.0:
             torque += self._noise.gauss(0.0, settings.noise)
         bound = 0x7FFFFFFF

@@ -1,0 +1,120 @@
+"""The faults of the campaign in virtual time, as data: what is done, and what must follow while the loop runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """A fault with what it may do to the wearer.
+
+    `lines`: of the plant, as on its control socket, or `act`: one of `acts.ACTS`. `cause`: a regular expression, one of
+    whose matches must be the fault that latches; empty: none needs to. `lie`: it takes nothing away that anybody could
+    miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does.
+    `goes_on`: why the loop may go on. `residual`: what is left, in words. `axes`: how many it needs.
+    """
+
+    name: str
+    hazard: str
+    cause: str = ""
+    lines: tuple[str, ...] = ()
+    act: str = ""
+    lie: bool = False
+    goes_on: str = ""
+    residual: str = ""
+    axes: int = 1
+    released: bool = False
+
+
+NO_TORQUE = "torque ends without warning"
+OLD = "torque by an old measurement"
+OTHER = "another torque than was wanted"
+MOVES = "the joint is moved by what nobody wanted"
+NOBODY = "torque that nobody watches"
+
+_LOST = "stale PDO|heartbeat lost|node booted|emergency|drive fault|left operation|left the operational|obey|confirm"
+_MASTER = "second master|node booted|left the operational|stale PDO|emergency|drive fault|left operation"
+_APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
+_LIMP = "a limb that was held falls with its own weight: a brake, or balance by springs"
+_UNSEEN = "what no measurement shows is bounded by the limits alone: a second sensor"
+
+HAZARDS: tuple[Hazard, ...] = (
+    # power
+    Hazard("power cycle of all nodes", NO_TORQUE, _LOST, ("power_cycle duration=0.15",), residual=_LIMP),
+    Hazard("brown-out, 20 ms", NO_TORQUE, _LOST, ("power_cycle duration=0.02",), residual=_LIMP),
+    Hazard("drive fault", NO_TORQUE, "drive fault|emergency", ("fault",), residual=_LIMP),
+    Hazard("drive fault that stays", NO_TORQUE, "drive fault|emergency", ("fault duration=0.3",), residual=_LIMP),
+    Hazard("safe torque off", NO_TORQUE, "left operation|does not enable|confirm", ("torque_off",), residual=_LIMP),
+    Hazard(
+        "safe torque off and back", NO_TORQUE, "left operation|does not enable", ("torque_off duration=0.05",),
+        residual=_LIMP,
+    ),
+    Hazard("power stage without voltage", NO_TORQUE, "left operation|drive reports", ("dead_stage",), residual=_LIMP),
+    Hazard("power stage that flaps", OTHER, "left operation|drive reports", ("flapping_stage",)),
+    Hazard("derating to a fifth", OTHER, lines=("derating",), goes_on="less torque, within the limits"),
+    # words of the drive
+    Hazard("EMCY without a fault", NO_TORQUE, "emergency", ("emcy",)),
+    Hazard("EMCY of the encoder", NO_TORQUE, "emergency.*encoder", ("emcy node=encoder",)),
+    Hazard("another mode", OTHER, "wrong mode|does not enable|confirms", ("wrong_mode",)),
+    Hazard("command ignored, bit 12 low", OTHER, "ignores the command|does not enable", ("ignored_command",)),
+    # frames lost, late, repeated
+    Hazard("TPDOs stuck", OLD, "", ("stuck_tpdo",), lie=True, residual="until torque or motion shows it"),
+    Hazard("encoder's TPDOs stuck", OLD, "", ("stuck_tpdo node=encoder",), lie=True, residual="until motion shows it"),
+    Hazard("sensor's TPDOs stuck", OTHER, "", ("stuck_tpdo node=torque_sensor",), lie=True),
+    Hazard("TPDOs 50 ms late", OLD, "stale PDO|confirm|enable", ("late_tpdo value=0.05",)),
+    Hazard("TPDOs 3 ms late", OLD, "", ("late_tpdo value=0.003 duration=0.3",), goes_on="as old as a tolerated loss"),
+    Hazard("TPDOs lost", OLD, "stale PDO|confirm|enable", ("missing_tpdo",)),
+    Hazard("encoder's TPDOs lost", OLD, "stale PDO.*encoder", ("missing_tpdo node=encoder",)),
+    Hazard("two of three TPDOs lost", OLD, "stale PDO", ("sparse_tpdo value=2",), lie=True),
+    Hazard("every other TPDO lost", OLD, "stale PDO", ("sparse_tpdo value=1",), lie=True),
+    Hazard("a tenth of the TPDOs lost", OLD, "", ("missing_tpdo value=0.1",), goes_on="told; a value is a period old"),
+    Hazard("TPDOs of a wrong length", OLD, "stale PDO|confirm|enable", ("wrong_length",)),
+    Hazard("TPDOs sent twice: a double id", OTHER, "repeated PDOs|two nodes", ("repeated_tpdo",), lie=True),
+    Hazard("stale TPDOs replayed", OLD, "", ("replay value=0.1",), goes_on="never taken for fresh"),
+    Hazard("flood of other identifiers", OLD, lines=("flood value=3000 duration=0.3",), goes_on="they are filtered"),
+    Hazard("heartbeat of the drive lost", NOBODY, "heartbeat lost", ("heartbeat_lost",)),
+    Hazard("heartbeat of the encoder lost", NOBODY, "heartbeat lost", ("heartbeat_lost node=encoder",)),
+    # wires
+    Hazard("commands (RPDOs) lost", OLD, "0x8250|drive fault|enable|confirm|reports", ("rpdo_lost",)),
+    Hazard("the drive hears nothing", OLD, _LOST + "|enable|reset", ("deaf",)),
+    Hazard("nothing is heard of the drive", OLD, _LOST + "|enable", ("missing_tpdo", "heartbeat_lost")),
+    Hazard("error frame: bus-off", NOBODY, "bus fault", ("error_frame value=64",)),
+    Hazard("error frame: error passive", NOBODY, "", ("error_frame value=4",), goes_on="the bus still carries frames"),
+    Hazard("interface down, up, stale frames", OLD, "bus fault", ("interface_down duration=0.1",)),
+    # others on the bus
+    Hazard("second master sends SYNC", OTHER, _MASTER, act="sync"),
+    Hazard("second master sends SYNC with a counter", OTHER, _MASTER, act="counted_sync"),
+    Hazard("second master sends commands", OTHER, _MASTER, act="command"),
+    Hazard("a node is reset by somebody", NOBODY, _MASTER, act="reset"),
+    Hazard("a third party's SDO takes the RPDO timer", NOBODY, "second master", act="sdo"),
+    # the computer
+    Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8", act="hang"),
+    Hazard("loop stands still for 10 ms", OLD, "", act="hitch", goes_on="shorter than every time-out"),
+    Hazard("loop dies", NOBODY, "", act="die", residual="the drive's own time-outs stop it: tsa verify-safety"),
+    Hazard("recovery asked for meanwhile", MOVES, "", act="recover", goes_on="only from a latched fault"),
+    # motor
+    Hazard("motor turns the wrong way", MOVES, "", ("reversed_sign",), lie=True),
+    Hazard("polarity turned", MOVES, "", ("polarity",), lie=True),
+    Hazard("motor gives 1.4 times", MOVES, "", ("torque_gain value=1.4",), lie=True, residual=_UNSEEN),
+    Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN),
+    Hazard("drive's clock drifts by 1 %", OLD, "", ("clock_drift duration=0.3",), goes_on="a value is a period old"),
+    # tendons
+    Hazard("tendon that pulls tears", MOVES, "", ("torn_tendon value=1",), lie=True, residual=_LIMP),
+    Hazard("tendon that does not pull tears", MOVES, "", ("torn_tendon value=0",), lie=True, residual=_LIMP),
+    Hazard("slack: a tenth of the pretension", MOVES, "", ("slack",), lie=True, released=True),
+    Hazard("slack: half of the pretension", MOVES, "", ("slack value=0.5",), lie=True, released=True),
+    Hazard("fraying: pretension goes down", MOVES, "", ("fraying",), lie=True, released=True),
+    Hazard("friction half", MOVES, "", ("friction value=0.5",), lie=True, released=True),
+    Hazard("sheath 20 % straighter", MOVES, "", ("bending value=0.8",), lie=True, released=True),
+    # sensors
+    Hazard("joint encoder jumps", MOVES, "", ("encoder_jump",), lie=True),
+    Hazard("joint encoder wanders", MOVES, "", ("encoder_drift",), lie=True),
+    Hazard("joint encoder noisy", MOVES, "", ("encoder_noise",), lie=True),
+    Hazard("joint encoder's coupling slips", MOVES, "", ("encoder_slip",), lie=True),
+    Hazard("torque sensor stuck", OTHER, "", ("torque_sensor_stuck",), lie=True),
+    Hazard("torque sensor's sign turned", OTHER, "", ("torque_sensor_gain",), lie=True),
+    # two of a kind
+    Hazard("two drives' ids exchanged", MOVES, "", act="exchange", lie=True, axes=2),
+)  # fmt: skip
+BY_NAME = {each.name: each for each in HAZARDS}

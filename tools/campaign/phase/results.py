@@ -1,0 +1,100 @@
+"""What a campaign found: a line of JSON for each trial, written at once, and what they come to for each hazard."""
+
+from __future__ import annotations
+
+import json
+import statistics
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from tools.campaign.phase.catalogue import HAZARDS
+from tools.campaign.phase.plan import Trial
+from tools.campaign.phase.verdict import Verdict
+from tsa_ctrl.errors import UsageError
+
+Row = dict[str, Any]
+WITH_TORQUE = ("ramping", "running", "tuning")  # phases in which a time to torque zero means something
+KEPT = Path(__file__).with_name("hazards.json")  # what the manual's table is written from
+_WORDS = 60  # of a cause
+
+
+def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
+    """One line."""
+    draw, (speed, travel, energy) = trial.draw, verdict.excess
+    return {
+        "key": trial.key,
+        "names": list(trial.names),
+        "phase": trial.phase,
+        "seed": seed,
+        "rig": [draw.load, draw.shape, draw.wanted, draw.axes, draw.sensor, draw.delay],
+        "wrong": list(verdict.wrong),
+        "zero": verdict.zero if verdict.zero is None else round(verdict.zero, 4),
+        "peak": round(verdict.peak, 3),
+        "speed": round(speed, 3),
+        "travel": round(travel, 3),
+        "energy": round(energy, 4),
+        "cause": verdict.cause,
+    }
+
+
+def read(path: Path, seed: int) -> list[Row]:
+    """The trials that are done; a last line that an interruption cut off is not. Raises UsageError."""
+    if not path.is_file():
+        return []
+    rows: list[Row] = []
+    lines = path.read_text(encoding="utf-8").split("\n")
+    for number, line in enumerate(lines[:-1], 1):
+        try:
+            rows.append(json.loads(line))
+        except ValueError:
+            raise UsageError(f"{path}: line {number} is not a trial; take that line out") from None
+        if rows[-1]["seed"] != seed:
+            raise UsageError(
+                f"{path}: line {number} has seed {rows[-1]['seed']}, asked for is {seed}; choose another --out"
+            )
+    if lines[-1]:
+        path.write_text("".join(f"{line}\n" for line in lines[:-1]), encoding="utf-8")
+    return rows
+
+
+def summary(rows: Iterable[Row]) -> dict[str, Row]:
+    """By hazard: how many trials, how many safe, what found it, how soon, and the worst that the joint got."""
+    by_name: dict[str, list[Row]] = {hazard.name: [] for hazard in HAZARDS}
+    for each in rows:
+        if len(each["names"]) == 1:
+            by_name[each["names"][0]].append(each)
+    return {name: _summed(found) for name, found in by_name.items() if found}
+
+
+def _summed(rows: list[Row]) -> Row:
+    running = [each for each in rows if each["phase"] in WITH_TORQUE]
+    stopped = [each for each in running if each["cause"]]
+    zeros = [each["zero"] for each in stopped if each["zero"] is not None]
+    causes = Counter(_short(each["cause"]) for each in stopped)
+    unsafe = Counter(each["phase"] for each in rows if each["wrong"])
+    return {
+        "trials": len(rows),
+        "safe": sum(not each["wrong"] for each in rows),
+        "running": len(running),
+        "stopped": len(stopped),
+        "causes": [cause for cause, _ in causes.most_common(2)],
+        "zero_median": round(statistics.median(zeros), 3) if zeros else None,
+        "zero_worst": round(max(zeros), 3) if zeros else None,
+        "peak": max(each["peak"] for each in rows),
+        "speed": round(max(each["speed"] for each in rows), 2),
+        "travel": round(max(each["travel"] for each in rows), 2),
+        "energy": round(max(each["energy"] for each in rows), 3),
+        "unsafe": dict(unsafe),
+    }
+
+
+def _short(cause: str) -> str:
+    """Its kind, without the figures of one trial."""
+    words = cause.removeprefix("tripped by the controller: ")
+    for separator in (" says ", ": ", " by ", "; ", " (", ", "):
+        words = words.partition(separator)[0]
+    if cause.startswith("emergency") and "EMCY" in cause:
+        words = f"{words}: EMCY {cause.partition('EMCY ')[2][:6]}"
+    return words[:_WORDS]

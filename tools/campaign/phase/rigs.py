@@ -1,0 +1,96 @@
+"""A drawn rig as the daemon's configuration and the plant's settings: the example's files, with what was drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import msgspec
+
+from tools.campaign.phase.plan import Draw
+from tools.command import CONFIG
+from tsa_ctrl.config import AxisSettings as ControlSettings
+from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.control.setpoint import SetPointSettings
+from tsa_ctrl.plant.axis import CURVATURES
+from tsa_ctrl.plant.settings import AxisSettings, PlantSettings, load_plant
+
+LIMIT = 2.0  # N*m at the motor, [axis.limits] torque as shipped
+FADE_IN = 0.1  # s
+STOP_TIME = 0.1  # s
+SETTLE = 20  # cycles
+RATE_OF_TWO = 500.0  # Hz: two axes at 1000 need more than a bus of 1 Mbit/s has
+WANTED = {
+    "constant": SetPointSettings(kind="constant", offset=0.5),
+    "negative": SetPointSettings(kind="constant", offset=-0.5),
+    "sine": SetPointSettings(kind="sine", amplitude=0.5, frequency=2.0),
+    "step": SetPointSettings(kind="step", offset=0.2, amplitude=0.4, at=0.3),
+}  # N*m at the joint, within the domain of the tendons
+_replace = msgspec.structs.replace
+
+
+@cache
+def _shipped() -> tuple[Configuration, PlantSettings]:
+    return load_configuration(CONFIG / "controller.toml"), load_plant(CONFIG / "plant.toml")
+
+
+def controller_of(draw: Draw, compensation: float | None = None) -> Configuration:
+    """`compensation`: instead of the shipped one."""
+    base, _ = _shipped()
+    file = base.file
+    (axis,) = file.axes
+    rate = file.controller.rate if draw.axes == 1 else RATE_OF_TWO
+    law = _replace(axis.law, fade_in=FADE_IN, motor_inertia=draw.inertia, delay=(draw.delay + 1.5) / rate + 5e-4)
+    if compensation is not None:
+        law = _replace(law, compensation=compensation)
+    sensor = axis.torque_sensor if draw.sensor else None
+    axis = _replace(axis, setpoint=WANTED[draw.wanted], law=law, torque_sensor=sensor)
+    axes = [axis]
+    for place in range(1, draw.axes):
+        axes.append(_another(axis, place))
+    if draw.axes > 1:
+        axes[0] = _replace(axis, drive=_replace(axis.drive, serial_number=1))
+    controller = _replace(file.controller, rate=rate, settle_cycles=SETTLE, stop_time=STOP_TIME)
+    file = _replace(file, axes=tuple(axes), controller=controller, log=_replace(file.log, enabled=False))
+    (model,) = base.models
+    profile = [list(point) for point in CURVATURES[draw.shape]] if draw.shape == "s_bent" else draw.shape
+    shaped = model.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+    return dataclasses.replace(base, file=file, models=(shaped,) * draw.axes, profiles=base.profiles * draw.axes)
+
+
+def _another(axis: ControlSettings, place: int) -> ControlSettings:
+    drive = _replace(axis.drive, node_id=1 + place, serial_number=1 + place)
+    encoder = axis.encoder and _replace(axis.encoder, node_id=32 + place)
+    sensor = axis.torque_sensor and _replace(axis.torque_sensor, node_id=64 + place)
+    return _replace(axis, name=f"axis {place}", drive=drive, encoder=encoder, torque_sensor=sensor)
+
+
+def plant_of(draw: Draw) -> PlantSettings:
+    """Distributed tendons of the drawn shape, motion and time from the first enable on."""
+    _, base = _shipped()
+    (axis,) = base.axis
+    factors = _replace(
+        axis.perturbation, friction_coefficient=draw.friction, pretension=draw.pretension, axial_stiffness=1.0
+    )
+    axis = _replace(
+        axis,
+        perturbation=factors,
+        tendon=_replace(axis.tendon, kind="distributed", curvature=draw.shape),
+        drive=_replace(axis.drive, delay_periods=draw.delay),
+        motor=_replace(axis.motor, inertia=draw.inertia),
+        joint=_replace(axis.joint, load=draw.load),
+        motion=_replace(axis.motion, ramp=0.1),
+        torque_sensor=_replace(axis.torque_sensor, present=draw.sensor),
+    )
+    physics = _replace(base.physics, start="first_enable", seed=draw.seed % 1_000_000)
+    return _replace(base, physics=physics, axis=[_placed(axis, place) for place in range(draw.axes)])
+
+
+def _placed(axis: AxisSettings, place: int) -> AxisSettings:
+    return _replace(
+        axis,
+        name=f"axis {place}",
+        drive=_replace(axis.drive, node_id=1 + place, serial_number=1 + place),
+        encoder=_replace(axis.encoder, node_id=32 + place),
+        torque_sensor=_replace(axis.torque_sensor, node_id=64 + place),
+    )

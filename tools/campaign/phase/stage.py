@@ -1,0 +1,340 @@
+"""One trial in virtual time: the daemon's real loop on the real plant, brought into a phase, and a fault at a moment.
+
+Each trial is a run of its own from power-on: nothing is left over from another, so that the same trial gives the same
+result to the last bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import random
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+from tools.campaign.phase.acts import ACTS
+from tools.campaign.phase.catalogue import BY_NAME, Hazard
+from tools.campaign.phase.plan import MOMENTS, Draw, Trial
+from tools.campaign.phase.rigs import FADE_IN, controller_of, plant_of
+from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.operation import Operation
+from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.errors import TsaError
+from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.plant.faults import parse_fault
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.safety.supervisor import Phase
+from tsa_ctrl.virtual.lockstep import Wire
+
+LOOK = 2.5e-4  # s between two looks at which phase it is
+WATCH = 0.45  # s from a fault until its cause is taken away: longer than the torque may last
+AFTER = 0.15  # s that are looked on afterwards
+BRING_UP = 0.25  # s of a start or a new bring-up, within which a fault comes
+READY = FADE_IN + 0.1  # s of torque before a fault of a running loop
+LONGEST = 6.0  # s of a whole trial: one that lasts longer hangs
+PLACES = (
+    5,
+    6,
+    7,
+    8,
+    10,
+    11,
+    12,
+    17,
+)  # of the record: enabled, command, torque_loop, tau_m, omega_m, q_j, omega_j, tau_j
+
+
+@dataclass
+class Traces:
+    """What one axis of the plant did, a row a millisecond."""
+
+    clock: array[float] = field(default_factory=lambda: array("d"))
+    columns: tuple[array[float], ...] = field(default_factory=lambda: tuple(array("d") for _ in PLACES))
+
+    @property
+    def enabled(self) -> array[float]:
+        return self.columns[0]
+
+    @property
+    def torque(self) -> array[float]:
+        """N*m that the motor's current makes."""
+        return self.columns[2]
+
+    @property
+    def angle(self) -> array[float]:
+        """rad of the joint"""
+        return self.columns[5]
+
+    @property
+    def speed(self) -> array[float]:
+        """rad/s of the joint"""
+        return self.columns[6]
+
+    @property
+    def delivered(self) -> array[float]:
+        """N*m at the joint"""
+        return self.columns[7]
+
+
+class _Watcher:
+    """Takes the machine's own record of the truth."""
+
+    def __init__(self, stage: Stage) -> None:
+        self._stage = stage
+        self._due = -1.0
+        self.axes = [Traces() for _ in range(stage.draw.axes)]
+
+    def due(self, t: float) -> bool:
+        if t < self._due or self._stage.over:
+            return False
+        self._due = max(self._due + 1e-3, t + 5e-4)
+        return True
+
+    def row(self, values: Sequence[float]) -> None:
+        traces = self.axes[int(values[2])]
+        traces.clock.append(values[0])
+        for column, place in zip(traces.columns, PLACES, strict=True):
+            column.append(values[place])
+
+    def flush(self, clock: float) -> None:
+        """Nothing is kept elsewhere."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What happened, times in s of the plant's clock.
+
+    `axes`: at the plant; `injected`: None when the phase never came; `cleared`: when the cause was taken away; `asked`:
+    when torque was asked for last (a start counts as 0).
+    """
+
+    axes: tuple[Traces, ...]
+    injected: float | None
+    cleared: float
+    asked: float
+    stopped: float  # when a stop was asked for
+    faults: tuple[str, ...]
+    said: tuple[str, ...]
+    refused: str
+    crashed: str
+
+
+class Stage:
+    """A plant, the daemon's loop on it, and the script of a trial."""
+
+    def __init__(self, draw: Draw, compensation: float | None = None) -> None:
+        self.draw = draw
+        self.over = False
+        configuration = controller_of(draw, compensation)
+        file = configuration.file
+        self.bound = configuration.zero_torque_within
+        self.wire = Wire(file.bus.bitrate)
+        self.machine = Machine(plant_of(draw), self.wire.plant, self.wire.plant.clock, self.wire.switch)
+        self.wire.attach(self.machine)
+        self.watcher = _Watcher(self)
+        self.machine.recorder = self.watcher
+        rig = Rig(self.wire.host, file.bus, file.axes, configuration.profiles)
+        self._axes = control_axes(configuration, rig)
+        self._tuners = tuners_of(self._axes, configuration.period)
+        self._mailbox = Mailbox(len(self._axes), len(self._tuners[0].parameters))
+        self._events = Events()
+        telemetry = Telemetry(rig, self._axes, self._tuners, self._mailbox, None, None, self._events)
+        self.loop = Loop(
+            rig, self._axes, self._tuners, self._mailbox, telemetry, self._events, file.controller,
+            file.bus.supervision, lambda: round(self.wire.now * 1e9),
+        )  # fmt: skip
+        self._operation = Operation(configuration, rig, self._axes, self.loop)
+        self._period = configuration.period
+        self.injected: float | None = None
+        self.cleared = math.inf
+        self.asked = 0.0
+        self.stopped = math.inf
+        self.watch = WATCH
+
+    def recover(self) -> None:
+        """As `tsa set recover 1`."""
+        self.asked = self.wire.now
+        self._mailbox.put(Command(0, RECOVER, 1.0))
+
+    def stop(self) -> None:
+        """As `tsa stop`."""
+        self.stopped = min(self.stopped, self.wire.now)
+        self.loop.stop("the trial is over")
+
+    def tune(self, name: str, value: float) -> None:
+        """As `tsa set`, for every axis."""
+        for place, tuner in enumerate(self._tuners):
+            number = next(n for n, parameter in enumerate(tuner.parameters) if parameter.name == name)
+            self._mailbox.put(Command(place, number, value))
+
+    def begin(self, line: str) -> None:
+        """A fault of the plant, of its first axis."""
+        if not self.draw.sensor and "torque_sensor" in line:
+            return  # nothing can come of it where there is none
+        _, settings = parse_fault(line)
+        self.machine.begin_fault(None, settings, self.wire.now)
+
+    def play(self, trial: Trial | None) -> Seen:
+        """Run it; without a trial the rig starts, gives torque for as long, and stops."""
+        self.machine.start()
+        refused = crashed = ""
+        script = _Script(self, trial)
+        self.wire.at(self.wire.now, script.look)
+        try:
+            self._operation.run(math.inf)
+        except TsaError as error:
+            refused = str(error)
+        except Exception as error:  # whatever it is, the trial says so
+            crashed = f"{type(error).__name__}: {error}"
+        finally:
+            with contextlib.suppress(Exception):
+                if not self.over:
+                    self.wire.pass_until(self.wire.now + 0.02)
+            self._mailbox.close()
+        events = self._events.all
+        return Seen(
+            tuple(self.watcher.axes),
+            self.injected,
+            self.cleared,
+            self.asked,
+            self.stopped,
+            tuple(event.text for event in events if event.fault),
+            tuple(event.text for event in events if not event.fault),
+            refused,
+            crashed,
+        )
+
+    # what the script asks
+
+    @property
+    def enabling(self) -> bool:
+        return self._axes[0].supervisor.phase is Phase.ENABLING
+
+    @property
+    def enabled(self) -> bool:
+        return self._axes[0].supervisor.phase is Phase.ENABLED
+
+    @property
+    def faulted(self) -> bool:
+        return self.loop.phase is LoopPhase.FAULTED
+
+    @property
+    def ended(self) -> bool:
+        return self.loop.phase in (LoopPhase.STOPPING, LoopPhase.ENDED)
+
+
+class _Script:
+    """The looks of a trial, each a step of a generator that yields between them."""
+
+    def __init__(self, stage: Stage, trial: Trial | None) -> None:
+        self._stage = stage
+        self._trial = trial
+        self._steps = self._story()
+        self._end = stage.wire.now + LONGEST
+
+    def look(self, now: float) -> None:
+        stage = self._stage
+        if stage.over:
+            return
+        if now > self._end:
+            stage.stop()
+            return
+        if next(self._steps, False) is not False:
+            stage.wire.at(now + LOOK, self.look)
+
+    def _story(self) -> Iterator[bool]:
+        stage, trial = self._stage, self._trial
+        if trial is None:
+            yield from self._until(lambda: stage.enabled)
+            yield from self._wait(READY + WATCH + AFTER)
+            stage.stop()
+            return
+        yield from self._reach(trial)
+        offset = trial.moment / MOMENTS * 1e-3
+        hazards = [BY_NAME[name] for name in trial.names]
+        stage.wire.at(stage.wire.now + offset, lambda now: self._inject(hazards[:1], now))
+        if len(hazards) > 1:
+            stage.wire.at(stage.wire.now + offset + trial.gap, lambda now: self._inject(hazards[1:], now))
+        if trial.phase == "stopping":
+            yield from self._wait(1.0)
+            return
+        yield from self._wait(offset + stage.watch)
+        if trial.phase in ("fault", "start", "enabling"):
+            yield from self._wait(0.1)
+        stage.machine.advance(stage.wire.now)
+        stage.machine.faults.clear(stage.wire.now)
+        stage.cleared = stage.wire.now
+        yield from self._wait(AFTER)
+        stage.stop()
+
+    def _reach(self, trial: Trial) -> Iterator[bool]:
+        """Until the phase has come, and to a place within it."""
+        stage, phase, share = self._stage, trial.phase, trial.draw.share
+        if phase == "start":
+            yield from self._wait(share * BRING_UP)
+            return
+        yield from self._until(lambda: stage.enabling or stage.faulted)
+        if phase == "enabling":
+            yield from self._wait(share * 4e-3)
+            return
+        yield from self._until(lambda: stage.enabled or stage.faulted)
+        if phase == "ramping":
+            yield from self._wait(share * FADE_IN)
+            return
+        yield from self._wait(READY + 0.1 * share)
+        if phase == "running":
+            return
+        if phase == "tuning":
+            stage.tune("compensation", random.Random(trial.draw.seed).choice((0.0, 1.0)))
+            stage.tune("setpoint_gain", random.Random(trial.draw.seed).choice((-1.0, 0.5, 1.5)))
+            yield from self._wait(0.2 * share)
+            return
+        if phase == "stopping":
+            stage.stop()
+            yield from self._wait(0.1 * share)
+            return
+        anew = phase == "recovering"
+        stage.begin("heartbeat_lost duration=0.25" if anew else "emcy")
+        yield from self._until(lambda: stage.faulted)
+        yield from self._wait(0.35 if anew else 0.12)
+        if phase == "fault":
+            return
+        stage.recover()
+        if anew:
+            yield from self._until(lambda: stage.loop.recover, 0.5)
+            yield from self._wait(share * BRING_UP)
+        else:
+            yield from self._until(lambda: not stage.faulted, 0.5)
+            yield from self._wait(share * 0.05)
+
+    def _inject(self, hazards: Sequence[Hazard], now: float) -> None:
+        stage = self._stage
+        stage.machine.advance(now)
+        if stage.injected is None:
+            stage.injected = now
+        for hazard in hazards:
+            for line in hazard.lines:
+                stage.begin(line)
+            if hazard.act:
+                ACTS[hazard.act](stage)
+
+    def _wait(self, seconds: float) -> Iterator[bool]:
+        end = self._stage.wire.now + seconds
+        while self._stage.wire.now < end:
+            yield True
+
+    def _until(self, reached: Callable[[], bool], patience: float = 4.0) -> Iterator[bool]:
+        end = self._stage.wire.now + patience
+        while not reached() and self._stage.wire.now < end:
+            yield True
+
+
+def play(trial: Trial, compensation: float | None = None) -> tuple[Seen, float]:
+    """What happened, and s within which the torque must be zero; `compensation` instead of the shipped one."""
+    stage = Stage(trial.draw, compensation)
+    return stage.play(trial), stage.bound

@@ -1,0 +1,183 @@
+"""Whether a trial was safe, judged at the plant alone: torque, joint speed, travel, energy, and the word that latched.
+
+A joint that a fault moves is compared with the same joint that meets no fault, and with the same joint whose torque
+goes off at that moment: what a weight does by itself when nobody holds it, no software can prevent. Where tendons or
+sheaths change, with the same fault without compensation, too: what friction no longer holds moves by itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from tools.campaign.phase.catalogue import BY_NAME, Hazard
+from tools.campaign.phase.plan import Trial
+from tools.campaign.phase.rigs import LIMIT, STOP_TIME
+from tools.campaign.phase.stage import Seen, Traces, play
+
+ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
+PEAK = 1.05 * LIMIT  # N*m of the motor: the limiter's limit and the noise of a current loop
+# rad/s of the joint beyond what the set-point gives. At a lever of 0.25 m, a hand or a heel, 0.5 m/s: twice the
+# 250 mm/s to which ISO 10218-1 reduces a robot's speed beside people, and a fifth of what a knee does by itself when it
+# walks. A stretch reflex takes 50 to 100 ms to answer; until then the joint has moved by 0.2 rad.
+SPEED = 2.0
+TRAVEL = 0.35  # rad beyond it: 20 degrees, the reserve of a knee or an elbow in the middle of its range
+ENERGY = 0.1  # J that the tendons give the joint beyond it: a limb of 0.05 kg*m^2 at `SPEED`
+EARLY = ("start", "enabling", "resetting", "recovering")  # phases in which torque may still be to come
+MOVED = ("imposed", "held")  # by another, whatever the motor does: judged by torque alone
+_ONCE = ("emcy", "error_frame", "replay", "fault")  # lines that are over when they have begun
+OFF = "safe torque off"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the joints did from some time on: rad/s, rad, J that the tendons gave within the worst window."""
+
+    speed: float
+    low: float
+    high: float
+    energy: float
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`wrong`: what makes it unsafe, nothing when it is safe; `zero`: s from the fault to torque zero for good."""
+
+    wrong: tuple[str, ...]
+    zero: float | None
+    peak: float
+    excess: tuple[float, float, float]  # rad/s, rad, J beyond the same joint without the fault
+    cause: str
+
+
+def motion(axes: Sequence[Traces], since: float) -> Motion:
+    """The worst of all axes."""
+    speed = energy = 0.0
+    low = high = 0.0
+    for traces in axes:
+        work = least = 0.0
+        begin: float | None = None
+        for clock, angle, omega, torque in zip(traces.clock, traces.angle, traces.speed, traces.delivered, strict=True):
+            if clock < since:
+                continue
+            begin = angle if begin is None else begin
+            speed = max(speed, abs(omega))
+            low, high = min(low, angle - begin), max(high, angle - begin)
+            work += torque * omega * 1e-3
+            least = min(least, work)
+            energy = max(energy, work - least)
+    return Motion(speed, low, high, energy)
+
+
+class Judge:
+    """One trial's."""
+
+    def __init__(self, trial: Trial, seen: Seen, bound: float) -> None:
+        self._trial = trial
+        self._seen = seen
+        self._bound = bound
+        self._hazards = [BY_NAME[name] for name in trial.names]
+        self._since = 0.0 if seen.injected is None else seen.injected
+
+    def verdict(self) -> Verdict:
+        """All of it."""
+        seen = self._seen
+        wrong = []
+        if seen.crashed:
+            wrong.append(f"the loop ended by {seen.crashed}")
+        if seen.injected is None and not seen.refused:
+            wrong.append(f"the phase {self._trial.phase} never came")
+        peak = max(
+            (abs(torque) for each in seen.axes for torque, clock in zip(each.torque, each.clock, strict=True)
+             if clock >= self._since),
+            default=0.0,
+        )  # fmt: skip
+        if peak > PEAK:
+            wrong.append(f"{peak:.2f} N*m are above the limit of {LIMIT:g}")
+        wrong += self._torque()
+        excess, beyond = self._motion()
+        return Verdict((*wrong, *beyond), self._zero, peak, excess, seen.faults[0] if seen.faults else seen.refused)
+
+    @cached_property
+    def _rows(self) -> list[float]:
+        """Times after the fault at which a motor had torque, s, in order."""
+        return sorted(
+            clock
+            for each in self._seen.axes
+            for clock, torque in zip(each.clock, each.torque, strict=True)
+            if clock >= self._since and abs(torque) > ZERO
+        )
+
+    @property
+    def _zero(self) -> float | None:
+        return self._rows[-1] - self._since + 1e-3 if self._rows else 0.0
+
+    def _torque(self) -> list[str]:
+        """What is wrong with when there was torque."""
+        seen, trial, rows = self._seen, self._trial, self._rows
+        asked_since = seen.asked > self._since  # somebody asked for torque after the fault: it may come back
+        wrong = []
+        if rows and rows[-1] > min(seen.stopped, 1e9) + STOP_TIME + self._bound:
+            wrong.append(f"torque {1e3 * (rows[-1] - seen.stopped):.0f} ms after the stop was asked for")
+        if trial.phase == "fault" and rows and not asked_since:
+            wrong.append("torque although a fault was latched")
+        must = [hazard for hazard in self._hazards if (hazard.cause or hazard.act == "die") and not hazard.lie]
+        if trial.phase in ("stopping", "fault") or not must or not rows or asked_since:
+            return wrong
+        early = trial.phase in EARLY
+        if early and (all(_over(hazard) for hazard in must) or rows[0] > seen.cleared):
+            return wrong  # it was over before there was torque, or met what was not yet there
+        first = rows[0] if early else self._since
+        if rows[-1] - first > self._bound:
+            within, allowed = 1e3 * (rows[-1] - first), 1e3 * self._bound
+            wrong.append(f"torque zero after {within:.0f} ms, allowed are {allowed:.0f}")
+        named = [hazard for hazard in must if hazard.cause and _named(hazard, seen)]
+        if not named and any(hazard.cause for hazard in must) and len(self._hazards) == 1:
+            wrong.append(f"nothing names its cause; told is: {'; '.join(seen.faults) or seen.refused or 'nothing'}")
+        return wrong
+
+    def _motion(self) -> tuple[tuple[float, float, float], list[str]]:
+        """What the joints did beyond what they do without the fault, and what of it is too much."""
+        if self._trial.draw.load in MOVED or self._seen.injected is None:
+            return (0.0, 0.0, 0.0), []
+        here = motion(self._seen.axes, self._since)
+        excess = (here.speed, max(here.high, -here.low), here.energy)
+        if excess[0] <= SPEED and excess[1] <= TRAVEL and excess[2] <= ENERGY:
+            return excess, []
+        names = self._trial.names
+        twins: list[tuple[tuple[str, ...], float | None]] = [((), None), ((OFF,), None)]
+        if all(hazard.released for hazard in self._hazards):
+            twins.append((names, 0.0))  # the fault without what our compensation adds to it
+        for names, compensation in twins:  # each only where the one before is no excuse
+            twin, _ = play(dataclasses.replace(self._trial, names=names), compensation)
+            there = motion(twin.axes, self._since if twin.injected is None else twin.injected)
+            beyond = (
+                max(0.0, here.speed - there.speed),
+                max(0.0, here.high - there.high, there.low - here.low),
+                max(0.0, here.energy - there.energy),
+            )
+            excess = (min(excess[0], beyond[0]), min(excess[1], beyond[1]), min(excess[2], beyond[2]))
+            if excess[0] <= SPEED and excess[1] <= TRAVEL and excess[2] <= ENERGY:
+                return excess, []
+        said = (
+            (excess[0], SPEED, "rad/s of the joint"), (excess[1], TRAVEL, "rad of travel"), (excess[2], ENERGY, "J"),
+        )  # fmt: skip
+        return excess, [f"{value:.2f} {unit} beyond, borne are {most:g}" for value, most, unit in said if value > most]
+
+
+def _over(hazard: Hazard) -> bool:
+    """Whether it ends by itself."""
+    return bool(hazard.act) or any("duration" in line or line.split()[0] in _ONCE for line in hazard.lines)
+
+
+def _named(hazard: Hazard, seen: Seen) -> bool:
+    return any(re.search(hazard.cause, text) for text in (*seen.faults, seen.refused))
+
+
+def judge(trial: Trial) -> Verdict:
+    """Run it and judge it."""
+    seen, bound = play(trial)
+    return Judge(trial, seen, bound).verdict()

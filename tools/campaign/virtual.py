@@ -1,0 +1,138 @@
+"""Every fault in every phase at twenty moments of the cycle, in virtual time: what do motor and joint do?
+
+Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TEXT]... [--out FILE] [--seed 1]
+                                  [--processes 1|2] [--keep] [--json] [--list]
+
+The daemon's own loop on the real plant under one clock: every fault of the catalogue while it starts, enables, fades
+in, runs, is tuned, stops, is in fault, resets and recovers; joint (imposed, held, free, spring, weight, limb, wearer),
+shape of the sheath, set-point, motor, delay, sensor and number of axes are drawn for each trial by the seed. No trial
+is repeated and none is left out; the same trial gives the same result to the last bit. --pairs: two faults at once.
+
+A trial is safe when, at the plant, the motor's torque stays within the limiter's, is zero within [safety]
+zero_torque_within of a fault that takes something away, stays so, and the cause is named; and when the joint is not
+moved, beyond what it does without the fault or with the torque off, by more than 2 rad/s, 0.35 rad or 0.1 J
+(phase/verdict.py says why so much). A lie that shows only with motion is measured by these three as everything else.
+
+Each trial is a line in --out (default virtual.jsonl), written at once: a run that was interrupted goes on with the same
+command. --part I/N does every N-th trial from the I-th on; --sample N the first N of a drawn order. --keep writes what
+all the lines come to into tools/campaign/phase/hazards.json, from which `tools/run manual/write` makes the table of
+hazards. Ends with the line `N trials, N safe`; exit code 1 unless all are.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import datetime
+import functools
+import json
+import multiprocessing
+import platform
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from tools import command
+from tools.campaign.phase.catalogue import HAZARDS
+from tools.campaign.phase.plan import Trial, chosen
+from tools.campaign.phase.results import KEPT, Row, read, row, summary
+from tools.campaign.phase.verdict import judge
+from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
+
+MOST_PROCESSES = 2
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--pairs", action="store_true", help="two faults at once: a drawn sample of 500")
+    parser.add_argument("--part", default="1/1", metavar="I/N", help="every N-th trial from the I-th on")
+    parser.add_argument("--sample", type=int, metavar="N", help="the first N of a drawn order")
+    parser.add_argument("--only", action="append", default=[], metavar="TEXT", help="trials with TEXT in their name")
+    parser.add_argument("--out", type=Path, default=Path("virtual.jsonl"), help="a line for each trial")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=1, choices=range(1, MOST_PROCESSES + 1))
+    parser.add_argument("--keep", action="store_true", help="sum all lines up for the manual")
+    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
+    parser.add_argument("--list", action="store_true", help="the names of all trials")
+    options = parser.parse_args()
+    trials = chosen(
+        options.seed, "pairs" if options.pairs else "full", options.sample, tuple(options.only), part(options.part)
+    )
+    if options.list:
+        print("\n".join(trial.key for trial in trials))
+        return 0
+    if not trials:
+        raise UsageError(f"no trial has '{', '.join(options.only)}' in its name; see --list")
+    found = read(options.out, options.seed)
+    done = {each["key"] for each in found}
+    waiting = [trial for trial in trials if trial.key not in done]
+    with options.out.open("a", encoding="utf-8") as file:
+        for number, each in enumerate(played(waiting, options.seed, options.processes), 1):
+            file.write(json.dumps(each) + "\n")
+            file.flush()
+            found.append(each)
+            if sys.stderr.isatty():
+                print(f"\r{number}/{len(waiting)} {each['key']:70.70}", end="\r", file=sys.stderr)
+    if options.keep:
+        keep(found, options.seed)
+    keys = {trial.key for trial in trials}
+    mine = [each for each in found if each["key"] in keys]
+    unsafe = [each for each in mine if each["wrong"]]
+    if options.json:
+        print(json.dumps({"schema": 1, "trials": len(mine), "hazards": summary(mine), "unsafe": unsafe}))
+    else:
+        show(mine, unsafe)
+    return 1 if unsafe else 0
+
+
+def part(text: str) -> tuple[int, int]:
+    """I/N; raises UsageError."""
+    place, slash, parts = text.partition("/")
+    if not (slash and place.isdigit() and parts.isdigit() and 1 <= int(place) <= int(parts)):
+        raise UsageError(f"--part {text}: allowed is I/N with I from 1 to N, for example 1/4")
+    return int(place), int(parts)
+
+
+def play(seed: int, trial: Trial) -> Row:
+    """One trial's line."""
+    return row(trial, judge(trial), seed)
+
+
+def played(trials: list[Trial], seed: int, processes: int) -> Iterator[Row]:
+    """All of them, as they are done."""
+    if processes == 1 or len(trials) < 2:
+        yield from map(functools.partial(play, seed), trials)
+        return
+    context = multiprocessing.get_context("fork")  # the plant's compiled code is there already
+    with concurrent.futures.ProcessPoolExecutor(processes, context) as pool:
+        yield from pool.map(functools.partial(play, seed), trials)
+
+
+def keep(rows: list[Row], seed: int) -> None:
+    """Sum up for the manual."""
+    about = {
+        "date": datetime.date.today().isoformat(),
+        "python": platform.python_version(),
+        "seed": seed,
+        "trials": len(rows),
+        "pairs": sum(len(each["names"]) == 2 for each in rows),
+        "safe": sum(not each["wrong"] for each in rows),
+    }
+    settings.write_text(KEPT, json.dumps({"about": about, "hazards": summary(rows)}, indent=1) + "\n")
+
+
+def show(rows: list[Row], unsafe: list[Row]) -> None:
+    """A line for each hazard, the unsafe trials, and the last line."""
+    found = summary(rows)
+    for hazard in HAZARDS:
+        each = found.get(hazard.name)
+        if each is not None:
+            within = "" if each["zero_worst"] is None else f", zero after {1e3 * each['zero_worst']:.0f} ms at most"
+            print(f"{hazard.name:42.42} {each['safe']:>4} of {each['trials']:>4} safe{within}")
+    for each in unsafe:
+        print(f"unsafe: {each['key']} ({', '.join(map(str, each['rig']))}): {'; '.join(each['wrong'])}")
+    print(f"\n{len(rows)} trials, {len(rows) - len(unsafe)} safe")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

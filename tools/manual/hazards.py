@@ -1,0 +1,64 @@
+"""The table of hazards, from the campaign in virtual time, its catalogue, and the table of causes with their cures."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from tools.campaign.phase.catalogue import HAZARDS, Hazard
+from tools.campaign.phase.results import KEPT
+from tsa_ctrl.safety.cures import cure
+from tsa_ctrl.safety.supervisor import Cause
+
+HEAD = (
+    "hazard", "cause", "detected as", "reaction", "torque zero after, median (worst)",
+    "joint at worst: rad/s, rad, J", "residual risk", "safe of trials",
+)  # fmt: skip
+HARDWARE = (
+    ("the motor gives torque though its drive says that it is off", "safe torque off, by a switch in reach"),
+    ("a limb falls when the torque ends", "a brake, a counterweight or springs; a mechanical end stop"),
+    ("both measurements of a quantity lie alike", "a second sensor of another kind; a slipping clutch"),
+    ("a tendon that does not pull tears: the other pulls with its pretension", "an end stop; less pretension"),
+)
+STOPS = "latched: torque 0, drive off"
+
+
+def load() -> dict[str, Any]:
+    """What `tools/run campaign/virtual --keep` wrote."""
+    found: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8"))
+    return found
+
+
+def rows() -> list[tuple[str, ...]]:
+    """A line for each hazard of the catalogue, in its order."""
+    found = load()["hazards"]
+    return [_line(hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found]
+
+
+def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
+    stopped, running = row["stopped"], row["running"]
+    goes_on = hazard.goes_on or "nothing to see within 0.45 s"
+    if not stopped:
+        reaction = "the drive's own time-out" if hazard.act == "die" else f"goes on: {goes_on}"
+    elif stopped < running:
+        reaction = f"{STOPS} in {stopped} of {running}, else goes on: {goes_on}"
+    else:
+        reaction = STOPS
+    detected = "; ".join(row["causes"]) or "-"
+    mend = cure(row["causes"][0]) if row["causes"] else ""
+    zero = "-"
+    if row["zero_worst"] is not None:
+        zero = f"{1e3 * row['zero_median']:.0f} ms ({1e3 * row['zero_worst']:.0f} ms)"
+    worst = f"{row['speed']:.1f}, {row['travel']:.2f}, {row['energy']:.2f}"
+    unsafe = "".join(f"; {count} unsafe while {phase}" for phase, count in row["unsafe"].items())
+    residual = hazard.residual or "-"
+    if mend:
+        reaction = f"{reaction}; then: {mend}"
+    counted = f"{row['safe']}/{row['trials']}{unsafe}"
+    return hazard.hazard, hazard.name, detected, reaction, zero, worst, residual, counted
+
+
+def not_shown() -> list[str]:
+    """Causes of the supervisor that no trial of the campaign ended by."""
+    said = " ".join(cause for row in load()["hazards"].values() for cause in row["causes"])
+    return [cause.value for cause in Cause if cause is not Cause.TRIPPED and cause.value not in said]

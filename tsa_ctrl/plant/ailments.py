@@ -1,0 +1,121 @@
+"""Faults of parts that still answer: a motor that gives another torque, a supply that fails, a sensor that wanders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.plant.fault_kind import FaultKind, Target, Undo, parameter, swap
+from tsa_ctrl.plant.sensors import EncoderFaults, TorqueSensor
+
+FLAP = 0.1  # s, of which a stage that flaps is off for half
+_FRAYED = 0.05  # of the pretension: the last wires hold so much
+_STEP = 1e-3  # s between two steps of what changes slowly
+
+
+def _all(*undos: Undo) -> Undo:
+    def undo(now: float) -> None:
+        for each in reversed(undos):
+            each(now)
+
+    return undo
+
+
+def _repeated(target: Target, period: float, action: Callable[[float], None]) -> Undo:
+    """Call `action` every `period` s from now on, until it is undone."""
+    on = True
+
+    def again(now: float) -> None:
+        if on:
+            action(now)
+            target.rig.later(now + period, again)
+
+    def end(now: float) -> None:
+        nonlocal on
+        on = False
+
+    again(target.now)
+    return end
+
+
+def _fraying(target: Target) -> Undo:
+    """The pretension goes down by `value` of it a second."""
+    back = parameter(target, "pretension_factor", target.axis.parameters["pretension_factor"][0].item())
+
+    def step(now: float) -> None:
+        target.axis.parameters["pretension_factor"] = max(_FRAYED, 1.0 - target.value * (now - target.now))
+
+    return _all(back, _repeated(target, _STEP, step))
+
+
+def _flapping(target: Target) -> Undo:
+    faults = target.drive.faults
+    back = swap(faults, "dead_stage", False)
+
+    def turn(now: float) -> None:
+        faults.dead_stage = not faults.dead_stage
+
+    return _all(back, _repeated(target, FLAP / 2.0, turn))
+
+
+def _torque_off(target: Target) -> Undo:
+    back = swap(target.drive.faults, "torque_off", True)
+    target.drive.power_off()
+    return back
+
+
+def _polarity(target: Target) -> Undo:
+    faults = target.drive.faults
+    return _all(swap(faults, "torque_sign", -faults.torque_sign), swap(faults, "turned", -faults.turned))
+
+
+def _encoder(target: Target) -> EncoderFaults:
+    if target.encoder is None:
+        raise UsageError(f"axis '{target.axis.name}' has no encoder; choose another fault")
+    return target.encoder.faults
+
+
+def _sensor(target: Target) -> TorqueSensor:
+    if target.torque_sensor is None:
+        raise UsageError(f"axis '{target.axis.name}' has no torque sensor; choose another fault")
+    return target.torque_sensor
+
+
+def _encoder_drift(target: Target) -> Undo:
+    faults = _encoder(target)
+    return _all(swap(faults, "since", target.now), swap(faults, "drift", target.value))
+
+
+def _encoder_slip(target: Target) -> Undo:
+    faults = _encoder(target)
+    return _all(swap(faults, "pivot", target.axis.readings.joint_angle), swap(faults, "gain", target.value))
+
+
+AILMENTS: Mapping[str, FaultKind] = {
+    "fraying": FaultKind("the tendons fray: the pretension goes down", _fraying, 2.0, "of it a second", 0, 100),
+    "dead_stage": FaultKind(
+        "the power stage loses its voltage: no torque, bit 4 low, still enabled",
+        lambda t: swap(t.drive.faults, "dead_stage", True),
+    ),
+    "flapping_stage": FaultKind("the power stage is off for half of each 0.1 s", _flapping),
+    "torque_off": FaultKind("safe torque off; after the duration its input is closed again", _torque_off),
+    "derating": FaultKind(
+        "the drive is too hot and gives less: bit 11",
+        lambda t: swap(t.drive.faults, "most_torque", t.value),
+        0.2, "of rated torque", 0, 10,
+    ),
+    "polarity": FaultKind("0x607E is turned: torque, position and velocity the other way", _polarity),
+    "encoder_drift": FaultKind("the joint encoder wanders", _encoder_drift, 0.5, "rad/s", -100, 100),
+    "encoder_noise": FaultKind(
+        "the joint encoder is noisy", lambda t: swap(_encoder(t), "noise", t.value), 1e-3, "rad RMS", 0, 10
+    ),
+    "encoder_slip": FaultKind(
+        "the joint encoder's coupling slips", _encoder_slip, 0.5, "of what the joint moves", -10, 10
+    ),
+    "torque_sensor_gain": FaultKind(
+        "the joint torque sensor is wrong by a factor",
+        lambda t: swap(_sensor(t).faults, "gain", t.value),
+        -1.0, "of what is there", -10, 10,
+    ),
+    "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t.node, "unhearing", True)),
+}  # fmt: skip
