@@ -5,13 +5,17 @@ from __future__ import annotations
 import dataclasses
 import json
 import subprocess
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.conftest import ROOT
 from tools.campaign.fault.acts import ACTS
-from tools.campaign.fault.catalogue import FAULTS
+from tools.campaign.fault.campaign import Campaign, Result, Trial
+from tools.campaign.fault.catalogue import FAULTS, Fault
 from tools.campaign.fault.verdict import Expected, Row, Seen, judge, longest_gap, stopped_after, zero_after
+from tools.campaign.faults import counted
 from tsa_ctrl.plant.ailments import AILMENTS
 from tsa_ctrl.plant.faults import FAULTS as PLANT_FAULTS
 from tsa_ctrl.plant.faults import parse_fault
@@ -132,6 +136,52 @@ def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
 
 def test_every_act_is_used_and_there() -> None:
     assert {fault.act for fault in FAULTS if fault.act} == set(ACTS)
+
+
+class Holes(Campaign):
+    """Trials with holes as long as told, s, without processes."""
+
+    def __init__(self, gaps: list[float]) -> None:
+        super().__init__(Path(), "none")
+        self.gaps = gaps
+        self.tried: list[Trial] = []
+
+    def _running(self) -> Any:
+        return None
+
+    def _configuration(self, wanted: float) -> str:
+        return ""
+
+    def _end_life(self) -> None:
+        self.tried += self._trials
+        self._trials = []
+
+    def _try(self, daemon: Any, fault: Fault) -> Trial:
+        unsafe = 1.0  # s until torque zero: what came of it decides nothing
+        gap = self.gaps.pop(0)
+        return Trial(fault, 0.0, 1.0, unsafe, gap, "faulted", 0.8, False, 0.8, (), (), None)
+
+
+@pytest.mark.parametrize(
+    ("gaps", "discarded"),
+    [
+        ([0.001, 0.001], [False]),
+        ([0.01, 0.001, 0.001], [True, False]),
+        ([0.01] * 6, [True, True, True, True, False]),
+    ],
+)
+def test_a_trial_is_discarded_for_its_hole_alone(gaps: list[float], discarded: list[bool], tmp_path: Path) -> None:
+    campaign = Holes(gaps)
+    campaign.folder = tmp_path
+    campaign._run_group([FAULTS[0]], negative=False)
+    assert [trial.discarded for trial in campaign.tried] == discarded
+
+
+def test_what_was_discarded_is_counted_with_its_verdicts() -> None:
+    trial = Trial(FAULTS[0], 0.0, 1.0, 0.01, 0.01, "faulted", 0.8, False, 0.8, (), (), None, 0, True)
+    verdicts = [judge(STOPS, GOOD, 0.25, 2.0), judge(STOPS, dataclasses.replace(GOOD, zero=None), 0.25, 2.0)]
+    words = counted(43, [Result(trial, verdict) for verdict in verdicts])
+    assert words == "43 of 45 trials, 2 discarded for holes: 1 safe, 1 unsafe"
 
 
 @pytest.mark.vcan

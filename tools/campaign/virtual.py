@@ -35,6 +35,7 @@ from tools import command
 from tools.campaign.phase.catalogue import HAZARDS
 from tools.campaign.phase.plan import Trial, chosen
 from tools.campaign.phase.results import KEPT, Row, read, row, summary
+from tools.campaign.phase.stage import Stage
 from tools.campaign.phase.verdict import judge
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
@@ -103,7 +104,8 @@ def played(trials: list[Trial], seed: int, processes: int) -> Iterator[Row]:
     if processes == 1 or len(trials) < 2:
         yield from map(functools.partial(play, seed), trials)
         return
-    context = multiprocessing.get_context("fork")  # the plant's compiled code is there already
+    Stage(trials[0].draw).close()  # compiles the plant, once for both
+    context = multiprocessing.get_context("fork")
     with concurrent.futures.ProcessPoolExecutor(processes, context) as pool:
         yield from pool.map(functools.partial(play, seed), trials)
 

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +74,7 @@ class Trial:
     counted: tuple[str, ...]
     stopped: float | None
     repeated: int = 0
-
-    def so_far(self) -> Seen:
-        """Before the log is read; without the excuse that the machine stood still."""
-        return replace(self.seen(self.told, (*self.told, *self.counted)), stopped=None)
+    discarded: bool = False  # the machine stood still meanwhile: it is done again, whatever came of it
 
     def seen(self, faults: tuple[str, ...], notes: tuple[str, ...]) -> Seen:
         return Seen(
@@ -111,7 +108,7 @@ class Campaign:
     _filler: Path | None = None
 
     def run(self, faults: tuple[Fault, ...]) -> list[Result]:
-        """The verdict on each, in order. Raises LostError when a process does not come."""
+        """The verdict on each trial in order, also on those discarded for a hole. Raises LostError: no process came."""
         shutil.copy(CONFIG / "actuator.toml", self.folder)
         for bare in (False, True):
             chosen = [fault for fault in faults if fault.bare is bare]
@@ -153,9 +150,10 @@ class Campaign:
                 daemon = self._running()
                 trial = self._try(daemon, fault)
                 trial.repeated = attempt
-                if trial.gap <= self._stall or judge(fault.expected, trial.so_far(), BOUND, LIMIT).safe:
+                trial.discarded = trial.gap > self._stall and attempt + 1 < ATTEMPTS  # before any verdict is known
+                self._trials.append(trial)
+                if not trial.discarded:
                     break
-            self._trials.append(trial)
             if fault.alone:
                 self._end_life()
         self._end_life()

@@ -195,7 +195,7 @@ class Stage:
             with contextlib.suppress(Exception):
                 if not self.over:
                     self.wire.pass_until(self.wire.now + 0.02)
-            self._mailbox.close()
+            self.close()
         events = self._events.all
         return Seen(
             tuple(self.watcher.axes),
@@ -208,6 +208,10 @@ class Stage:
             refused,
             crashed,
         )
+
+    def close(self) -> None:
+        """Give the shared memory back."""
+        self._mailbox.close()
 
     # what the script asks
 
