@@ -13,7 +13,9 @@ by the plant's truth from then on:
 
 With nothing changed the set-point ends instead: 3 s later the joint must stand (0.02 rad/s RMS) and the motor be quiet
 (0.02 N*m peak to peak). --sample N: N cases spread over all, the same ones each time. --rows FILE: cases that are in
-the file are not run again, new ones are added, and the table is that of the file. Exit code 1: a goal was missed.
+the file are not run again, new ones are added, and the table is that of the file. --healthy SECONDS: instead, that long
+of gait (of a sine on weight, free and wearer) on each load with nothing wrong: the guard must say nothing. Exit code 1:
+a goal was missed.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from tools import command
 from tools.bench.control import true_model
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
-from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.motion import gait, play_for
 from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
@@ -60,6 +62,7 @@ TO_REST, REST, MEASURED = (
     3.0,
     1.0,
 )  # s: the set-point's gain goes to 0, then all must come to rest, then it is seen
+TOLD = ("passivity", "oscillation")  # how what the guard says begins
 QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
 
 
@@ -134,6 +137,18 @@ def _controller(case: Case, compensation: float) -> rig.Tables:
     return tables
 
 
+def healthy(load: str, seconds: float, compensation: float) -> list[str]:
+    """What the guard says of `seconds` with nothing wrong, the gait or, on a load that it would throw about, a sine."""
+    played = play_for(load) if load in ("weight", "free", "wearer") else gait()
+    with tempfile.TemporaryDirectory(prefix="runaway-") as name:
+        folder = Path(name)
+        save_model(true_model("uniform"), folder / "true.toml")
+        controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
+        rig.write(folder, played, rig.plant(VIRTUAL, "distributed", None, load), {"run": controller})
+        result = simulate_loop(folder / "controller-run.toml", folder / "plant.toml", seconds)
+    return [event.text for event in result.summary.events if event.text.startswith(TOLD)]
+
+
 def power(result: Simulation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Times from the change on, s of the log, and the work per row beyond the set-point's, J."""
     axis, truth = result.axes[0], result.truth
@@ -156,7 +171,7 @@ def judge(case: Case, compensation: float) -> dict[str, Any]:
     result = play(case, compensation)
     row: dict[str, Any] = {**dataclasses.asdict(case), "compensation": compensation}
     texts = [event.text for event in result.summary.events]
-    row["told"] = any(text.startswith(("passivity", "oscillation")) for text in texts)
+    row["told"] = any(text.startswith(TOLD) for text in texts)
     row["latched"] = any("latched at" in text for text in texts)
     row["faults"] = list(result.axes[0].faults)
     if not case.change:
@@ -229,7 +244,15 @@ def main() -> int:
     parser.add_argument("--delays", type=int, nargs="+", default=(1, 3), help="periods from measurement to torque")
     parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
     parser.add_argument("--json", action="store_true", help="a JSON object a case, instead of the table")
+    parser.add_argument("--healthy", type=float, metavar="SECONDS", help="gait with nothing wrong, on each load")
     options = parser.parse_args()
+    if options.healthy:
+        said = 0
+        for load in ("imposed", *LOADS, "wearer"):
+            texts = healthy(load, options.healthy, options.compensation)
+            said += len(texts)
+            print(f"{load}: {options.healthy:g} s, the guard said {'; '.join(texts) or 'nothing'}", flush=True)
+        return 1 if said else 0
     wanted = cases(options.delays)
     chosen = spread(wanted, options.sample) if options.sample else wanted
     rows = _known(options)

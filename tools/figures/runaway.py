@@ -26,7 +26,7 @@ from tsa_ctrl.virtual.script import Fault
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 LOADS = ("weight", "spring", "free", "limb")
-LEFT = (0.25, 0.5, 0.75, 1.0)  # of the half loop: h_true / h_model
+LEFT = (0.2, 0.4, 0.6, 0.8)  # of the half loop: h_true / h_model; c stays below 1, where `bound` cuts it
 BESIDE = (-0.2, -0.05, 0.05, 0.2)  # c less that
 NUDGED, SECONDS = 0.4, 0.8  # s of the log, and from there to the end
 ASLEEP = 100.0  # J: the guard is not to end what is shown
@@ -62,8 +62,8 @@ def main() -> int:
     figure, (axes,) = look.grid(1, len(LOADS), 11.0, 3.2)
     agree = total = 0
     for axis, load in zip(axes, LOADS, strict=True):
-        line = np.array([0.0, 1.25])
-        axis.fill_between(line, line, 1.25, color=look.BACKWARD, alpha=0.10, linewidth=0.0)
+        line = np.array([0.0, 1.1])
+        axis.fill_between(line, line, 1.1, color=look.BACKWARD, alpha=0.10, linewidth=0.0)
         axis.fill_between(line, 0.0, line, color=look.FORWARD, alpha=0.10, linewidth=0.0)
         axis.plot(line, line, color=look.NEUTRAL, linewidth=1.0)
         for left in LEFT[1:2] if options.quick else LEFT:
@@ -76,7 +76,7 @@ def main() -> int:
                 print(f"{load}: h {left:g}, c {compensation:g}: {1e3 * given:+.1f} mJ", flush=True)
                 colour = look.BACKWARD if runs else look.FORWARD
                 axis.plot(left, compensation, "o" if runs else "s", color=colour, markersize=4)
-        axis.set(xlim=(0.0, 1.25), ylim=(0.0, 1.25), title=load, xlabel="h true / h model (1)")
+        axis.set(xlim=(0.0, 1.1), ylim=(0.0, 1.1), title=load, xlabel="h true / h model (1)")
     axes[0].set_ylabel("compensation c (1)")
     marks = [
         Line2D([], [], marker="o", linestyle="", markersize=4, color=look.BACKWARD, label="given: moves by itself"),
