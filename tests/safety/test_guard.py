@@ -48,8 +48,8 @@ def test_the_second_time_is_latched_below_the_friction_that_is_left() -> None:
     """And gives no energy any more, however long it goes on."""
     guard = Rig().run(0.5)
     assert (guard.latched, guard.count) == (True, 2)
-    assert guard.back_off == pytest.approx(0.8 * 0.3, abs=0.01)
-    assert "latched at 24 % of it until the axis is disabled" in guard.words
+    assert guard.back_off == pytest.approx(0.8 * (0.3 - 0.1), abs=0.01)
+    assert "latched at 16 % of it until the axis is disabled" in guard.words
     rig = Rig()
     guard = rig.run(20.0)
     assert guard.count == 2

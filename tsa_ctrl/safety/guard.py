@@ -14,7 +14,8 @@ from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity, PassivitySetti
 HOLD = 0.05  # s without compensation: in which the swing of motor and tendons has died out
 RECOVERY = 0.3  # s back to all of it: so that a joint that still moves shows within a second that it was no chance
 FORGIVEN = 60.0  # s after which the next time is a first one again
-CAUTIOUS = 0.8  # of the friction that showed to be there, that is compensated once latched
+UNSURE = 0.1  # of the model's half loop, taken off what showed to be there: a slack tendon shows another tenth
+CAUTIOUS = 0.8  # of the rest, that is compensated once latched
 LEFT = 0.5  # of the compensation, once latched for buzzing
 CLEAR = 0.9  # of the model's half loop: with more than that, friction is not what is wrong
 
@@ -115,7 +116,7 @@ class Guard:
             )
         self._take_back(
             Reason.PASSIVITY,
-            CAUTIOUS * share,
+            CAUTIOUS * max(0.0, share - UNSURE),
             f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than was wanted within "
             f"{1e3 * since:.0f} ms",
             cause,
