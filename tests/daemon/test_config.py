@@ -92,9 +92,9 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         (r'^kind = "sine"', 'kind = "file"\nfile = "none.csv"', "none.csv"),
         (r"^\[axis.law\]", "[axis.law]\nmotor_inertia = 1e-4\ndamping = 0.5\n#", r"law.damping 0.5 .* gain margin of"),
         (r"^# turn = 8e-3", "turn = 8.0", "law.turn"),
-        (r"^# over_speed = 20.0 ", "over_speed = 9.0 ", "over_speed 9 rad/s is not above joint_speed"),
+        (r"^# over_speed = 12.0 ", "over_speed = 9.0 ", "over_speed 9 rad/s is not above joint_speed"),
         (
-            r"^# motor_over_speed = 40.0 ",
+            r"^# motor_over_speed = 20.0 ",
             "motor_over_speed = 90.0 ",
             "motor_over_speed 90 rad/s is above drive.max_speed",
         ),

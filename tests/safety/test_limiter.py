@@ -34,7 +34,9 @@ CALM: dict[str, Any] = {
     "q_j": 0.0,
     "omega_j": 0.0,
 }
-LOOSE = LimiterSettings(torque=2.0, rate=1e5, distance=100.0, travel=(-1.0, 1.5))
+LOOSE = LimiterSettings(
+    over_speed=20.0, motor_over_speed=40.0, torque=2.0, rate=1e5, distance=100.0, travel=(-1.0, 1.5)
+)
 
 
 def test_passes_what_breaks_no_limit() -> None:
@@ -263,8 +265,8 @@ def test_defaults_are_those_of_the_example_file() -> None:
         "rate": 200.0,
         "distance": None,
         "joint_speed": 10.0,
-        "over_speed": 20.0,
-        "motor_over_speed": 40.0,
+        "over_speed": 12.0,
+        "motor_over_speed": 20.0,
         "travel": None,
         "travel_margin": 0.1,
     }

@@ -22,7 +22,7 @@ class Motion:
     """A joint that swings and a motor that follows it, with a torque that follows the command; lies are switched on."""
 
     def __init__(self, has_encoder: bool = True, **settings: float) -> None:
-        chosen = PlausibilitySettings(**settings)
+        chosen = PlausibilitySettings(**{"slip": 0.5} | settings)
         self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder)
         self.time = 0.0
         self.offset = 0.0  # rad of the motor
@@ -180,7 +180,7 @@ def test_a_reset_forgets_what_was_pending() -> None:
 
 def at_rest(**settings: float) -> Plausibility:
     """Of a drive rated 2 N*m, whose limit is 2 N*m."""
-    return Plausibility(PlausibilitySettings(**settings), 2.0, 2.0, RADII, True)
+    return Plausibility(PlausibilitySettings(**{"slip": 0.5} | settings), 2.0, 2.0, RADII, True)
 
 
 def look(
@@ -326,7 +326,7 @@ def test_each_reset_forgets_slip_and_joint_torque() -> None:
 def test_defaults() -> None:
     """What holds when the file says nothing."""
     settings = PlausibilitySettings()
-    assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, 0.5)
+    assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, 0.3)
 
 
 @pytest.mark.parametrize(

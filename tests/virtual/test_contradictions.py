@@ -97,3 +97,18 @@ def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path, load:
 @pytest.mark.parametrize("name", CASES)
 def test_no_sound_joint_contradicts_itself(tmp_path: Path, name: str) -> None:
     assert not play_case(tmp_path, name).axes[0].faults
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("tendon", [0, 1])
+@pytest.mark.parametrize("load", ["spring", "weight", "free", "limb"])
+def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path, load: str, tendon: int) -> None:
+    """The one that pulls at once; the other one when the torque turns at the latest: within 2 rad/s beyond before."""
+    result = play(tmp_path, load, sine(0.8, 0.5), 2.6, faults=[f"torn_tendon value={tendon}@1.2"])
+    fault = next(event for event in result.summary.events if event.fault)
+    truth = result.truth
+    t, speed = truth["clock"] - result.axes[0].start, np.abs(truth["omega_j"])
+    until = speed[(t > 1.2) & (t < fault.t)].max()
+    sound = play(tmp_path, load, sine(0.8, 0.5), 2.6)
+    same = np.abs(sound.truth["omega_j"])[(t := sound.truth["clock"] - sound.axes[0].start) < fault.t]
+    assert until < same[t[t < fault.t] > 1.1].max() + 2.0

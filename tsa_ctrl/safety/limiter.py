@@ -46,8 +46,8 @@ class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
     distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit
     joint_speed: Speed = 10.0  # rad/s: driving torque fades to 0 towards it, from 80 % of it on
-    over_speed: Speed = 20.0  # rad/s at the joint, latches: torque 0
-    motor_over_speed: Speed = 40.0  # rad/s at the motor, latches: a torn tendon is a runaway
+    over_speed: Speed = 12.0  # rad/s at the joint, latches: no knee or elbow is led faster than 8
+    motor_over_speed: Speed = 20.0  # rad/s at the motor, latches: a torn tendon is a runaway
     travel: tuple[float, float] | None = None  # rad, joint; outward torque is 0 beyond
     travel_margin: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # rad over which outward torque fades to 0
 

@@ -37,7 +37,9 @@ class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
     joint_torque: Torque | None = None  # N*m at the joint; default: 0.15 of limits.torque, at the joint
     duration: Duration = 0.1  # s that either must last, less a quarter of the time for which it did not
-    slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 0.5  # rad at the motor since the enable
+    slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] = (
+        0.3  # rad at the motor since the enable; tendons stretch by less than 0.1
+    )
 
 
 class Plausibility:
