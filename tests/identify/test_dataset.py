@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
 
 import numpy as np
@@ -90,11 +91,45 @@ def test_constant_signals_are_allowed() -> None:
 
 
 class TestDerivedVelocity:
-    def test_it_is_said(self) -> None:
-        found = Dataset.from_arrays(columns(omega_j=None, q_j=np.sin(5.0 * T)))
+    def test_how_and_at_what_cost_is_said(self) -> None:
+        t = np.arange(8000) * 1e-3
+        count = 2.0 * np.pi / 4096.0
+        q = np.round(np.sin(5.0 * t) / count) * count
+        found = Dataset.from_arrays({"t": t, "tau_m": np.cos(t), "q_j": q})
         assert found.derived == {"omega_j"}
-        assert "omega_j is derived from q_j: zero-phase" in found.notes[0]
-        assert "10 Hz" in found.notes[0]
+        said = re.search(
+            r"omega_j is derived from q_j: zero-phase low-pass at (\S+) Hz.* error (\S+) rad/s RMS", found.notes[0]
+        )
+        assert said is not None
+        actual = float(np.std((found["omega_j"] - 5.0 * np.cos(5.0 * t))[500:-500]))
+        assert actual / 2.0 < float(said[2]) < 2.0 * actual
+
+    def test_the_low_pass_may_be_asked_for(self) -> None:
+        found = Dataset.from_arrays(columns(omega_j=None, q_j=np.sin(5.0 * T)), cutoff=12.0)
+        assert "12 Hz, as asked for" in found.notes[0]
+
+    def test_a_slow_joint_with_a_fast_motion_keeps_it(self) -> None:
+        """Jerks of 20 ms behind a fine encoder: a fixed low-pass at 10 Hz would take most of their velocity."""
+        t = np.arange(8000) * 1e-3
+        q = 0.05 * np.exp(-(((t % 0.5 - 0.25) / 0.01) ** 2)) + 0.2 * np.sin(3.0 * t)
+        count = 2.0 * np.pi / 2**20
+        found = Dataset.from_arrays({"t": t, "tau_m": np.cos(t), "q_j": np.round(q / count) * count})
+        true = np.gradient(q, 1e-3)
+        inside = slice(600, 7400)
+        assert np.std((found["omega_j"] - true)[inside]) < 0.02 * np.std(true[inside])
+
+    def test_noise_at_a_reversal_makes_one_turn_of_it(self) -> None:
+        """A slow reversal behind a coarse encoder: the direction changes once, near the extremum."""
+        t = np.arange(6000) * 1e-3
+        rng = np.random.default_rng(5)
+        q = 0.4 * np.sin(0.5 * np.pi * t) + 0.02 * np.sin(40.0 * t) * (np.abs((t % 2.0) - 1.0) > 0.5)
+        count = 2.0 * np.pi / 2000.0
+        noisy = np.round((q + 0.5 * count * rng.standard_normal(len(t))) / count) * count
+        sigma = hold_direction(Dataset.from_arrays({"t": t, "tau_m": q, "q_j": noisy})["omega_j"])
+        turns = 1e-3 * np.flatnonzero(np.diff(sigma))
+        near = turns[np.abs(turns - 3.0) < 0.3]
+        assert len(near) == 1
+        assert abs(near[0] - 3.0) < 0.1
 
     @pytest.mark.parametrize("frequency", [0.3, 1.0, 3.0])
     def test_it_has_the_right_size_and_no_lag(self, frequency: float) -> None:
@@ -140,6 +175,12 @@ class TestDerivedVelocity:
         omega = 5.0 * np.cos(5.0 * T) + 0.1
         found = Dataset.from_arrays(columns(omega_j=omega, q_j=np.sin(5.0 * T)))
         np.testing.assert_array_equal(found["omega_j"], omega)
+
+    def test_an_acceleration_that_was_recorded_is_taken(self) -> None:
+        alpha = np.cos(3.0 * T)
+        found = Dataset.from_arrays(columns(acceleration_j=alpha))
+        np.testing.assert_array_equal(found.signals().acceleration, alpha)
+        assert found.notes == ()
 
     def test_the_motors_is_derived_too(self) -> None:
         found = Dataset.from_arrays(columns(q_m=1.25 * np.sin(5.0 * T)))

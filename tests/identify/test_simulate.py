@@ -227,13 +227,14 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_measured_cable_drive_as_given_has_the_published_error(data_dir: Path) -> None:
+    """61 mN*m with angles low-passed at 10 Hz and velocities from them; a little less at the data's own bandwidth."""
     folder = data_dir / "davinci"
     model = load_model(folder / "actuator.toml")
     results = [simulate(load_log(path), model) for path in sorted(folder.glob("*.csv.gz"))]
     assert len(results) == 25
     samples = sum(len(result.predicted) for result in results)
     squares = sum(float(np.sum(result.residual**2)) for result in results if result.residual is not None)
-    assert round(1e3 * math.sqrt(squares / samples)) == 61
+    assert round(1e3 * math.sqrt(squares / samples)) == 60
     slack = sum(result.beyond_slack * len(result.predicted) for result in results)
     assert round(100.0 * slack / samples) == 39
 
@@ -249,3 +250,11 @@ def test_a_log_in_which_nothing_changes_is_said_to_be_one_point(
     )
     assert tsa("x.csv", "--model", "a.toml") == 0
     assert "one point" not in capsys.readouterr().out
+
+
+def test_the_measured_linear_axis_as_given_has_the_published_error(data_dir: Path) -> None:
+    """2.4 N by who filters for this axis; a low-pass at 10 Hz in front of the derivatives made 14 of it."""
+    folder = data_dir / "emps"
+    found = simulate(load_log(folder / "emps.csv.gz"), load_model(folder / "emps.toml"))
+    assert found.rms is not None
+    assert found.rms < 1.1 * 2.4

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl import outputs
+from tsa_ctrl.cli.finite import CUTOFF
 from tsa_ctrl.cli.strict import STRICT
 from tsa_ctrl.errors import UsageError
 
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 )
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
 @STRICT
+@CUTOFF
 @click.option("--yes", is_flag=True, help="Do not ask whether to write what is worse than the model given.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
 def command(
@@ -53,6 +55,7 @@ def command(
     split: str,
     hold_out: str | None,
     strict: bool,
+    cutoff: float | None,
     yes: bool,
     as_json: bool,
 ) -> None:
@@ -66,7 +69,7 @@ def command(
     if out is not None:
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
     nominal = _loaded(model)
-    datasets = load_logs(logs, strict)
+    datasets = load_logs(logs, strict, cutoff)
     result = calibrate(
         datasets,
         nominal,

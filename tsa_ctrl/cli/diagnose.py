@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl import outputs
+from tsa_ctrl.cli.finite import CUTOFF
 from tsa_ctrl.cli.strict import STRICT
 from tsa_ctrl.errors import UsageError
 
@@ -31,6 +32,7 @@ Examples:
 @click.option("--example", is_flag=True, help="On a log made on the spot, with a cause hidden in it; told at the end.")
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the gain is measured (default: every third).")
 @STRICT
+@CUTOFF
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Fixes every draw.")
 @click.option("--json", "as_json", is_flag=True, help="Print diagnosis.json on stdout, and nothing else there.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes for a folder of logs (default: one per core).")
@@ -42,6 +44,7 @@ def command(
     example: bool,
     hold_out: str | None,
     strict: bool,
+    cutoff: float | None,
     seed: int,
     as_json: bool,
     jobs: int | None,
@@ -62,6 +65,8 @@ def command(
     if folders:
         if len(logs) > 1:
             raise UsageError(f"{folders[0]}: is a folder; give it alone, or name the logs in it")
+        if cutoff is not None:
+            raise UsageError("--cutoff: is for logs that are named; leave it out, or name the logs in the folder")
         if hold_out is not None:
             raise UsageError("--hold-out: of a folder each log is diagnosed by itself; leave it out, or name the logs")
         from tsa_ctrl.cli.fleet import diagnose_folder
@@ -74,7 +79,7 @@ def command(
         raise UsageError(
             f"{'--jobs' if jobs else '--scheduler'}: is for a folder of logs; leave it out, or give a folder"
         )
-    result = _diagnose(logs, model, out, hold_out, seed, strict)
+    result = _diagnose(logs, model, out, hold_out, seed, strict, cutoff)
     if as_json:
         click.echo(result.to_json(), nl=False)
     else:
@@ -94,7 +99,7 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
         raise UsageError(f"{folder}: cannot be made ({error.strerror}); choose another --out") from None
     click.echo(f"running the loop on a simulated joint, in virtual time: {folder}", err=True)
     made = example.make(folder.resolve(), seed)
-    result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed, False)
+    result = _diagnose((made.log,), made.model, folder / "diagnosis", None, seed, False, None)
     if as_json:
         click.echo(result.to_json(), nl=False)
         return
@@ -104,7 +109,13 @@ def _example(logs: tuple[Path, ...], model: Path | None, out: Path | None, seed:
 
 
 def _diagnose(
-    logs: tuple[Path, ...], model: Path, out: Path, hold_out: str | None, seed: int, strict: bool
+    logs: tuple[Path, ...],
+    model: Path,
+    out: Path,
+    hold_out: str | None,
+    seed: int,
+    strict: bool,
+    cutoff: float | None,
 ) -> Diagnosis:
     """Read, diagnose and write, with what is being done on stderr."""
     from rich.console import Console
@@ -126,7 +137,7 @@ def _diagnose(
         def say(stage: str) -> None:
             progress.update(task, description=stage)
 
-        datasets = load_logs(logs, strict)
+        datasets = load_logs(logs, strict, cutoff)
         result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
         say("report")
         for name in (JSON, MODEL):

@@ -16,3 +16,11 @@ class Finite(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number", param, ctx)
         return number
+
+
+CUTOFF = click.option(
+    "--cutoff",
+    type=Finite(min=0.0, min_open=True),
+    metavar="HZ",
+    help="Low-pass in front of derived velocities and accelerations (default: as sharp as the noise allows).",
+)

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from tsa_ctrl import outputs
+from tsa_ctrl.cli.finite import CUTOFF
 from tsa_ctrl.cli.strict import STRICT
 from tsa_ctrl.errors import UsageError
 
@@ -24,9 +25,16 @@ from tsa_ctrl.errors import UsageError
 @click.option("--out", type=click.Path(path_type=Path), help="CSV with t, tau_j, tau_j_sim, residual.")
 @click.option("--picture", type=click.Path(path_type=Path), help="PNG of measured against simulated torque.")
 @STRICT
+@CUTOFF
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def command(
-    log: str, models: tuple[str, ...], out: Path | None, picture: Path | None, strict: bool, as_json: bool
+    log: str,
+    models: tuple[str, ...],
+    out: Path | None,
+    picture: Path | None,
+    strict: bool,
+    cutoff: float | None,
+    as_json: bool,
 ) -> None:
     """Predict the joint torque for LOG (CSV, CSV.gz, Parquet, MCAP or MCAP:AXIS) and print the error.
 
@@ -44,7 +52,7 @@ def command(
     if out is not None and out == picture:
         raise UsageError(f"--picture {picture}: is --out, too; choose another file")
     loaded = [load_model(path) for path in models]
-    dataset = load_log(log, strict)
+    dataset = load_log(log, strict, cutoff)
     simulations = simulate_all(dataset, list(zip(labels(models), loaded, strict=True)))
     notes = [*dataset.notes, *filter(None, [unmoved(dataset)])]
     kept = {path: outputs.keep(path) for path in (out, picture) if path is not None}

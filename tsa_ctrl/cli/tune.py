@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.cli.finite import CUTOFF, Finite
 
 if TYPE_CHECKING:
     from tsa_ctrl.tune.procedure import Outcome
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     help="Tune this simulated plant, in virtual time; nothing goes on a bus.",
 )
 @click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
+@CUTOFF
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Folder for page, pictures and logs; default: beside logs."
 )
@@ -78,6 +79,7 @@ def command(
     setpoint: Path | None,
     plant: Path | None,
     logs: tuple[str, ...],
+    cutoff: float | None,
     out: Path | None,
     yes: bool,
     dry_run: bool,
@@ -106,6 +108,8 @@ def command(
         setpoint=setpoint,
         plant=plant,
     )
+    if cutoff is not None and not logs:
+        raise click.UsageError("--cutoff is for --from-log; leave it out")
     if plant is not None and logs:
         raise click.UsageError("--virtual makes its own runs; leave it out, or --from-log")
     if setpoint is not None and logs:
@@ -122,18 +126,26 @@ def command(
         _tell(as_json, session.plan_dict(), session.plan_text())
         return
     with _interrupted_once():
-        _tune(session, logs, out, yes, dry_run, as_json)
+        _tune(session, logs, cutoff, out, yes, dry_run, as_json)
 
 
 def _tell(as_json: bool, data: dict[str, object], text: str) -> None:
     click.echo(json.dumps(data, allow_nan=False) if as_json else text)
 
 
-def _tune(session: Session, logs: tuple[str, ...], out: Path | None, yes: bool, dry_run: bool, as_json: bool) -> None:
+def _tune(
+    session: Session,
+    logs: tuple[str, ...],
+    cutoff: float | None,
+    out: Path | None,
+    yes: bool,
+    dry_run: bool,
+    as_json: bool,
+) -> None:
     from tsa_ctrl.tune import report
 
     with session.workspace(out, keep=not dry_run):
-        outcome = session.from_logs(logs) if logs else _on_the_rig(session)
+        outcome = session.from_logs(logs, cutoff) if logs else _on_the_rig(session)
         session.finish(outcome)
         if not as_json:
             report.show(outcome, session.difference(outcome), session.page)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import fnmatch
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.units import check_pairs, check_rate, check_sizes
 from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
 from tsa_ctrl.log.mending import mended
@@ -28,9 +29,8 @@ from tsa_ctrl.model.signals import Signals, zero_phase_derivative
 
 Array = NDArray[np.float64]
 
-CUTOFF = 10.0  # Hz, of the zero-phase low-pass in front of the derivative of an angle
+CHECKED = 10.0  # Hz, up to which an angle is compared with its velocity: factors of 57 and 1000 show in any motion
 MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
-STANDING = 0.5  # s: slower than one encoder count in it, an angle has no velocity of a certain direction
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST = 10  # rows
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
@@ -42,7 +42,8 @@ class Dataset:
     """One log on a uniform grid.
 
     `columns` are float64 arrays of shape (n,), SI units, without nan; `derived` names those that the file did not have;
-    `notes` says in words what was done to the data; `left_out` are columns of the file that nothing here needs.
+    `motion` smooths them; `read` says in words what was done when the file was read; `left_out` are columns of the file
+    that nothing here needs.
     `jitter` is the largest deviation from the uniform grid in the file, as a fraction of the period.
     """
 
@@ -50,23 +51,26 @@ class Dataset:
     sha256: str
     rate: float
     columns: dict[str, Array]
-    notes: tuple[str, ...] = ()
+    motion: Motion
+    read: tuple[str, ...] = ()
     derived: frozenset[str] = frozenset()
     left_out: tuple[str, ...] = ()
     jitter: float = 0.0
     label: str = ""
 
     @staticmethod
-    def from_arrays(columns: Mapping[str, ArrayLike], name: str = "arrays", recorded: bool = False) -> Dataset:
+    def from_arrays(
+        columns: Mapping[str, ArrayLike], name: str = "arrays", recorded: bool = False, cutoff: float | None = None
+    ) -> Dataset:
         """A dataset from arrays of one length; checked as a file is. Raises UsageError.
 
-        `recorded`: from the daemon's own log, in which single cycles may be missing.
+        `recorded`: from the daemon's own log, in which single cycles may be missing. `cutoff` as of `load_log`.
         """
         arrays = {key: np.ascontiguousarray(value, dtype=np.float64) for key, value in columns.items()}
         for key, array in arrays.items():
             if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
                 raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
-        return _longest(_datasets(Table(name, arrays, recorded=recorded), name, "", strict=False))
+        return _longest(_datasets(Table(name, arrays, recorded=recorded), name, "", False, cutoff))
 
     def __len__(self) -> int:
         return len(self.columns["t"])
@@ -78,6 +82,11 @@ class Dataset:
         if column not in self.columns:
             raise UsageError(_missing(self.label or self.name, column, (*self.columns, *self.left_out)))
         return self.columns[column]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the data, in words, so far: accelerations are derived when a model asks for the signals."""
+        return notes_of([self])
 
     @property
     def period(self) -> float:
@@ -104,30 +113,41 @@ class Dataset:
         omega_j = self.columns.get("omega_j")
         if omega_j is None:  # a plain drive: its one shaft is motor and joint
             omega_j = self.columns["omega_m"]
-        return Signals(t=self.columns["t"], tau_m=self.columns["tau_m"], omega_j=omega_j, **present)
+        motions = self.motion.accelerations()
+        motor = motions.get("acceleration_m")
+        joint = motor if self.columns.get("omega_j") is None else motions.get("acceleration_j")
+        return Signals(
+            t=self.columns["t"],
+            tau_m=self.columns["tau_m"],
+            omega_j=omega_j,
+            acceleration_j=joint,
+            acceleration_m=motor,
+            **present,
+        )
 
     def signals(self) -> Signals:
         """The columns as the model takes them; for a log of a plain drive omega_j is the motor's velocity."""
         return self._signals
 
 
-def load_log(path: str | Path, strict: bool = False) -> Dataset:
+def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None) -> Dataset:
     """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
 
     Needs t, tau_m and one velocity or angle; `Dataset.require` asks for what a model needs beyond that. Late rows, lost
     samples, doubled stamps and holes are mended and told in `notes`; of pieces between holes this is the longest.
-    `strict` mends no more than jitter of 20 % of the period. Raises UsageError that names file, column and row for a
+    `strict` mends no more than jitter of 20 % of the period; `cutoff` in Hz is that of the smoother that derives
+    velocities and accelerations, default what the data demand. Raises UsageError that names file, column and row for a
     missing column, a nan, a time that runs back, an empty or damaged file, or a unit that cannot be right.
     """
-    return _longest(_datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict))
+    return _longest(_datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict, cutoff))
 
 
-def load_logs(paths: Iterable[str | Path], strict: bool = False) -> list[Dataset]:
+def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float | None = None) -> list[Dataset]:
     """Read logs as `load_log` does, with all pieces between their holes: those of run.csv are run.csv#1, run.csv#2."""
     return [
         dataset
         for path in paths
-        for dataset in _datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict)
+        for dataset in _datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict, cutoff)
     ]
 
 
@@ -136,11 +156,11 @@ def matches(name: str, pattern: str) -> bool:
     return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.partition("#")[0], pattern)
 
 
-def _datasets(table: Table, name: str, sha256: str, strict: bool) -> list[Dataset]:
+def _datasets(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> list[Dataset]:
     """One dataset for each piece of the table."""
     pieces = mended(table, strict)
     names = [name] if len(pieces) == 1 else [f"{name}#{number}" for number in range(1, len(pieces) + 1)]
-    return [_dataset(piece, own, sha256, strict) for piece, own in zip(pieces, names, strict=True)]
+    return [_dataset(piece, own, sha256, strict, cutoff) for piece, own in zip(pieces, names, strict=True)]
 
 
 def _longest(pieces: list[Dataset]) -> Dataset:
@@ -148,10 +168,16 @@ def _longest(pieces: list[Dataset]) -> Dataset:
     if len(pieces) == 1:
         return longest
     used = f"of them the longest is used, {longest.seconds:.4g} s from t = {longest.columns['t'][0]:.6g} s on"
-    return dataclasses.replace(longest, name=longest.name.rpartition("#")[0], notes=(*longest.notes, used))
+    return dataclasses.replace(longest, name=longest.name.rpartition("#")[0], read=(*longest.read, used))
 
 
-def _dataset(table: Table, name: str, sha256: str, strict: bool) -> Dataset:
+def notes_of(logs: Sequence[Dataset]) -> tuple[str, ...]:
+    """What was done to the data, said once for all logs."""
+    read = dict.fromkeys(note for log in logs for note in log.read)
+    return (*read, *in_words(made for log in logs for made in log.motion.made()))
+
+
+def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> Dataset:
     columns = dict(table.columns)
     everything = (*columns, *table.left_out)
     for column in ("t", "tau_m"):
@@ -173,25 +199,21 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool) -> Dataset:
     _check_numbers(table, columns, start)
     columns, period, jitter = _uniform(table, columns, start, notes, strict)
     derivatives: dict[str, Array] = {
-        angle: zero_phase_derivative(columns[angle], period, CUTOFF) for angle in ("q_j", "q_m") if angle in columns
+        angle: zero_phase_derivative(columns[angle], period, CHECKED)
+        for angle, velocity, _ in SHAFTS
+        if angle in columns and velocity in columns
     }
     check_pairs(table.label, columns, derivatives)
     check_sizes(table.label, columns, start)
-    derived: set[str] = set()
-    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
-        if angle in columns and velocity not in columns:
-            columns[velocity] = _directed(columns[angle], derivatives[angle])
-            derived.add(velocity)
-            notes.append(
-                f"{velocity} is derived from {angle}: zero-phase Butterworth low-pass at {CUTOFF:g} Hz (second order, "
-                "both ways), central differences"
-            )
+    motion = Motion({name: columns[name] for shaft in SHAFTS for name in shaft if name in columns}, period, cutoff)
+    derived = motion.derived()
     return Dataset(
         name=name,
         sha256=sha256,
         rate=1.0 / period,
-        columns=columns,
-        notes=tuple(notes),
+        columns={**columns, **derived},
+        motion=motion,
+        read=tuple(notes),
         derived=frozenset(derived),
         left_out=table.left_out,
         jitter=jitter,
@@ -296,23 +318,3 @@ def _uniform(
     uniform = grid.times[0] + grid.period * np.arange(grid.index[-1] + 1)
     resampled = {name: np.interp(uniform, t, values) for name, values in columns.items() if name != "t"}
     return {"t": uniform, **resampled}, grid.period, grid.jitter
-
-
-def _directed(angle: Array, velocity: Array) -> Array:
-    """`velocity` with the direction of the motion around wherever the encoder all but stands.
-
-    Slower than a count in STANDING the sign is the filter's ringing. The velocity there is 0, so that the direction of
-    before holds; but where the motion after goes the other way it turns in the middle, as the angle's extremum lies
-    somewhere between the last count there and the first one back.
-    """
-    steps = np.abs(np.diff(angle))
-    moved = steps[steps > 0.0]
-    count = float(moved.min()) if len(moved) else 0.0  # rad, of an unquantised angle next to nothing
-    surely = (np.abs(velocity) > count / STANDING) & (velocity != 0.0)
-    moving = np.flatnonzero(surely)
-    if len(moving) == 0:
-        return np.zeros_like(velocity)
-    nearest = np.searchsorted((moving[1:] + moving[:-1] + 1) // 2, np.arange(len(angle)), side="right")
-    direction = np.sign(velocity[moving[nearest]])
-    held = np.sign(velocity[moving[np.maximum(np.cumsum(surely) - 1, 0)]])
-    return np.where(surely, velocity, np.where(direction == held, 0.0, direction * np.abs(velocity)))

@@ -23,6 +23,8 @@ SIGNALS: tuple[Column, ...] = (
     Column("q_j", "rad", "joint angle"),
     Column("q_m", "rad", "motor angle"),
     Column("omega_m", "rad/s", "motor velocity"),
+    Column("acceleration_j", "rad/s^2", "joint acceleration"),
+    Column("acceleration_m", "rad/s^2", "motor acceleration"),
     Column("theta", "rad", "sheath bending angle, measured or commanded"),
     Column("t1", "N", "motor-side tension of tendon a"),
     Column("t3", "N", "motor-side tension of tendon b"),

@@ -27,7 +27,7 @@ class Signals:
     """Columns of a log, float64, shape (n,); None where the log has no such column.
 
     t in s, strictly increasing; tau_m in N*m; omega in rad/s; q and theta in rad; temperature in °C;
-    acceleration_j in rad/s^2. Raises UsageError when a column has another shape than t.
+    accelerations in rad/s^2. Raises UsageError when a column has another shape than t.
     """
 
     t: Array
@@ -39,6 +39,7 @@ class Signals:
     theta: Array | None = None
     temperature: Array | None = None
     acceleration_j: Array | None = None
+    acceleration_m: Array | None = None
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -82,7 +83,9 @@ class Signals:
 
     @cached_property
     def motor_acceleration(self) -> Array | None:
-        """Motor acceleration, rad/s^2, derived with zero phase; None when the log has no motor motion."""
+        """Motor acceleration, rad/s^2: the column, else derived with zero phase; None without motor motion."""
+        if self.acceleration_m is not None:
+            return self.acceleration_m
         velocity = self.motor_velocity
         return None if velocity is None else zero_phase_derivative(velocity, self.period)
 

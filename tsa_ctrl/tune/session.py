@@ -221,9 +221,9 @@ class Session:
             if check.result is Result.FAIL:
                 raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
 
-    def from_logs(self, logs: Sequence[str]) -> Outcome:
-        """The estimate from logs that exist; raises UsageError."""
-        return from_logs(self.path, self._model, load_logs(logs), self._settings)
+    def from_logs(self, logs: Sequence[str], cutoff: float | None = None) -> Outcome:
+        """The estimate from logs that exist; `cutoff` as of `load_log`. Raises UsageError."""
+        return from_logs(self.path, self._model, load_logs(logs, cutoff=cutoff), self._settings)
 
     def changes(self, outcome: Outcome) -> dict[Path, str]:
         """The files to be written and their new texts: the model's and, with the motor measured, the controller's."""

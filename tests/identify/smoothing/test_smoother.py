@@ -96,3 +96,18 @@ def test_what_never_changes_or_is_short_stays_as_it_is(values: np.ndarray) -> No
     found = smoothed(values, 1.0 / RATE)
     assert found.smooth is None
     np.testing.assert_array_equal(found.value, values)
+
+
+@pytest.mark.parametrize("samples", [1, 3, 5])
+def test_noise_that_a_drive_averaged_is_not_taken_for_motion(samples: int) -> None:
+    """A mean over a few samples empties the highest frequencies of noise, not those at which a joint moves."""
+    rng = np.random.default_rng(samples)
+    _, velocity, acceleration = motion("noise", 3.0, SECONDS, rng)
+    true, steep = velocity[::20], acceleration[::20]
+    noise = 0.05 * np.convolve(rng.standard_normal(len(true)), np.ones(samples) / np.sqrt(samples), mode="same")
+    found = smoothed(true + noise, 1.0 / RATE, "velocity")
+    assert found.steep is not None
+    assert found.steep.cutoff < 30.0
+    error = float(np.std((found.rate - steep)[1000:-1000]))
+    assert error < 0.1 * float(np.std(steep))
+    assert found.errors[1] == pytest.approx(error, rel=0.5)

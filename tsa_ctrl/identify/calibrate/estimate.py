@@ -22,7 +22,7 @@ from tsa_ctrl.identify.calibrate.joint_fit import combinations_of, joint_fit, qu
 from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split, least_error, narrower
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, prepare, varied
 from tsa_ctrl.identify.calibrate.result import Calibration
-from tsa_ctrl.identify.dataset import Dataset, matches
+from tsa_ctrl.identify.dataset import Dataset, matches, notes_of
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -67,6 +67,7 @@ def calibrate(
         rms_after=_rms(test, after),
         rms_given=_rms(prepared, model),
         rms_written=_rms(prepared, result.model),
+        notes=(*notes_of(logs), *result.notes),
     )
 
 

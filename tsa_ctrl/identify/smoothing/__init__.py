@@ -1,7 +1,6 @@
 """Position, velocity and acceleration from what an encoder counted: one zero-phase smoother, its bandwidth by the data.
 
-A library so far, for who reads counts in Python: the verbs still filter at cut-offs of their own, since with this one
-in their place the diagnosis answered two cases of its blind benchmark worse (warmth, a lag).
+Every verb that derives a velocity or an acceleration does it by this one (`identify.motion`).
 """
 
 from tsa_ctrl.identify.smoothing.smoother import Smoothed, smoothed

@@ -5,7 +5,7 @@ With S the density of the motion and N that of the noise, a zero-phase gain H er
     integral of (2 pi f)^(2r) ((1 - H)^2 S + H^2 N) df
 
 S is where the measured density stands out of N. From the peak upwards it ends where it does not do so any more for half
-an octave; beyond, only lines far above the noise count.
+an octave; beyond, only lines far above the noise and neighbours that surely are no chance count.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ CERTAIN = 3.0  # standard errors by which a band stands out of the noise
 STANDS_OUT = 0.3  # of the noise's density: a weaker motion is not worth its noise
 GAP = 4  # bands: half an octave without motion ends it (a zero in a motion's spectrum is narrower)
 LINE = 10.0  # times the noise: a line apart from the motion, no chance
+RESUMED = 4.0  # standard errors, of two neighbours: motion goes on beyond a gap (by chance one pair in 1e7)
 
 
 @dataclass(frozen=True)
@@ -50,10 +51,13 @@ def motion_density(measured: Array, values: Array, noise: Noise) -> Array:
     """S in each band, from the density measured as the mean of so many `values`."""
     level = noise.density
     above = measured - level
-    sure = (above > CERTAIN * np.hypot(level / np.sqrt(values), noise.spread)) & (above > STANDS_OUT * level)
+    error = np.hypot(level / np.sqrt(values), noise.spread)
+    sure = (above > CERTAIN * error) & (above > STANDS_OUT * level)
     end = _end(sure, int(np.argmax(above)))
+    surer = np.concatenate([[False], sure & (above > RESUMED * error), [False]])
     line = above > LINE * np.maximum(level, CERTAIN * noise.spread)
-    kept = (np.arange(len(above)) < end) | line
+    resumed = surer[1:-1] & (surer[:-2] | surer[2:])
+    kept = (np.arange(len(above)) < end) | line | resumed
     return np.where(kept, np.maximum(above, 0.0), 0.0)
 
 

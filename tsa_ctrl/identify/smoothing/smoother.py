@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tsa_ctrl.identify.smoothing.averaged import plateau
 from tsa_ctrl.identify.smoothing.bandwidth import Choice, Noise, choose, motion_density
 from tsa_ctrl.identify.smoothing.spectrum import band_densities, bands
 from tsa_ctrl.identify.smoothing.zero_phase import LowPass, filtered
@@ -92,7 +93,7 @@ def smoothed(y: Array, period: float, kind: str = "angle", cutoff: float | None 
     if len(y) < FEWEST or not float(np.ptp(y)) > 0.0:
         return Smoothed(y, period, kind, step, None, None, (0.0,) * whole, (0.0,) * whole)
     measured, values = band_densities(y, period)
-    noise = _noise(y, period, step, measured, values, shared, cutoff)
+    noise = _noise(y, period, kind, step, measured, values, shared, cutoff)
     motion = motion_density(measured, values, noise)
     chosen = [choose(len(y), period, motion, noise.density, orders, cutoff) for orders in (shared, apart)]
     if cutoff is not None:
@@ -107,18 +108,28 @@ def smoothed(y: Array, period: float, kind: str = "angle", cutoff: float | None 
 
 
 def _noise(
-    y: Array, period: float, step: float, measured: Array, values: Array, orders: tuple[int, ...], cutoff: float | None
+    y: Array,
+    period: float,
+    kind: str,
+    step: float,
+    measured: Array,
+    values: Array,
+    orders: tuple[int, ...],
+    cutoff: float | None,
 ) -> Noise:
-    """Rounding, as it is when a motion like this one is rounded, and white noise."""
+    """Rounding, as it is when a motion like this one is rounded, and white noise, of a velocity perhaps averaged."""
     edges = bands(len(y), period)
     top = np.sqrt(edges[1:] * edges[:-1]) > TOP / period
     if not top.any():
         top[-1] = True
     rounding = step**2 / 6.0 * period  # white: variance step^2 / 12 over half the rate
-    white = max(0.0, float(np.median(measured[top])) - rounding)
+    level, shape = float(np.median(measured[top])), np.ones(len(measured))
+    if kind == "velocity":
+        level, shape = plateau(measured, len(y), period, TOP)
+    white = max(0.0, level - rounding)
     held = len(y) / max(1, int(np.count_nonzero(np.diff(y))))  # samples on one count: its rounding is so much slower
     first = rounding if step == 0.0 else MORE * held * rounding
-    noise = Noise(np.full(len(measured), first + white), np.zeros(len(measured)))
+    noise = Noise(first + white * shape, np.zeros(len(measured)))
     if step == 0.0:
         return noise
     tried: set[LowPass] = set()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tsa_ctrl.identify.dataset import notes_of
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
@@ -61,7 +62,7 @@ def audit(frame: Frame) -> Audit:
         occupancy=occupancy,
         speed_edges=speed_edges,
         load_edges=load_edges,
-        notes=tuple(dict.fromkeys(note for run in frame.runs for note in run.raw.notes)),
+        notes=notes_of([run.raw for run in frame.runs]),
         suspicions=_suspicions(frame),
         insufficient=_insufficient(float(np.mean(moving)), fast, noise, frame),
     )

@@ -22,12 +22,10 @@ MARGIN = 8.0  # spectral density above the noise floor that still counts as moti
 SEGMENT = 4.0  # s, of one periodogram
 SHARP = 100.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; and of angles at most
 VELOCITY_HIGHEST = 40.0  # Hz
-ACCELERATION_HIGHEST = 20.0  # Hz, of a velocity that is to be derived
 STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
 RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is left as it is
 JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
-DERIVED_CUTOFF = 10.0  # Hz, of the filter that derives a velocity
 
 
 def denoised(log: Dataset) -> tuple[Signals, float, Array]:
@@ -35,33 +33,29 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
     signals = log.signals()
     clean: dict[str, Array] = {}
     noise, error = 0.0, np.zeros(len(log))
-    # A displacement must turn when the velocity does that was derived from it.
-    derived = bool({"omega_j", "omega_m"} & log.derived)
     if log.period * SHARP < 0.21:
         clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)
+    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
+        if velocity in log.derived:  # with the angle under the same low-pass: the two turn at the same moment
+            found = log.motion.smoothed(angle)
+            clean[angle] = found.value
+            if velocity == "omega_j" or "omega_j" not in log:
+                noise = found.errors[1]
+                bent = 0.0 if found.smooth is None else _distortion(found.rate, log.period, found.smooth.cutoff)
+                error = np.hypot(noise, bent)
     for name in ("omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
-        if column is None:
+        if column is None or name in clean or name in log.derived or (name not in log and "omega_m" in log.derived):
             continue
-        highest = DERIVED_CUTOFF if derived else VELOCITY_HIGHEST if name.startswith("omega") else SHARP
+        highest = VELOCITY_HIGHEST if name.startswith("omega") else SHARP
         smooth, left = _low_passed(column, log.period, highest)
         if name == "omega_j":
             as_it_is = _about_standstill(column, log.period) | _about_jumps(column - smooth, log.period)
             smooth = np.where(as_it_is, column, smooth)
-            noise = max(left, STEP_NOISE * _count(log, column))
+            noise = max(left, STEP_NOISE * _count(column))
             error = np.hypot(noise, _distortion(smooth, log.period, highest))
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
-
-
-def with_motion_derived(clean: Signals, log: Dataset) -> Signals:
-    """A plain drive's torque is inertia above all: its motion is derived anew, as sharp as its noise allows."""
-    angle = clean.q_m if clean.q_m is not None else clean.q_j
-    omega = clean.omega_j
-    if {"omega_j", "omega_m"} & log.derived and angle is not None:
-        omega = np.where(omega == 0.0, 0.0, np.gradient(angle, log.period))
-    slow = _low_passed(omega, log.period, ACCELERATION_HIGHEST)[0]
-    return dataclasses.replace(clean, omega_j=omega, acceleration_j=np.gradient(slow, log.period))
 
 
 def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:
@@ -84,11 +78,8 @@ def _about_jumps(taken: Array, period: float) -> NDArray[np.bool_]:
     return np.asarray(np.convolve(jumped, np.ones(2 * margin + 1), mode="same") > 0.5)
 
 
-def _count(log: Dataset, omega: Array) -> float:
-    """One step of the velocity, rad/s: of its own grid, or of the angle's counts through the derivative's filter."""
-    angle = "q_j" if "q_j" in log else "q_m"
-    if {"omega_j", "omega_m"} & log.derived and angle in log:
-        return resolution(log[angle]) * DERIVED_CUTOFF
+def _count(omega: Array) -> float:
+    """One step of a recorded velocity, rad/s, if it has a grid."""
     values = np.unique(omega)
     return resolution(omega) if len(values) < 0.2 * len(omega) else 0.0
 

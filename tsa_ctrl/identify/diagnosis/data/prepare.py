@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.diagnosis.data.denoise import denoised, with_motion_derived
+from tsa_ctrl.identify.diagnosis.data.denoise import denoised
 from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
@@ -72,8 +72,6 @@ def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
     runs = []
     for log in logs:
         full, noise, error = denoised(log)
-        if target == "tau_m":
-            full = with_motion_derived(full, log)
         own = factor * max(1, round(log.rate / slowest))
         measured = log[target]
         small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
