@@ -17,6 +17,6 @@ def admit(dataset: Dataset, model: Model, *columns: str) -> None:
     dataset.require(model, *columns)
     if isinstance(model, TendonSheath):
         both = {"omega_j", "omega_m"} <= dataset.derived  # they say what their angles say, with more noise
-        columns = {name: values for name, values in dataset.columns.items() if not (both and name == "omega_m")}
-        check_ratios(dataset.label, columns, model.motor_pulley_radius, model.joint_pulley_radius)
+        ends = {name: values for name, values in dataset.columns.items() if not (both and name == "omega_m")}
+        check_ratios(dataset.label, ends, model.motor_pulley_radius, model.joint_pulley_radius)
     check_energy(dataset, model)
