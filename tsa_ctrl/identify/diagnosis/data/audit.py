@@ -14,6 +14,8 @@ from tsa_ctrl.model.signals import hold_direction
 
 SHORTEST = 3.0  # s
 FEWEST = 60  # score samples
+CLEAR = 6.0  # times the velocity's noise, above which a motion is none of it
+LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
 STUCK = 0.5  # share of a torque's samples that repeat the one before
 FEWEST_HELD = 20  # samples at the largest value that are no chance
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
@@ -42,9 +44,11 @@ def audit(frame: Frame) -> Audit:
     """Occupancy and excitation of the samples that may be learned from."""
     omega = np.concatenate([run.signals.omega_j for run in frame.runs])
     tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
-    noise = max(run.velocity_noise for run in frame.runs)
+    # Of each log its own: one noisy log more must not hide the motion of the others.
+    noise = np.concatenate([np.full(len(run.signals), run.velocity_noise) for run in frame.runs])
     fast = float(np.quantile(np.abs(omega), 0.95)) if len(omega) else 0.0
-    moving = np.abs(omega) > max(0.05 * fast, 4.0 * noise, 1e-9)
+    moving = np.abs(omega) > np.maximum(np.maximum(0.05 * fast, 4.0 * noise), 1e-9)
+    clear = float(np.mean(np.abs(omega) > CLEAR * noise)) if len(omega) else 0.0
     reversals = sum(
         int(np.count_nonzero(np.diff(_steady(run.signals.omega_j, run.velocity_noise)))) for run in frame.runs
     )
@@ -64,7 +68,7 @@ def audit(frame: Frame) -> Audit:
         load_edges=load_edges,
         notes=notes_of([run.raw for run in frame.runs]),
         suspicions=_suspicions(frame),
-        insufficient=_insufficient(float(np.mean(moving)), fast, noise, frame),
+        insufficient=_insufficient(float(np.mean(moving)), fast, clear, frame),
     )
 
 
@@ -73,8 +77,11 @@ def _steady(omega: Array, noise: float) -> Array:
     return hold_direction(np.where(np.abs(omega) > 3.0 * noise, omega, 0.0))
 
 
-def _insufficient(moving: float, fast: float, noise: float, frame: Frame) -> str:
-    """Why these logs cannot be diagnosed. moving: share of the time; fast: speed that is hardly exceeded, rad/s."""
+def _insufficient(moving: float, fast: float, clear: float, frame: Frame) -> str:
+    """Why these logs cannot be diagnosed: shares of the time that it moves, and that it stands out of the noise.
+
+    fast: rad/s, hardly exceeded. What is enough by itself stays enough, however much standstill comes with it.
+    """
     if frame.seconds < SHORTEST or len(frame) < FEWEST:
         return f"the logs hold {frame.seconds:.2g} s; at least {SHORTEST:g} s are needed"
     if _is_constant([run.target for run in frame.runs]):
@@ -83,9 +90,9 @@ def _insufficient(moving: float, fast: float, noise: float, frame: Frame) -> str
         return "tau_m does not change at all: is the drive's torque recorded?"
     if _is_constant([run.signals.omega_j for run in frame.runs]) and fast > 0.0:
         return "the velocity does not change at all: is it recorded?"
-    if fast <= 0.0:
+    if fast <= 0.0 and clear * frame.seconds < SHORTEST:
         return "the joint does not move: friction shows only in motion"
-    if fast < 6.0 * noise or moving < 0.02:
+    if clear < min(LEAST_CLEAR, SHORTEST / frame.seconds) or moving < min(LEAST_MOVING, SHORTEST / frame.seconds):
         return "the joint hardly moves: its speed does not stand out of the velocity's noise"
     return ""
 
