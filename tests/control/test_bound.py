@@ -72,3 +72,9 @@ def test_what_was_never_calibrated_is_bounded_where_nothing_sees_it() -> None:
     blind = of(UNIFORM, sees=False)
     assert any("cannot be promised; at most 64 % of the friction" in note for note in blind.notes)
     assert of(UNIFORM, sees=False, c=0.0).notes == ()
+
+
+def test_more_than_the_friction_is_not_compensated_and_that_is_said() -> None:
+    bound = of(UNIFORM, bending_known=True, c=1.1)
+    assert bound.seen == 1.0
+    assert "law.compensation 1.1 asks for more" in bound.notes[0]

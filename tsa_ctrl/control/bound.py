@@ -43,6 +43,8 @@ def bound_of(
     seen = bent * (1.0 if calibrated is None else calibrated)
     unseen = bent * (uncertain if calibrated is None else calibrated)
     notes = []
+    if compensation > 1.0:
+        notes.append(f"law.compensation {compensation:g} asks for more than the friction that the model has: 1 is used")
     if calibrated is not None and calibrated * bent < compensation and calibrated < 1.0:
         notes.append(
             f"the half loop's interval of the calibration begins at {100.0 * calibrated:.0f} % of its value: no more "
