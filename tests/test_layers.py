@@ -46,7 +46,7 @@ ROOMS: dict[str, str] = {
     "ipc": "errors system",
     "daemon": "errors settings outputs system log sensors model observer bus safety control config ipc",
     # offline: from logs to parameters and causes, without bus and loop
-    "identify": "errors version settings system log model",
+    "identify": "errors version settings system log model observer",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
     # both of them in one process, in time of their own

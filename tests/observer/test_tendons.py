@@ -9,7 +9,7 @@ from tests.control.sliding import actuator
 from tests.model.capstan import Pair
 from tsa_ctrl.model.curvature import NAMED
 from tsa_ctrl.observer import tendons
-from tsa_ctrl.observer.stretch import _pairs as pairs_of
+from tsa_ctrl.observer.stretch import pairs_of
 
 R_M, R_J, X, TENSION = 0.020, 0.025, 0.26, 45.0
 

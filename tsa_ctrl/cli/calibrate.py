@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +18,7 @@ from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
     from tsa_ctrl.identify.calibrate import Calibration
+    from tsa_ctrl.identify.calibrate.stretch import StretchFit
     from tsa_ctrl.model.parameters import TendonSheath
 
 
@@ -41,6 +44,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="Where the data cannot part x and T_p: keep the file's proportion, or fit the simulation error.",
 )
+@click.option(
+    "--stretch",
+    is_flag=True,
+    help="Find stiffness, place of the bends and motor inertia, too, from q_m and q_j; tau_j is not needed then.",
+)
 @click.option("--hold-out", metavar="PATTERN", help="Logs on which the error is measured (default: every third).")
 @STRICT
 @CUTOFF
@@ -53,6 +61,7 @@ def command(
     certified_gain: bool,
     tensioner: tuple[str, ...],
     split: str,
+    stretch: bool,
     hold_out: str | None,
     strict: bool,
     cutoff: float | None,
@@ -61,6 +70,7 @@ def command(
 ) -> None:
     """Estimate friction angle and pretension from LOG files with honest intervals."""
     from tsa_ctrl.identify.calibrate import calibrate
+    from tsa_ctrl.identify.calibrate.stretch import fit_stretch
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.provenance import provenance
     from tsa_ctrl.log.table import split_axis
@@ -70,6 +80,22 @@ def command(
         outputs.refuse_inputs(out, [split_axis(path)[0] for path in logs])
     nominal = _loaded(model)
     datasets = load_logs(logs, strict, cutoff)
+    fit = fit_stretch(datasets, nominal) if stretch else None
+    if fit is not None:
+        if not as_json:
+            _show_stretch(fit)
+        if not all("tau_j" in dataset for dataset in datasets):
+            kept = None
+            if out is not None:
+                kept = outputs.keep(out)
+                source = provenance("calibrate", datasets, model, fit.quantities)
+                save_model(fit.model, out, template=model, provenance=source)
+            if as_json:
+                click.echo(json.dumps({"schema": 1, "stretch": fit.to_dict()}, allow_nan=False))
+            elif out is not None:
+                click.echo(outputs.kept_words(out, kept))
+            return
+        nominal = replace(fit.model, friction_coefficient=nominal.friction_coefficient)
     result = calibrate(
         datasets,
         nominal,
@@ -85,10 +111,12 @@ def command(
         if result.worse and not yes:
             _ask(result, model, out, as_json)
         kept = outputs.keep(out)
-        source = provenance("calibrate", datasets, model, result.quantities, split=result.split)
+        quantities = {**({} if fit is None else fit.quantities), **result.quantities}
+        source = provenance("calibrate", datasets, model, quantities, split=result.split)
         save_model(result.model, out, template=model, provenance=source)
     if as_json:
-        click.echo(result.to_json())
+        more = {} if fit is None else {"stretch": fit.to_dict()}
+        click.echo(json.dumps({**result.to_dict(), **more}, allow_nan=False))
     elif out is not None:
         click.echo(outputs.kept_words(out, kept))
 
@@ -167,3 +195,18 @@ def _show(result: Calibration, done: list[str], nominal: TendonSheath) -> None:
     )
     if result.worse:
         click.echo(f"calibrated, the simulation is WORSE than as given: {result.worse}; tsa diagnose names what lacks")
+
+
+def _show_stretch(fit: StretchFit) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("quantity", "value", "95 % interval", "unit", title="identified by the tendons' stretch")
+    rows = {**fit.quantities, **{f"zero of s in {name}": quantity for name, quantity in fit.zeros.items()}}
+    for name, quantity in rows.items():
+        interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
+        table.add_row(name.replace("_", " "), f"{quantity.value:.4g}", interval, quantity.unit)
+    console = Console()
+    console.print(table)
+    for note in fit.notes:
+        console.print(f"note: {note}", soft_wrap=True)

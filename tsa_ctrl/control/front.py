@@ -18,10 +18,9 @@ from __future__ import annotations
 import itertools
 from bisect import bisect_right
 
-from tsa_ctrl.model.composition import Stack
-from tsa_ctrl.model.curvature import NAMED, Points
-from tsa_ctrl.model.effects.transmission import Elongating
+from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.stretch import profile_of
 
 _STEPS = 64  # of p
 
@@ -56,8 +55,7 @@ class Front:
 
 def front_of(model: TendonSheath) -> Front:
     """That of a model; evenly bent where it does not say how the sheath bends."""
-    transmission = Stack.of(model.effects, model.source).transmission(model)
-    points = transmission.profile.points if isinstance(transmission, Elongating) else NAMED["uniform"]
+    points = profile_of(model).points
     spring = model.series_length / model.unstrained_length
     return Front(points, 0.0, spring) if model.series_at_joint else Front(points, spring, 0.0)
 

@@ -61,6 +61,18 @@ class Profile:
         return 1.0 - sum(width * (start + 0.5 * rise) for width, start, rise in self._pieces)
 
 
+def centred(profile: Profile, centre: float) -> Profile:
+    """The same bends squeezed towards the motor or the joint, so that their centre lies at `centre`, in (0, 1)."""
+    now = profile.centre
+    if abs(centre - now) < 1e-9:
+        return profile
+    if centre < now:
+        share = centre / now
+        return Profile((*((share * u, b) for u, b in profile.points), (1.0, 1.0)))
+    share = (1.0 - centre) / (1.0 - now)
+    return Profile(((0.0, 0.0), *((1.0 - share * (1.0 - u), b) for u, b in profile.points)))
+
+
 def as_points(value: object) -> Points | None:
     """A list of pairs as points; None when it is no course of a bending."""
     if not isinstance(value, Sequence) or isinstance(value, str) or len(value) < 2:

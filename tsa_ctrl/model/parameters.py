@@ -63,6 +63,7 @@ class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     bending_angle: Angle  # Theta, rad
     contact_offset: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # p, m
     unstrained_bending_angle: float | None = None  # Theta_us, rad (3.51)
+    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, where no effect gives the whole course
 
 
 class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -122,6 +123,7 @@ class TendonSheath:
     contact_offset: float = 0.0
     series_stiffness: float | None = None
     series_at_joint: bool = False
+    bending_centre: float | None = None  # of the length from the motor; None: evenly bent, or by elongation_coupling
     friction_angle_uncertainty: float = 0.25
     pretension_uncertainty: float = 0.25
     axial_stiffness_uncertainty: float = UncertaintySection().axial_stiffness
@@ -240,6 +242,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         friction_coefficient=file.sheath.friction_coefficient,
         bending_angle=file.sheath.bending_angle,
         contact_offset=file.sheath.contact_offset,
+        bending_centre=file.sheath.bending_centre,
         pretension=0.0,  # resolved below; it needs the stiffness
         friction_angle_uncertainty=file.uncertainty.friction_angle,
         pretension_uncertainty=file.uncertainty.pretension,
@@ -338,6 +341,7 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
             "bending_angle": model.bending_angle,
             "contact_offset": model.contact_offset,
             "unstrained_bending_angle": None,
+            "bending_centre": model.bending_centre,
         },
         "pretension": {"value": model.pretension},
         "uncertainty": uncertainty,

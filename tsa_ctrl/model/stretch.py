@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.composition import Stack
-from tsa_ctrl.model.curvature import Profile
+from tsa_ctrl.model.curvature import Profile, centred
 from tsa_ctrl.model.effects.transmission import Elongating
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
@@ -84,9 +84,12 @@ def why_not(model: TendonSheath) -> str:
 
 
 def profile_of(model: TendonSheath) -> Profile:
-    """Where the sheath of a model bends; evenly where it does not say."""
+    """Where the sheath of a model bends; evenly where it does not say, or around the centre that it gives."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
-    return transmission.profile if isinstance(transmission, Elongating) else Profile.of("uniform")
+    if isinstance(transmission, Elongating):
+        return transmission.profile
+    even = Profile.of("uniform")
+    return even if model.bending_centre is None else centred(even, model.bending_centre)
 
 
 def compliance_centre(model: TendonSheath) -> float:

@@ -69,7 +69,7 @@ class StretchObserver:
         self._inertia = motor_inertia
         r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
         self._r_m, self._r_j = r_m, r_j
-        self._first = _pairs(model)
+        self._first = pairs_of(model)
         self._pairs = self._first.copy()
         self._memory = np.zeros(tendons.MEMORY)
         self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]))
@@ -114,6 +114,7 @@ class StretchObserver:
         self._pairs[:, 1, tendons.TENSION] += model.tendon_stiffness * real
         memory[tendons.WAY] = memory[tendons.WAY_MORE] = real
         memory[tendons.JOINT_WAY] = memory[tendons.SLID] = memory[tendons.FAST] = 0.0
+        memory[tendons.REST] = memory[tendons.KNOWN] = 0.0
         self._grip()
 
     @property
@@ -192,7 +193,7 @@ class StretchObserver:
         self.torque, self.low, self.high = torque, torque - half, torque + half
 
 
-def _pairs(model: TendonSheath) -> Array:
+def pairs_of(model: TendonSheath) -> Array:
     """The tendons at their pretension, twice: with the model's friction and with `tendons.MORE` of it."""
     points = np.array(profile_of(model).points, dtype=np.float64)
     rising = points[:, 1] + 1e-12 * np.arange(len(points))  # where the sheath is straight, the place is the farther one

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from tsa_ctrl.model.functions import Array
@@ -26,7 +27,8 @@ SHARE = 2  # 1, of the bending, of contact i
 GRIP = 3  # 1, of contact i
 MODE = 4  # of contact i: 0 holds, 1 slips to the motor, -1 to the joint
 UPPER, SLIP, BY_MOTOR, NEW = 5, 6, 7, 8  # of the elimination: delta = SLIP + BY_MOTOR du; NEW: tensions tried
-ROWS = 9
+HELD = 9  # N of spring i, between the pairs when the joint's end came to rest
+ROWS = 10
 ROUNDS = 60  # of Newton's method; one or two are usual, one for each contact that a step passes is the most
 PIECES = 8  # into which a step is cut whose modes were not found
 _FORCE = 1e-7  # N beyond the grip that still holds
@@ -133,6 +135,27 @@ def move(pair: Array, difference: float, joint: float) -> tuple[float, bool]:
     return motor, True
 
 
+@njit(cache=True, error_model="numpy")
+def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, Array]:
+    """A whole log, (n,) each: stretch (m) since its begin, T4 - T2 (N; nan where not found), 1 once all has slid."""
+    n = difference.size
+    stretch, end, slid = np.zeros(n), np.zeros(n), np.zeros(n)
+    last = pair.shape[2] - 1
+    way = 0.0
+    known = False
+    for k in range(n):
+        moved, settled = move(pair, difference[k], joint[k])
+        way += moved - joint[k]
+        all_slide = settled
+        for i in range(last):
+            all_slide = all_slide and pair[0, MODE, i] != 0.0 and pair[1, MODE, i] != 0.0
+        known = known or all_slide
+        stretch[k] = way
+        end[k] = pair[1, TENSION, last] - pair[0, TENSION, last] if settled else math.nan
+        slid[k] = 1.0 if known else 0.0
+    return stretch, end, slid
+
+
 # What `observe` keeps between two calls, a row of floats.
 ANGLE = 0  # friction angle x of the tendons as they are now, 1
 ZERO = 1  # m of stretch that the encoders show where there is none
@@ -142,7 +165,11 @@ P_XX, P_XF, P_XZ, P_FF, P_FZ, P_ZZ = 6, 7, 8, 9, 10, 11  # covariance of ln x, F
 SLID = 12  # 1 once both tendons have slid all along: what they were before is forgotten
 INNOVATION = 13  # m
 GAIN_S, GAIN_T = 14, 15  # m and N by which stretch and T4 - T2 grow with ln x
-MEMORY = 16
+HELD_S, HELD_T = 16, 17  # GAIN_S and GAIN_T when the joint's end of both tendons came to rest
+REST = 18  # 1, from then until all slides again: how surely the tensions were known then
+KNOWN = 19  # 1, share of what was held that counts as known
+HELD_V = 20  # N^2, variance of T4 - T2 when the joint's end came to rest
+MEMORY = 21
 # What it is told once.
 LOW, HIGH = 0, 1  # of x
 MOST_ZERO = 2  # m, either way
@@ -158,11 +185,38 @@ OK, UNSETTLED, SLACK = 0, 1, 2
 
 
 @njit(cache=True, error_model="numpy")
-def _take_over(pairs: Array, x: float, share: float) -> None:
-    """Another friction angle, and the tensions that would be there had it always been so."""
+def _rest(pairs: Array, w: Array, h: float, g: float, keep: float, sure: float) -> None:
+    """Keep apart what no longer depends on x: tensions at a joint's end at rest were measured while all slid.
+
+    As far as x, and not the zero, was known then: `sure` is the variance of ln x at which half of it counts.
+    """
+    n = pairs.shape[3] - 1
+    slides = True
+    for i in range(n):
+        slides = slides and pairs[0, 0, MODE, i] != 0.0 and pairs[0, 1, MODE, i] != 0.0
+    if slides:
+        w[SLID] = 1.0
+        w[REST] = 0.0
+    elif w[REST] == 0.0 and pairs[0, 0, MODE, n - 1] == 0.0 and pairs[0, 1, MODE, n - 1] == 0.0:
+        w[REST] = sure / (sure + w[P_XX])
+        w[HELD_V] = g * g * (w[P_XX] + 2.0 * w[P_XF] + w[P_FF])
+        w[HELD_S], w[HELD_T] = h, g
+        for tendon in range(2):
+            for i in range(n + 1):
+                pairs[0, tendon, HELD, i] = pairs[1, tendon, TENSION, i] - pairs[0, tendon, TENSION, i]
+    w[KNOWN] = keep * w[KNOWN] + (1.0 - keep) * w[REST] * w[SLID]
+
+
+@njit(cache=True, error_model="numpy")
+def _take_over(pairs: Array, x: float, share: float, known: float) -> None:
+    """Another friction angle, and the tensions that would be there had it been so since the joint's end came to rest.
+
+    `known`: of the differences held then; 0: as if it had always been so.
+    """
     for tendon in range(2):
         for i in range(pairs.shape[3]):
-            change = share * (pairs[1, tendon, TENSION, i] - pairs[0, tendon, TENSION, i])
+            difference = pairs[1, tendon, TENSION, i] - pairs[0, tendon, TENSION, i]
+            change = share * (difference - known * pairs[0, tendon, HELD, i])
             pairs[0, tendon, TENSION, i] += change
             pairs[1, tendon, TENSION, i] += change
     grip(pairs[0], x)
@@ -188,18 +242,14 @@ def observe(
     w[WAY] += way
     w[WAY_MORE] += more
     w[JOINT_WAY] += joint
-    slid = True
-    for i in range(n):
-        if pairs[0, 0, MODE, i] == 0.0 or pairs[0, 1, MODE, i] == 0.0:
-            slid = False
-            break
-    if slid:
-        w[SLID] = 1.0
     end = pairs[0, 1, TENSION, n] - pairs[0, 0, TENSION, n]
     h = (w[WAY_MORE] - w[WAY]) / MORE
     g = (pairs[1, 1, TENSION, n] - pairs[1, 0, TENSION, n] - end) / MORE
-    # ln x and the zero walk, never further than the prior; FAST forgets
     keep = settings[KEEP_F]
+    _rest(pairs, w, h, g, keep, 2.0 * settings[SPREAD_F])
+    h -= w[KNOWN] * w[HELD_S]
+    g -= w[KNOWN] * w[HELD_T]
+    # ln x and the zero walk, never further than the prior; FAST forgets
     xx, xf, xz = min(w[P_XX] + settings[WALK_X], settings[PRIOR_X]), keep * w[P_XF], w[P_XZ]
     ff, fz = keep * keep * w[P_FF] + (1.0 - keep * keep) * settings[SPREAD_F], keep * w[P_FZ]
     zz = min(w[P_ZZ] + settings[WALK_Z], settings[PRIOR_Z])
@@ -220,8 +270,9 @@ def observe(
     change = math.log(x / w[ANGLE])
     if change != 0.0:
         w[ANGLE] = x
-        _take_over(pairs, x, change / MORE)
+        _take_over(pairs, x, change / MORE, w[KNOWN])
         w[WAY] += change * h
         w[WAY_MORE] += change * h
     variance = w[P_XX] + 2.0 * w[P_XF] + w[P_FF]
-    return end + g * (change + w[FAST]), abs(g) * math.sqrt(max(0.0, variance)), OK
+    variance = g * g * variance + w[KNOWN] * w[HELD_V]
+    return end + g * (change + w[FAST]), math.sqrt(max(0.0, variance)), OK

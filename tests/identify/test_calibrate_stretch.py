@@ -1,0 +1,137 @@
+"""Stiffness, shape and motor inertia from the stretch, in logs of the distributed plant; what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.identify.test_calibrate_cli import tsa, write_csv
+from tests.virtual.joints import GAIT, play, sine
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate.stretch import fit_stretch
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
+
+OFF = {"friction_coefficient": 1.15, "pretension": 0.9, "axial_stiffness": 0.85}  # true over nominal
+STIFFNESS = 0.85 * NOMINAL.axial_stiffness
+BENDS = [[0.0, 0.0], [0.6, 1.0], [1.0, 1.0]]  # s_c 0.3
+COLUMNS = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j")
+
+
+def columns(folder: Path, load: str, setpoint: dict[str, Any], seconds: float = 5.0) -> dict[str, np.ndarray]:
+    """A log of a rig that is not nominal, its motor's inertia 1e-4."""
+    plant = {"perturbation": OFF, "tendon": {"curvature": BENDS}}
+    result = play(folder, load, setpoint, seconds, compensation=0.7, plant=plant)
+    log = result.log
+    kept = np.isfinite(log["q_m"]) & np.isfinite(log["q_j"]) & np.isfinite(log["tau_m"]) & np.isfinite(log["tau_j"])
+    return {name: log[name][kept] for name in COLUMNS}
+
+
+@pytest.fixture(scope="module")
+def gait(tmp_path_factory: pytest.TempPathFactory) -> dict[str, np.ndarray]:
+    return columns(tmp_path_factory.mktemp("gait"), "imposed", GAIT)
+
+
+def dataset(found: dict[str, np.ndarray], *without: str) -> Dataset:
+    return Dataset.from_arrays({name: values for name, values in found.items() if name not in without}, "log")
+
+
+@pytest.mark.slow
+def test_with_a_torque_sensor_stiffness_shape_and_inertia_are_found(gait: dict[str, np.ndarray]) -> None:
+    fit = fit_stretch([dataset(gait)], NOMINAL)
+    assert fit.axial_stiffness.low < STIFFNESS < fit.axial_stiffness.high
+    assert fit.axial_stiffness.value == pytest.approx(STIFFNESS, rel=0.01)
+    assert fit.centre is not None
+    assert fit.centre.low < 0.3 < fit.centre.high
+    assert fit.motor_inertia.value == pytest.approx(1e-4, rel=0.15)
+    assert fit.model.axial_stiffness_uncertainty < 0.03
+    assert fit.friction_angle.value == pytest.approx(1.15 * 0.9 * NOMINAL.friction_angle, rel=0.03)
+
+
+@pytest.mark.slow
+def test_without_one_the_stiffness_is_found_and_the_shape_is_kept(gait: dict[str, np.ndarray]) -> None:
+    """That the shape is not parted from the friction is said."""
+    fit = fit_stretch([dataset(gait, "tau_j")], dataclasses.replace(NOMINAL, bending_centre=0.3))
+    assert fit.axial_stiffness.low < STIFFNESS < fit.axial_stiffness.high
+    assert fit.centre is None
+    assert any("without a joint torque sensor" in note for note in fit.notes)
+
+
+@pytest.mark.slow
+def test_a_held_joint_tells_its_stiffness_too(tmp_path: Path) -> None:
+    fit = fit_stretch([dataset(columns(tmp_path, "held", sine(0.6, 0.5)))], NOMINAL)
+    assert fit.axial_stiffness.value == pytest.approx(STIFFNESS, rel=0.015)
+
+
+@pytest.mark.slow
+def test_the_verb_writes_what_it_found(
+    gait: dict[str, np.ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a joint torque sensor, as a file that loads; its half loop's interval is there for the guard."""
+    model, log, out = tmp_path / "a.toml", tmp_path / "log.csv", tmp_path / "b.toml"
+    save_model(dataclasses.replace(NOMINAL, bending_centre=0.3), model)
+    write_csv(log, {name: values for name, values in gait.items() if name != "tau_j"})
+    assert tsa(str(log), "--model", str(model), "--out", str(out), "--stretch", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert set(found) == {"schema", "stretch"}
+    written = load_tendon_sheath(out)
+    assert written.axial_stiffness == pytest.approx(found["stretch"]["axial_stiffness"]["value"])
+    assert written.axial_stiffness_uncertainty < 0.05
+    assert written.bending_centre == 0.3
+    assert written.half_loop_low == pytest.approx(found["stretch"]["half_loop_torque"]["low"])
+
+
+def rows(seconds: float = 3.0) -> dict[str, np.ndarray]:
+    """A rigid transmission: nothing is stretched."""
+    t = np.arange(0.0, seconds, 1e-3)
+    q_j = np.sin(t)
+    return {
+        "t": t,
+        "tau_m": 0.1 * np.cos(t),
+        "q_j": q_j,
+        "q_m": 1.25 * q_j,
+        "omega_m": 1.25 * np.cos(t),
+        "omega_j": np.cos(t),
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"q_m": -1.25}, "one of them has the wrong sign"),
+        ({"q_m": 2.5}, "counts per turn or a pulley's radius is wrong"),
+    ],
+)
+def test_angles_that_contradict_each_other_are_refused(change: dict[str, float], words: str) -> None:
+    data = rows()
+    for name, factor in change.items():
+        data[name] = factor * data["q_j"]
+    with pytest.raises(UsageError, match=f"q_m and q_j contradict each other.*{words}"):
+        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
+
+
+def test_a_missing_encoder_is_named() -> None:
+    data = rows()
+    del data["q_m"]
+    with pytest.raises(UsageError, match="q_m"):
+        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
+
+
+def test_tendons_that_never_slid_tell_nothing() -> None:
+    data = rows()
+    for name in ("q_j", "q_m", "omega_m", "omega_j"):
+        data[name] = 0.0 * data[name]
+    with pytest.raises(UsageError, match="did not slide all along"):
+        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
+
+
+def test_a_model_without_friction_is_refused() -> None:
+    model: TendonSheath = NOMINAL.recalibrated(0.0)
+    with pytest.raises(UsageError, match="must be above 0"):
+        fit_stretch([Dataset.from_arrays(rows(), "log")], model)

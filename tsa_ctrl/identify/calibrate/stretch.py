@@ -1,0 +1,291 @@
+"""Stiffness, shape and zero of the tendons from logs with q_m, q_j and tau_m, with and without a joint torque sensor.
+
+The observer's tendons (`tsa_ctrl.observer.tendons`) are led through the log by motor torque and joint angle, and
+foretell the stretch; Gauss-Newton's method finds
+
+    ln of the stiffness   (E A and a series spring by one factor: the way of s with tau_M while all slides, 1/(2 k_t))
+    s_c                   (the model's bends squeezed to one end)
+    ln x                  (at the model's pretension: the way of s from one direction to the other, x T_p (1 - s_c)/k_t)
+    J_M, and the zero of s of each log
+
+by which the stretch measured, and the joint torque where it was, differ least. Without a joint torque sensor the two
+directions show x T_p (1 - s_c) alone, and what parts s_c from x is the course of a reversal, which the true course of
+the bends decides, too: s_c is kept then, with the file's uncertainty. Intervals are those of blocks of time
+(`regression`), and what a chain of a few contacts and a constant T_p leave out (`MODEL`) beside them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate.regression import block_labels, solve
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.curvature import centred
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of
+from tsa_ctrl.observer import tendons
+from tsa_ctrl.observer.stretch import pairs_of
+
+FloatArray = NDArray[np.float64]
+
+ROUNDS = 12  # of Gauss-Newton; it ends earlier when no step is above a hundredth of `STEPS`
+STEPS = (0.01, 0.01, 0.02, 1e-5)  # of ln k, s_c, ln x, J_M for derivatives: above what single contacts do
+MOST = (0.3, 0.1, 0.3, 2e-4)  # in one round
+MODEL = (0.006, 0.006, 0.03, 5e-6)  # 95 %, of the same: found on thirty rigs with pretension 20 % off
+WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log cannot tell
+LEAST_SLID = 1.0  # s after the tendons have slid all along
+TURNED = 0.05  # of the joint's way at the motor: pulley radii are known to a few per cent
+CENTRES = (0.01, 0.97)
+
+
+@dataclass(frozen=True)
+class StretchFit:
+    """What the stretch tells; `centre` is None without a joint torque sensor. `model` has it all."""
+
+    axial_stiffness: Quantity  # N; a series spring moves with it
+    centre: Quantity | None  # s_c of the sheath's bends, 1
+    friction_angle: Quantity  # 1, at the model's pretension
+    half_loop_torque: Quantity  # N*m at the joint: what both make
+    motor_inertia: Quantity  # kg*m^2
+    zeros: dict[str, Quantity]  # m of r_M q_M - r_J q_J, by log
+    rms: float  # m, of the stretch foretold
+    notes: tuple[str, ...]
+    model: TendonSheath
+
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """What was estimated, by its public name."""
+        found = {
+            "axial_stiffness": self.axial_stiffness,
+            "motor_inertia": self.motor_inertia,
+            "half_loop_torque": self.half_loop_torque,
+        }
+        return found if self.centre is None else {**found, "bending_centre": self.centre}
+
+    def to_dict(self) -> dict[str, object]:
+        """The object "stretch" of `tsa calibrate --json`."""
+        return {
+            **{name: quantity.to_dict() for name, quantity in self.quantities.items()},
+            "friction_angle": self.friction_angle.to_dict(),
+            "zero": {name: quantity.to_dict() for name, quantity in self.zeros.items()},
+            "rms": {"value": self.rms, "unit": "m"},
+            "notes": list(self.notes),
+        }
+
+
+_Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # rows, rests, blocks
+
+
+@dataclass(frozen=True)
+class _Log:
+    """One log as the tendons take it, (n,) each."""
+
+    name: str
+    tau_m: FloatArray
+    acceleration: FloatArray  # rad/s^2, of the motor
+    way: FloatArray  # m that the joint's pulley turns from row to row
+    stretch: FloatArray  # m
+    tau_j: FloatArray | None
+    period: float
+
+
+def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
+    """Fit them to all logs at once. Raises UsageError, with the cure, for what these logs cannot tell."""
+    if not (model.friction_angle > 0.0 and model.pretension > 0.0):
+        raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
+    taken = [_taken(log, model) for log in logs]
+    sensor = all(log.tau_j is not None for log in taken)
+    # ln k, s_c, ln x, J_M; then the zero of each log, and of its sensor
+    count = len(taken)
+    p = np.array([0.0, profile_of(model).centre, 0.0, 0.0, *(log.stretch[0] for log in taken), *np.zeros(count)])
+    free = [0, 1, 2, 3, *range(4, 4 + 2 * count)] if sensor else [0, 2, 3, *range(4, 4 + count)]
+    step = np.array([*STEPS, *np.full(count, 1e-6), *np.full(count, 1e-3)])
+    most = np.array([*MOST, *np.full(count, 1e-3), *np.full(count, 1.0)])
+    labels = block_labels([log.stretch.size for log in taken])
+    for _ in range(ROUNDS):
+        rows, rest, blocks, rms = _linear(taken, model, p, free, step, sensor, labels)
+        try:
+            estimate = solve(rows, rows, rest, blocks)
+        except np.linalg.LinAlgError:
+            raise UsageError(f"{_names(logs)}: {_CURE}") from None
+        change = np.clip(estimate.value, -most[free], most[free])
+        p[free] += change
+        p[1] = min(CENTRES[1], max(CENTRES[0], p[1]))
+        if np.all(np.abs(change) < 0.01 * step[free]):
+            break
+    half = {place: 0.5 * float(np.subtract(*estimate.interval(i)[::-1])) for i, place in enumerate(free)}
+    for place, floor in enumerate(MODEL):
+        if place in half:
+            half[place] = math.hypot(half[place], floor)
+    if not half[0] < WIDEST[0] or not half.get(1, 0.0) < WIDEST[1]:
+        raise UsageError(f"{_names(logs)}: {_CURE}")
+    return _result(taken, model, p, half, rms, sensor)
+
+
+_CURE = (
+    "the tendons' stretch does not tell their stiffness here; record motion in both directions, with reversals, under "
+    "a load that varies, and with a torque sensor for the place of the bends"
+)
+
+
+def _names(logs: Sequence[Dataset]) -> str:
+    return logs[0].label or logs[0].name if len(logs) == 1 else f"{len(logs)} logs"
+
+
+def _taken(log: Dataset, model: TendonSheath) -> _Log:
+    """The columns that are needed; raises UsageError where angles contradict each other, or one is missing."""
+    label = log.label or log.name
+    q_m, q_j = log["q_m"], log["q_j"]
+    r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+    way = r_j * q_j
+    stretch = r_m * q_m - way
+    if np.ptp(way) > 10.0 * model.pretension / model.tendon_stiffness:
+        turned = float(np.polyfit(way, r_m * q_m, 1)[0])
+        if abs(turned - 1.0) > TURNED:
+            what = "one of them has the wrong sign" if turned < 0.0 else "counts per turn or a pulley's radius is wrong"
+            raise UsageError(
+                f"{label}: columns q_m and q_j contradict each other: r_M q_M makes {turned:.3g} times the way of "
+                f"r_J q_J, which may be {1.0 - TURNED:g} to {1.0 + TURNED:g}; {what}"
+            )
+    omega = log.columns.get("omega_m")
+    if omega is None:
+        omega = np.gradient(q_m, log.period)
+    acceleration = np.diff(omega, prepend=omega[0]) / log.period
+    return _Log(
+        log.name,
+        log["tau_m"],
+        acceleration,
+        np.diff(way, prepend=way[0]),
+        stretch,
+        log.columns.get("tau_j"),
+        log.period,
+    )
+
+
+def _variant(model: TendonSheath, p: FloatArray) -> TendonSheath:
+    """The model with the stiffness, the shape and the friction angle of `p`."""
+    factor = math.exp(p[0])
+    centre = float(p[1])
+    profile = profile_of(model)
+    series = model.series_stiffness
+    changed = dataclasses.replace(
+        model.recalibrated(model.friction_angle * math.exp(p[2])),
+        axial_stiffness=factor * model.axial_stiffness,
+        series_stiffness=None if series is None else factor * series,
+    )
+    if abs(centre - profile.centre) < 1e-9:
+        return changed
+    if "elongation_coupling" in model.effects:
+        points = centred(profile, centre).points
+        return changed.with_effects({**model.effects, "elongation_coupling": {"curvature_profile": points}})
+    return dataclasses.replace(changed, bending_centre=centre)
+
+
+def _foretold(log: _Log, model: TendonSheath, p: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Stretch (m) and joint torque (N*m), zeros left out, and the rows from which the tendons are known."""
+    variant = _variant(model, p)
+    pair = pairs_of(variant)[0].copy()
+    tendons.grip(pair, variant.friction_angle)
+    difference = (log.tau_m - p[3] * log.acceleration) / model.motor_pulley_radius
+    stretch, end, slid = tendons.follow(pair, difference, log.way)
+    return stretch, model.joint_pulley_radius * end, (slid > 0.0) & np.isfinite(end)
+
+
+def _linear(
+    logs: list[_Log],
+    model: TendonSheath,
+    p: FloatArray,
+    free: list[int],
+    step: FloatArray,
+    sensor: bool,
+    labels: list[NDArray[np.int64]],
+) -> tuple[FloatArray, FloatArray, NDArray[np.int64], float]:
+    """Rows, rests and blocks of a round, each channel over its own deviation; and that of the stretch, m."""
+    count = len(logs)
+    parts: tuple[list[_Part], list[_Part]] = ([], [])  # of the stretch, of the joint torque
+    for n, log in enumerate(logs):
+        stretch, torque, known = _foretold(log, model, p)
+        if float(np.count_nonzero(known)) * log.period < LEAST_SLID:
+            raise UsageError(
+                f"{log.name}: the tendons did not slide all along in both directions; move the joint both ways, or "
+                "give a held joint more torque than the friction takes"
+            )
+        columns = np.zeros((2, log.stretch.size, p.size))
+        for place in range(4):
+            if place not in free:
+                continue
+            up, down = p.copy(), p.copy()
+            up[place] += step[place]
+            down[place] -= step[place]
+            a, b = _foretold(log, model, up), _foretold(log, model, down)
+            columns[0, :, place] = (a[0] - b[0]) / (2.0 * step[place])
+            columns[1, :, place] = (a[1] - b[1]) / (2.0 * step[place])
+        columns[0, :, 4 + n] = columns[1, :, 4 + count + n] = 1.0
+        rests = [log.stretch - stretch - p[4 + n]]
+        if log.tau_j is not None and sensor:
+            rests.append(log.tau_j - torque - p[4 + count + n])
+        for channel, rest in enumerate(rests):
+            parts[channel].append((columns[channel][known][:, free], rest[known], labels[n][known]))
+    rows, rests, blocks, deviations = [], [], [], []
+    for part in parts:
+        if part:
+            rest = np.concatenate([each[1] for each in part])
+            deviation = float(np.sqrt(np.mean(np.square(rest))))
+            deviations.append(deviation)
+            rows.append(np.concatenate([each[0] for each in part]) / deviation)
+            rests.append(rest / deviation)
+            blocks.append(np.concatenate([each[2] for each in part]))
+    whole, bad = np.concatenate(rows), np.concatenate(rests)
+    finite = np.isfinite(whole).all(axis=1) & np.isfinite(bad)
+    return whole[finite], bad[finite], np.concatenate(blocks)[finite], deviations[0]
+
+
+def _result(
+    logs: list[_Log], model: TendonSheath, p: FloatArray, half: dict[int, float], rms: float, sensor: bool
+) -> StretchFit:
+    found = _variant(model, p)
+    stiffness, x, centre = found.axial_stiffness, found.friction_angle, float(p[1])
+    notes = []
+    place = None
+    if sensor:
+        place = Quantity(centre, max(0.0, centre - half[1]), min(1.0, centre + half[1]), "1")
+        if centre > MOST_CENTRE:
+            notes.append(
+                f"the bends lie at {centre:.2f} of the sheath (0 motor, 1 joint): beyond {MOST_CENTRE:g} the stretch "
+                "does not tell the joint torque; a joint torque sensor does"
+            )
+    else:
+        notes.append(
+            f"without a joint torque sensor the place of the bends (s_c {centre:.2f}, from the file) is not parted "
+            "from the friction; one log with the sensor does that"
+        )
+    uncertainty = math.expm1(half[0])
+    loops = [sliding(found, 1.0, x * math.exp(side * half[2])).half_loop for side in (0.0, -1.0, 1.0)]
+    model = dataclasses.replace(
+        found,
+        axial_stiffness_uncertainty=uncertainty,
+        bending_centre_uncertainty=half[1] if sensor else model.bending_centre_uncertainty,
+    )
+    return StretchFit(
+        axial_stiffness=Quantity(stiffness, stiffness * math.exp(-half[0]), stiffness * math.exp(half[0]), "N"),
+        centre=place,
+        friction_angle=Quantity(x, x * math.exp(-half[2]), x * math.exp(half[2]), "1"),
+        half_loop_torque=Quantity(loops[0], loops[1], loops[2], "N*m"),
+        motor_inertia=Quantity(float(p[3]), float(p[3] - half[3]), float(p[3] + half[3]), "kg*m^2"),
+        zeros={
+            log.name: Quantity(z, z - half[4 + n], z + half[4 + n], "m")
+            for n, (log, z) in enumerate(zip(logs, p[4 : 4 + len(logs)].tolist(), strict=True))
+        },
+        rms=rms,
+        notes=tuple(notes),
+        model=model,
+    )
