@@ -112,3 +112,12 @@ def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path, load:
     sound = play(tmp_path, load, sine(0.8, 0.5), 2.6)
     same = np.abs(sound.truth["omega_j"])[(t := sound.truth["clock"] - sound.axes[0].start) < fault.t]
     assert until < same[t[t < fault.t] > 1.1].max() + 2.0
+
+
+@pytest.mark.parametrize("node", ["drive", "encoder"])
+def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -> None:
+    """It takes the drive's watch for our heartbeat away: the torque ends before that is needed."""
+    result = play(tmp_path, "held", CONSTANT, 1.0, faults=[f"foreign_sdo node={node}@0.8"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.text.startswith("second master: somebody else sent a master's frame 0x6")
+    assert fault.t < 0.805

@@ -60,6 +60,14 @@ def _error_frame(target: Target) -> Undo:
     return nothing
 
 
+def _foreign_sdo(target: Target) -> Undo:
+    """Entry 1 of 0x1016 is written to 0: nobody is watched for any longer."""
+    can_id, request = 0x600 + target.node.node_id, bytes((0x23, 0x16, 0x10, 0x01, 0, 0, 0, 0))
+    target.rig.inject(can_id, request)
+    target.node.receive(can_id, request, target.now)
+    return nothing
+
+
 def _replay(target: Target) -> Undo:
     target.outlet.replay(target.value)
     return nothing
@@ -99,6 +107,7 @@ FAULTS: Mapping[str, FaultKind] = {
     "ignored_command": FaultKind(
         "bit 12 is low, the target torque is not followed", lambda t: swap(t.drive.faults, "ignore_command", True)
     ),
+    "foreign_sdo": FaultKind("somebody else writes by SDO: the node watches our heartbeat no more", _foreign_sdo),
     "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t.node, "deaf", True)),
     "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t.outlet, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),

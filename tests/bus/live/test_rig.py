@@ -400,6 +400,18 @@ def test_emergency_with_code_zero_is_no_event() -> None:
     assert rig.axes[0].image.events == 0
 
 
+@pytest.mark.parametrize("can_id", [0x601, 0x620, 0x640])
+@pytest.mark.parametrize(
+    ("request_", "met"),
+    [("2316100100000000", True), ("C221140500000000", True), ("4041600000000000", False), ("", False)],
+)
+def test_an_sdo_of_somebody_else_is_an_intruder_when_it_writes(can_id: int, request_: str, met: bool) -> None:
+    rig, bus, _ = one_axis_rig()
+    bus.waiting.append((can_id, bytes.fromhex(request_)))
+    cycle(rig, bus)
+    assert rig.axes[0].image.intruder == (can_id if met else None)
+
+
 def test_bus_off_is_latched() -> None:
     rig, bus, _ = one_axis_rig()
     bus.waiting.append((0x20000040, bytes(8)))
@@ -419,7 +431,15 @@ def test_frame_that_only_a_master_sends_is_an_intruder(can_id: int) -> None:
 def test_only_frames_of_its_nodes_are_let_in() -> None:
     _, bus, _ = one_axis_rig()
     tpdos = {0x181, 0x281, 0x1A0, 0x1C0}
-    assert bus.accepted == tpdos | {0x701, 0x720, 0x740, 0x081, 0x0A0, 0x0C0} | {0x000, 0x080, 0x201, 0x77F}
+    assert bus.accepted == tpdos | {0x701, 0x720, 0x740, 0x081, 0x0A0, 0x0C0} | {
+        0x000,
+        0x080,
+        0x201,
+        0x77F,
+        0x601,
+        0x620,
+        0x640,
+    }
 
 
 def test_start_forgets_what_was_latched() -> None:

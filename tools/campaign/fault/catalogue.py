@@ -64,6 +64,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("interface down, up, stale frames", _stops("bus fault"), "interface_down duration=0.2", watch=0.7),
     Fault("second master sends SYNC", _stops("second master"), act="second_master"),
     Fault("second master sends commands", _stops("second master"), act="second_commander"),
+    Fault("second master writes by SDO", _stops("second master"), "foreign_sdo"),
     Fault("a node is reset by somebody", _stops("second master|node booted"), act="reset_node"),
     Fault("joint encoder jumps", _stops("over-speed|moved apart"), "encoder_jump"),
     Fault(

@@ -25,6 +25,7 @@ _MISJUDGED = 8  # answers in a row that came after the one that was thought to b
 _ABANDONED = 10  # misses in a row after which a cycle no longer waits for a node
 _HEARTBEAT = cia301.heartbeat(NmtState.OPERATIONAL)
 _NO_DATA = b""
+_WRITES = (1, 6)  # CiA 301, client command specifiers: a download begins, a block download begins or ends
 _HIGHEST_EMCY = cia301.EMCY + 127
 
 
@@ -77,6 +78,8 @@ class Rig:
             *(axis.rpdo_id for axis in self.axes),
         ]
         self._messages.update({can_id: partial(self._meet_intruder, can_id) for can_id in ours})
+        asked = [cia301.SDO_REQUEST + health.node_id for axis in self.axes for health in axis.image.nodes]
+        self._messages.update({can_id: partial(self._meet_request, can_id) for can_id in asked})
         self._heartbeat_id = cia301.HEARTBEAT + settings.host_node_id
         self._next_heartbeat = -math.inf
         self._expected = len(self._inboxes)
@@ -274,6 +277,11 @@ class Rig:
             self.last_error = describe(can_id, data)
             if can_id & ErrorClass.BUS_OFF and self.bus.fault is None:
                 self.bus.fault = BusFault.BUS_OFF
+
+    def _meet_request(self, can_id: int, data: bytes) -> None:
+        """An SDO of somebody else: who writes may take a watchdog or a clamp away; who only asks does no harm."""
+        if data and data[0] >> 5 in _WRITES:
+            self._meet_intruder(can_id, data)
 
     def _meet_intruder(self, can_id: int, data: bytes) -> None:
         """A frame that only a master sends, and not ours: a bus hears its own frames never."""
