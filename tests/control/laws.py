@@ -37,6 +37,8 @@ def law(model: TendonSheath, inverse: Inverse | None = None, **settings: Any) ->
         damping=chosen.damping,
     )
     motion = Motion(PERIOD, COUNT, made.lead)
-    direction = Direction(DirectionSettings(), motion, made.lead, made.reach, model.joint_pulley_radius, PERIOD)
+    direction = Direction(
+        DirectionSettings(), motion, made.lead, made.reach, model.joint_pulley_radius, PERIOD, made.give
+    )
     radii = (model.motor_pulley_radius, model.joint_pulley_radius)
     return Law(inverse or Feedforward(model, PERIOD), radii, chosen, made, motion, direction, PERIOD, has_encoder)

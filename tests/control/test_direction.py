@@ -20,10 +20,10 @@ R_J = 0.025
 class Joint:
     """A joint that moves as told, and the direction found."""
 
-    def __init__(self, bits: int = 20, **settings: float) -> None:
+    def __init__(self, bits: int = 20, give: float | None = None, **settings: float) -> None:
         self.count = 2.0 * math.pi / (1 << bits)
         self.motion = Motion(PERIOD, self.count, LEAD)
-        self.direction = Direction(DirectionSettings(**settings), self.motion, LEAD, REACH, R_J, PERIOD)
+        self.direction = Direction(DirectionSettings(**settings), self.motion, LEAD, REACH, R_J, PERIOD, give)
 
     def step(self, angle: float, wanted: float = math.nan, rate: float = 0.0) -> float:
         self.motion.update(self.count * math.floor(angle / self.count))
@@ -50,6 +50,16 @@ def test_the_joints_motion_decides_and_is_kept_at_rest(sign: float) -> None:
     joint = Joint()
     angle = brought_to_rest(joint, sign)
     assert {joint.step(angle) for _ in range(5000)} == {sign}
+
+
+@pytest.mark.parametrize(("give", "turned_at"), [(0.0, 0.5), (REACH, 0.516)])
+def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bends(
+    give: float, turned_at: float
+) -> None:
+    """A joint that turns round at 0.5 s, slowly; 10 N*m/s stretch the tendon by 80 mrad/s of the joint."""
+    joint = Joint(give=give)
+    sigmas = [joint.step(2.5 * (0.25 - (n * PERIOD - 0.5) ** 2), 0.01 * n, 10.0) for n in range(1000)]
+    assert PERIOD * sigmas.index(-1.0) == pytest.approx(turned_at - LEAD, abs=2.5e-3)
 
 
 def test_a_stop_at_once_is_taken_for_a_reversal_once() -> None:

@@ -117,3 +117,17 @@ def test_reach_is_half_of_a_tendons_compliance_where_nothing_else_is_known() -> 
     assert plan(bent("motor_end")).reach == pytest.approx(2.0 * even)
     sprung = dataclasses.replace(bent("uniform"), series_stiffness=2e4, series_at_joint=True)
     assert plan(sprung).reach > 2.0 * even
+
+
+def test_a_moving_joint_slips_by_no_stretch_that_lies_behind_all_bends() -> None:
+    even = plan(bent("uniform")).reach
+    gives = [plan(bent(name)).give for name in ("motor_end", "uniform", "joint_end")]
+    assert gives == pytest.approx([2.0 * even, even, 0.0])
+
+
+@pytest.mark.parametrize(("lag", "extra"), [(None, 0.0), (3e-3, 0.0), (5e-3, 1.8e-3)])
+def test_what_the_loops_own_filter_makes_late_is_not_led(lag: float | None, extra: float) -> None:
+    """The law follows the joint by its angles; a log's velocity went through the filter."""
+    model = bent("uniform")
+    late = model if lag is None else model.with_effects({**model.effects, "velocity_lag": {"time_constant": lag}})
+    assert plan(late, filtered=3.2e-3).lead == pytest.approx(plan(model).lead + extra)

@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from tests.tune import rig
+from tests.virtual.rigs import draw
 from tsa_ctrl.cli import main
+from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo.bus_choice import VIRTUAL
-from tsa_ctrl.model.parameters import load_tendon_sheath
+from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 
 RATE = 500.0  # Hz
+TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
 SHORT = ("--seconds", "12", "--verify-seconds", "6")
 
 
@@ -42,6 +45,46 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it(
     assert load_tendon_sheath(tmp_path / rig.MODEL) != truth
     assert (tmp_path / "out" / "report.html").stat().st_size > 50_000
     assert not list(tmp_path.glob(".tune-*"))
+
+
+@pytest.mark.slow
+def test_a_rig_of_which_the_files_know_little_is_tuned_and_put_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """S-bent, a motor of which the file says nothing, friction, pretension and stiffness up to 20 % off."""
+    drawn = draw(1, 5)
+    law = {"compensation": rig.COMPENSATION, "fade_in": 1.0}
+    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", drawn.axis(), {"law": law})
+    save_model(drawn.nominal, tmp_path / "actuator.toml")  # the plant's own: tune writes the controller's
+    plant = (tmp_path / "plant.toml").read_text().replace("nominal.toml", "actuator.toml")
+    (tmp_path / "plant.toml").write_text(plant)
+    save_model(drawn.nominal, tmp_path / rig.MODEL)
+    before = {path: path.read_bytes() for path in (controller, tmp_path / rig.MODEL)}
+    short = ("--seconds", "8", "--verify-seconds", "4")
+    assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *short) == 0
+    data = json.loads(capsys.readouterr().out)
+    quantities = data["law"]["quantities"]
+    true = {"motor_inertia": drawn.inertia, "delay": (drawn.delay + 0.5) / RATE + TORQUE_LOOP}
+    for name, value in true.items():
+        assert quantities[name]["low"] <= value <= quantities[name]["high"], name
+    stiffness = data["parameters"]["axial_stiffness"]
+    assert stiffness["low"] <= drawn.truth.axial_stiffness <= stiffness["high"]
+    assert data["form"] == "uniform"
+    assert data["law"]["gain_margin"] >= 2.0
+    reduction = data["verification"]["reduction_percent"]
+    assert reduction["after"] > max(92.0, reduction["before"])
+    axis = load_configuration(controller).file.axes[0]
+    assert axis.law.motor_inertia == pytest.approx(drawn.inertia, rel=0.03)
+    assert axis.law.damping == data["law"]["keys"]["damping"] > 0.0
+    assert "# tsa tune: gain margin" in controller.read_text()
+    assert main_status("tune", str(controller), "--undo") == 0
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def main_status(*arguments: str) -> object:
+    with pytest.raises(SystemExit) as done:
+        main(list(arguments))
+    return done.value.code
 
 
 def test_a_plant_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

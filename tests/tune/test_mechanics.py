@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +13,19 @@ from numpy.typing import NDArray
 
 from tests.tune.shaken import LAG, PERIOD, play, true_delay
 from tests.virtual.rigs import Drawn, draw
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.control.margin import gain_margin
+from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.plant.axis import CURVATURES
 from tsa_ctrl.tune.bends import bends, course
-from tsa_ctrl.tune.delay import command_delay, torque_of
+from tsa_ctrl.tune.delay import Delay, command_delay, torque_of
+from tsa_ctrl.tune.estimate import Estimate, Form
 from tsa_ctrl.tune.excitation import multi_sine
-from tsa_ctrl.tune.mechanics import measured, pulling, rounded, stiffened
+from tsa_ctrl.tune.mechanics import LawTuning, Mechanics, law_tuning, measured, pulling, rounded, stiffened
 from tsa_ctrl.tune.shake import shaken
+from tsa_ctrl.tune.swing import Swing
 
 SECONDS = 4.0
 RIGS = [
@@ -145,3 +153,49 @@ def test_a_joint_that_hardly_moves_says_nothing_of_the_motor(tmp_path: Path) -> 
 )
 def test_numbers_have_the_digits_that_their_interval_is_worth(value: float, share: float, wanted: float) -> None:
     assert rounded(value, share) == wanted
+
+
+def around(value: float, unit: str) -> Quantity:
+    return Quantity(value, 0.98 * value, 1.02 * value, unit)
+
+
+def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
+    """What [axis.law] gets for a motor of 1e-4 kg*m^2 that rings so (Hz), after so long a delay (s)."""
+    folder = Path(__file__).resolve().parents[2] / "config"
+    for name in ("controller.toml", "actuator.toml"):
+        shutil.copy(folder / name, tmp_path)
+    configuration = load_configuration(tmp_path / "controller.toml")
+    inertia, late = around(1e-4, "kg*m^2"), around(delay, "s")
+    stiffness = around(1e-4 * (2.0 * math.pi * ringing) ** 2, "N*m/rad")
+    found = Mechanics(
+        Delay(delay / PERIOD - 1.0, LAG, late), Swing(inertia, stiffness, around(ringing, "Hz"), 5.0, 0.0, 20)
+    )
+    loop = around(0.5, "N*m")
+    calibration = Calibration(loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, "", (), configuration.models[0])
+    learned = Estimate(configuration.models[0], calibration, Form.GIVEN, {}, (), ())
+    made = law_tuning(configuration, configuration.file.axes[0], learned, found)
+    assert made is not None
+    return made
+
+
+@pytest.mark.parametrize("delay", [2e-3, 4e-3, 6e-3])
+def test_the_damping_keeps_its_margin_at_the_latest_delay(tmp_path: Path, delay: float) -> None:
+    made = tuned(tmp_path, delay)
+    stiffness = 1e-4 * (2.0 * math.pi * 150.0) ** 2
+    assert made.margin is not None
+    assert made.margin >= 2.0
+    assert gain_margin(made.values["damping"], 1e-4, stiffness, 1.02 * delay, PERIOD) >= 2.0
+    assert f"gain margin {made.margin:.2g}" in made.keys["damping"].comment
+    assert made.values["lead"] == pytest.approx(0.5 * made.values["turn"] + delay, abs=1e-4)
+
+
+def test_a_delay_without_margin_gets_no_damping_and_that_is_said(tmp_path: Path) -> None:
+    made = tuned(tmp_path, 12e-3)
+    assert made.margin is None
+    assert made.values["damping"] == 0.0
+    assert any("leaves no gain margin of 2" in note and "is not damped" in note for note in made.notes)
+    assert "no gain margin of 2" in made.keys["damping"].comment
+
+
+def test_the_compensation_is_what_the_half_loop_surely_has(tmp_path: Path) -> None:
+    assert tuned(tmp_path, 2e-3).values["compensation"] == pytest.approx(0.98)

@@ -76,11 +76,9 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
 
 def with_truth(folder: Path, drawn: Drawn, seconds: float) -> float:
     """RMS error (N*m) of the verifying motion with true parameters, form, motor and delay, all of it compensated."""
-    effects: dict[str, dict[str, object]] = {}
-    if drawn.curvature != "joint_end":
-        effects["elongation_coupling"] = {"curvature_profile": [list(point) for point in SHAPES[drawn.curvature]]}
+    profile = [list(point) for point in SHAPES[drawn.curvature]]
     out = folder / "out"
-    save_model(drawn.truth.with_effects(effects), out / "true.toml")
+    save_model(drawn.truth.with_effects({"elongation_coupling": {"curvature_profile": profile}}), out / "true.toml")
     data = tomllib.loads((out / "controller-after.toml").read_text(encoding="utf-8"))
     law = {**UNKNOWN, "compensation": 1.0, "motor_inertia": drawn.inertia, "delay": true_delay(drawn)}
     data["axis"][0].update(model="true.toml", setpoint={"kind": "file", "file": "after.csv"}, law=law)

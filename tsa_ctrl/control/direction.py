@@ -49,14 +49,20 @@ class Direction:
         reach: float,
         joint_radius: float,
         period: float,
+        give: float | None = None,
     ) -> None:
-        """`lead` and `period` in s; `reach`: d/(2 r_J EA), m of tendon per N*m wanted; `joint_radius` r_J in m."""
+        """`lead` and `period` in s; `reach`: d/(2 r_J EA), m of tendon per N*m wanted; `joint_radius` r_J in m.
+
+        `give`: the same while the joint moves, where it is not as much; at rest even tendons that are bent at the joint
+        alone turn by what the motor winds up.
+        """
         self.lead = lead
         self._motion = motion
         self._floor = NOISE * motion.noise
         self._zone = max(settings.zone, self._floor)
         self._play = settings.play
         self._reach = reach
+        self._give = reach if give is None else give
         self._radius = joint_radius
         self._period = period
         self.reset()
@@ -100,7 +106,7 @@ class Direction:
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
             self._edge = stretch
-            slip = self._radius * omega + self._reach * rate
+            slip = self._radius * omega + self._give * rate
             if slip * self.sigma <= 0.0 and slip != 0.0:
                 self.sigma = 1.0 if slip > 0.0 else -1.0
                 since = abs(omega / alpha) if alpha != 0.0 else 0.0

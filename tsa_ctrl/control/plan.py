@@ -44,6 +44,7 @@ class Plan:
     damping: float  # N*m*s/rad
     margin: float  # of the damping's gain; inf without damping
     reach: float  # m of tendon per N*m wanted at a joint at rest
+    give: float  # m of tendon per N*m wanted that a moving joint's slip has besides: 0 with all bends at the joint
     notes: tuple[str, ...] = ()
 
     @property
@@ -102,7 +103,8 @@ def plan_of(
             f"a reversal would have to be known {1e3 * known:.0f} ms ahead (half a turn and all delays); it is led by "
             f"{1e3 * MOST_LEAD:.0f} ms, and the torque turns late"
         )
-    at_rest = max(joint_side_compliance(model), 0.5 * model.unstrained_length / model.axial_stiffness)
+    moving = joint_side_compliance(model)
+    at_rest = max(moving, 0.5 * model.unstrained_length / model.axial_stiffness)
     return Plan(
         front=front,
         delay=total,
@@ -114,6 +116,7 @@ def plan_of(
         damping=gain,
         margin=margin,
         reach=at_rest / (2.0 * model.joint_pulley_radius),
+        give=moving / (2.0 * model.joint_pulley_radius),
         notes=tuple(notes),
     )
 

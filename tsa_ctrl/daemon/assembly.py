@@ -104,7 +104,7 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
         motion = Motion(period, count, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
         direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
     inverse = inverse_of(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
-    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period)
+    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
 
 

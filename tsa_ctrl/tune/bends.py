@@ -34,8 +34,7 @@ FloatArray = NDArray[np.float64]
 BLOCKS = 10  # of time, for the interval
 DIGITS = 3  # of a point's share of the length
 FLOOR = 0.01  # of s_c: narrower is no interval, for pulleys and encoders are not known better
-NAMES = {0.0: "motor_end", 0.5: "uniform"}  # centres that have a name; all at the joint is (3.55)
-AT_JOINT = 1.0
+NAMES = {0.0: "motor_end", 0.5: "uniform", 1.0: "joint_end"}  # centres that have a name
 
 
 @dataclass(frozen=True)
@@ -44,11 +43,6 @@ class Bends:
 
     centre: Quantity
     profile: str | Points
-
-    @property
-    def at_joint(self) -> bool:
-        """Whether (3.55) describes it."""
-        return self.profile == "joint_end"
 
 
 def course(centre: float) -> Points:
@@ -95,7 +89,7 @@ def bends(logs: Sequence[Dataset], model: TendonSheath) -> Bends | None:
     for named, profile in NAMES.items():
         if centre.low <= named <= centre.high:
             return Bends(centre, profile)
-    return Bends(centre, "joint_end" if centre.high >= AT_JOINT else course(centre.value))
+    return Bends(centre, course(centre.value))
 
 
 def _rows(log: Dataset, prepared: PreparedLog, model: TendonSheath) -> tuple[FloatArray, FloatArray]:

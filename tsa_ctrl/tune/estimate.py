@@ -39,7 +39,7 @@ class Form(Enum):
     GIVEN = "as the file gives it"
     UNIFORM = "full model (3.53), evenly bent sheath"
     MOTOR_END = "full model (3.53), sheath bent at the motor"
-    JOINT_END = "(3.55), sheath bent at the joint"
+    JOINT_END = "full model (3.53), sheath bent at the joint: (3.55)"
     ANGLES = "full model (3.53), sheath bent as the angles of motor and joint show"
 
 
@@ -102,13 +102,16 @@ def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool,
 
 
 def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_gain: bool) -> Estimate:
-    """The model bent as the angles show; as it was given where that agrees."""
+    """The model bent as the angles show; as it was given where that agrees.
+
+    All bends at the joint transmit as (3.55) does; but a model without a course of the bending leaves open how a
+    reversal travels through the sheath, and the law then takes it for evenly bent. So that one is written, too.
+    """
     form, bent = Form.GIVEN, model
-    if not found.centre.low <= bending_centre(model) <= found.centre.high:
-        rest = {name: effect for name, effect in model.effects.items() if name != COUPLING}
+    if COUPLING not in model.effects or not found.centre.low <= bending_centre(model) <= found.centre.high:
         form = NAMED_FORMS.get(str(found.profile), Form.ANGLES)
         profile = found.profile if isinstance(found.profile, str) else [list(point) for point in found.profile]
-        bent = model.with_effects(rest if found.at_joint else {**rest, COUPLING: {"curvature_profile": profile}})
+        bent = model.with_effects({**model.effects, COUPLING: {"curvature_profile": profile}})
     result = calibrate(logs, bent, certified_gain=certified_gain)
     notes = [*result.notes]
     if form is not Form.GIVEN:
