@@ -56,7 +56,9 @@ def test_an_axis_without_a_law_gets_one_and_keeps_its_comments() -> None:
 
 @pytest.mark.parametrize("axis", ["hip", "knee"])
 def test_one_sees_whether_anything_else_changed(axis: str) -> None:
-    after = with_law(TWO, axis, {"delay": KEYS["delay"]})
+    after = with_law(
+        TWO, axis, {"lead": Key(0.01, "half the turn"), **KEYS} if axis == "knee" else {"delay": KEYS["delay"]}
+    )
     assert differ_in_law_alone(TWO, after, axis)
     assert not differ_in_law_alone(TWO, after + "# mine\n", axis)
     assert not differ_in_law_alone(TWO, after.replace("2.0", "3.0"), axis)

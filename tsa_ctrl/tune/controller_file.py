@@ -57,8 +57,8 @@ def differ_in_law_alone(old: str, new: str, axis: str) -> bool:
     document: Any = tomlkit.parse(new)
     law: Any = next((table.get("law", {}) for table in document.get("axis", []) if table.get("name") == axis), {})
     keys = {}
-    for name in TUNED:
-        if name in law:
+    for name in law:  # in the order in which they were added
+        if name in TUNED:
             comment = law[name].trivia.comment.removeprefix("#").strip()
             if comment.startswith(MARK) or isinstance(law, tomlkit.items.InlineTable):
                 keys[name] = Key(float(law[name]), comment.removeprefix(MARK))

@@ -24,7 +24,7 @@ from tsa_ctrl.identify.quantity import Quantity
 FloatArray = NDArray[np.float64]
 
 MOST = 12  # periods; a drive that is later is no drive for a torque loop
-LAGS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6, 0.7, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)  # periods, tried
+LAGS = (*(0.05 * n for n in range(1, 14)), 0.75, 0.85, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)  # periods, tried
 TRANSPORT_STEP = 0.02  # periods between those that are tried
 AROUND = 2.5  # periods beside the one of the largest correlation
 AS_GOOD = 9.0  # times the variance: the 99 % quantile of chi^2 with two degrees of freedom
