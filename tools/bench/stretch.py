@@ -107,6 +107,8 @@ def verify(result: AxisResult, model: TendonSheath, inertia: float) -> dict[str,
         seen.update(*values)
         told[row] = seen.torque, 0.5 * (seen.high - seen.low)
     kept = result.counted & (log["t"] > SETTLED)
+    if not kept.any():  # the nominal controller's run ended in a fault
+        return dict.fromkeys(("torque", "sliding", "all", "held_by_band", "band"), math.nan)
     z = result.truth["z"][np.searchsorted(result.truth["clock"], result.start + log["t"] + log["lateness"])]
     error = (told[:, 0] - result.delivered)[kept]
     size = _rms(result.delivered[kept])
@@ -177,10 +179,12 @@ def report(rows: list[dict[str, Any]]) -> None:
         sliding, every, held, band = (
             np.array([row[f"{label}_{key}"] for row in rows]) for key in ("sliding", "all", "held_by_band", "band")
         )
+        ran = np.isfinite(every)
+        every, held, band = every[ran], held[ran], band[ran]
         slid = sliding[np.isfinite(sliding)]
         cells = [np.median(slid), slid.max()] if slid.size else [math.nan, math.nan]
-        cells += [np.median(every), every.max(), held.mean(), np.median(band)]
-        table.add_row(label, *(f"{100.0 * cell:.1f} %" for cell in cells))
+        cells += [np.median(every), every.max(), held.mean(), np.median(band)] if ran.any() else [math.nan] * 4
+        table.add_row(f"{label} ({ran.sum()} of {ran.size} ran)", *(f"{100.0 * cell:.1f} %" for cell in cells))
     console = Console(width=110)
     console.print(table)
     for name in ("stiffness", "centre"):
