@@ -74,5 +74,7 @@ def _refuse_unseen_friction(problem: Problem, base: Fit) -> None:
     width = 0.5 * (quantity.high - quantity.low) / quantity.value
     if width > WIDEST_FRICTION and np.all(base.free):
         raise InsufficientError(
-            "friction does not show: the motion or the load is too small beside the noise, or goes one way only"
+            f"friction does not show: {name.replace('_', ' ')} comes out as {quantity}, known to {width:.0%} where "
+            f"{WIDEST_FRICTION:.0%} are needed; the motion or the load is too small beside what is left, "
+            f"{problem.noise.rms:.3g} N·m, or goes one way only"
         )

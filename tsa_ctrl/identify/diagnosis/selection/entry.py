@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import Score
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, models_reversals, noise_rms
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
+    fit_on_simulation_error,
+    models_reversals,
+    noise_rms,
+    on_simulation_error,
+)
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 
@@ -29,6 +34,9 @@ LEAST_OUTSIDE = 0.12  # share of the gain that must be left without the best blo
 TIMES_OUTSIDE = 2.0  # times the threshold, that the gain outside the best block must pass
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
 LEAST_ERROR_REDUCTION = 0.4  # of the noise RMS at the score rate, that the simulation error must lose
+# Logs, each of which must lose more than half of its error by a cause fitted on the others alone: a cause that means
+# nothing makes a log better about as often as worse, and halves the error of four hardly ever
+FEWEST_LOGS, MOST_LEFT = 4, 0.5
 SMALLEST_GAIN = 0.008  # of the number of samples
 
 
@@ -126,7 +134,7 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
     needed = max(threshold, SMALLEST_GAIN * problem.count)
     proof = evidence(problem, before, found)
     if not (proof.holds and proof.gain > needed):
-        return False
+        return transfers(problem, before, found)
     if _is_broad_and_large(problem, before, found, proof, needed):
         return True
     if before.names or found.names[-1] not in LATE_REVERSALS:
@@ -136,6 +144,32 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
     smaller, larger = (fit(bare, each.hypothesis, each.point) for each in (before, found))
     proof = evidence(bare, smaller, larger)
     return proof.holds and proof.gain > needed and _is_broad_and_large(bare, smaller, larger, proof, needed)
+
+
+def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
+    """Whether the last effect of `found` takes most of the simulation error of every log that it was not fitted on.
+
+    Of short logs a noise model cannot tell a large cause from slow noise, for each shows one swing of it; but slow
+    noise of one log does not foretell another one's.
+    """
+    logs = [part for part in problem.frame.slices if problem.mask[part].any()]
+    if len(logs) < FEWEST_LOGS:
+        return False
+    reversals = models_reversals(found) or not problem.nuisance.moments
+    plain = on_simulation_error(problem, reversals)
+    if fit(plain, found.hypothesis, found.point).rss > MOST_LEFT * fit(plain, before.hypothesis, before.point).rss:
+        return False  # cheap, and most candidates end here
+    for part in logs:
+        inside = np.zeros(len(problem.frame), dtype=np.bool_)
+        inside[part] = True
+        errors = []
+        for each in (before, found):
+            learned = fit_on_simulation_error(problem, each, reversals, problem.mask & ~inside)
+            left = (problem.frame.target - problem.predicted(learned.hypothesis.model(learned.point)))[part]
+            errors.append(float(np.sum(np.square(left[problem.mask[part]]))))
+        if errors[1] > MOST_LEFT * errors[0]:
+            return False
+    return True
 
 
 def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:
