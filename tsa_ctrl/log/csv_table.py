@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.columns import SIGNAL_NAMES
+from tsa_ctrl.log.unpacked import CountedStream, Unpacked
 
 HEAD = 1 << 16  # bytes in which the header is looked for
 DELIMITERS = ",;\t"
@@ -42,7 +43,8 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
             head = stream.read(HEAD)
         names, delimiter, above = _header(path, head)
         with _open(path) as stream:
-            return _read(path, stream, names, delimiter, above, wanted)
+            counted = CountedStream(stream, Unpacked(path)) if isinstance(stream, gzip.GzipFile) else stream
+            return _read(path, counted, names, delimiter, above, wanted)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
@@ -54,7 +56,7 @@ def _open(path: Path) -> BinaryIO | gzip.GzipFile:
 
 def _read(
     path: Path,
-    stream: BinaryIO | gzip.GzipFile,
+    stream: BinaryIO | CountedStream,
     names: list[str],
     delimiter: str,
     above: int,

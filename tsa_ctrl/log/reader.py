@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME
 from tsa_ctrl.log.note import Note
+from tsa_ctrl.log.unpacked import Unpacked
 
 _DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage
 _PREFIX = 9  # bytes of opcode and length before the content of a record
@@ -98,12 +99,13 @@ class LogFile:
         message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
         self.complete, self.damaged = False, 0
         self.notes = []
+        counted = Unpacked(self.path)
         for opcode, content in self._records():
             if opcode == Opcode.FOOTER:
                 self.complete = True
             if opcode != Opcode.CHUNK:
                 continue
-            data = _unpacked(content)
+            data = _unpacked(content, counted)
             if data is not None and self._holds_notes(data):
                 self.notes += _notes(data)
                 continue
@@ -205,10 +207,13 @@ def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(content))
 
 
-def _unpacked(content: bytes) -> bytes | None:
-    """The messages of a chunk; None where they are damaged."""
+def _unpacked(content: bytes, counted: Unpacked) -> bytes | None:
+    """The messages of a chunk; None where they are damaged, or not as many as it declares. Raises UsageError."""
     try:
         chunk = Chunk.read(_stream(content))
+        if zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:
+            return None
+        counted.take(chunk.uncompressed_size)
         data: bytes = zstandard.decompress(chunk.data, chunk.uncompressed_size)
     except (*_DAMAGED, zstandard.ZstdError):
         return None
