@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+import queue
 import signal
 import socket
 import subprocess
 import sys
+import threading
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from starlette.testclient import TestClient
 
+from tests.daemon.serving import until
 from tests.dashboard.playing import Played, played
+from tsa_ctrl.dashboard import server
 from tsa_ctrl.dashboard.feed import Feed
 from tsa_ctrl.dashboard.server import application, serve
 from tsa_ctrl.errors import UsageError
@@ -79,6 +85,7 @@ def test_set_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
         (b'{"name":"knee.compensation","value":"1"}', "finite number"),
         (b'{"name":"knee.compensation","value":true}', "finite number"),
         (b'{"name":"knee.compensation","value":NaN}', "finite number"),
+        (b'{"name":"knee.compensation","value":' + b"9" * 400 + b"}", "finite number"),
         (b'{"name":7,"value":1}', "name"),
         (b'{"name":"' + b"a" * 100 + b'","value":1}', "name"),
         (b"[1]", "is wanted"),
@@ -151,6 +158,31 @@ def test_static_files_only(client: TestClient) -> None:
     """No way out of the folder."""
     assert client.get("/static/../server.py").status_code in (403, 404)
     assert client.get("/static/%2e%2e/server.py").status_code == 404
+
+
+def test_half_open_connections_are_bounded_and_closed(daemon: Played, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four hundred of them leave room for the page soon, and cost no descriptors for long."""
+    monkeypatch.setattr(server, "ASK_TIME", 0.3)
+    addresses: queue.Queue[str] = queue.Queue()
+    thread = threading.Thread(target=serve, args=(daemon.path, 0, addresses.put), daemon=True)
+    thread.start()
+    address = addresses.get(timeout=30)
+    port = int(address.split(":")[2].split("/")[0])
+    silent = [socket.create_connection(("127.0.0.1", port)) for _ in range(400)]
+    assert until(lambda: _answers(address))
+    for connection in silent:
+        connection.settimeout(30)
+        with contextlib.suppress(ConnectionResetError):
+            assert connection.recv(1) == b""  # closed from there
+        connection.close()
+
+
+def _answers(address: str) -> bool:
+    try:
+        with urllib.request.urlopen(address, timeout=5) as answer:
+            return b"<title>tsa</title>" in answer.read()
+    except OSError:
+        return False
 
 
 def test_port_that_is_taken_is_one_line() -> None:

@@ -36,9 +36,13 @@ class Feed:
         """Change a parameter; the daemon checks name and bounds. Raises UsageError, BusError, ValueError (nonsense)."""
         if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME:
             raise ValueError("name: a parameter as the status lists them is wanted")
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        try:
+            number = math.nan if isinstance(value, bool) or not isinstance(value, (int, float)) else float(value)
+        except OverflowError:  # an integer of some hundred digits
+            number = math.inf
+        if not math.isfinite(number):
             raise ValueError("value: a finite number is wanted")
-        return self._ask(Set(name, float(value)))
+        return self._ask(Set(name, number))
 
     def stop(self) -> dict[str, Any]:
         """Ramp the torque to 0 and end the daemon; by its process where its socket does not answer.

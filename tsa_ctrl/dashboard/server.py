@@ -13,7 +13,7 @@ import secrets
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import uvicorn
 from starlette.applications import Starlette
@@ -24,6 +24,7 @@ from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from tsa_ctrl.dashboard.feed import Feed
 from tsa_ctrl.errors import BusError, UsageError
@@ -32,6 +33,8 @@ STATIC = Path(__file__).parent / "static"
 RATE = 40.0  # Hz of events: the page draws at 30, what waits between two is dropped
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
+MOST = 32  # connections at once; a browser keeps six to one server
+ASK_TIME = 5.0  # s in which a connection has to ask for something
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
@@ -40,6 +43,31 @@ HEADERS = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
+
+
+class Bounded(H11Protocol):
+    """As uvicorn's, but a connection that asks for nothing is closed, and there are never more than MOST of them."""
+
+    open: ClassVar[set[H11Protocol]] = set()
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Count it, and start its time."""
+        super().connection_made(transport)
+        if len(self.open) >= MOST:
+            transport.abort()
+            return
+        self.open.add(self)
+        self.loop.call_later(ASK_TIME, self._give_up)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """There is room for another."""
+        self.open.discard(self)
+        super().connection_lost(exc)
+
+    def _give_up(self) -> None:
+        begun = getattr(self, "cycle", None) is not None  # the head of a request came to its end
+        if not begun and not self.transport.is_closing():
+            self.transport.close()
 
 
 class Guard:
@@ -159,7 +187,12 @@ def serve(path: str, port: int, say: Callable[[str], None]) -> None:
     token = secrets.token_urlsafe(24)
     feed = Feed(path)
     config = uvicorn.Config(
-        application(feed, token, number), log_level="error", lifespan="off", timeout_graceful_shutdown=1, ws="none"
+        application(feed, token, number),
+        log_level="error",
+        lifespan="off",
+        timeout_graceful_shutdown=1,
+        ws="none",
+        http=Bounded,
     )
     server = uvicorn.Server(config)
     startup: Callable[..., Awaitable[None]] = server.startup

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from gzip import GzipFile
 from pathlib import Path
-from typing import BinaryIO
 
 from tsa_ctrl.errors import UsageError
 
@@ -32,7 +32,7 @@ class Unpacked:
 class CountedStream:
     """A stream whose bytes are counted as they are read."""
 
-    def __init__(self, stream: BinaryIO, counted: Unpacked) -> None:
+    def __init__(self, stream: GzipFile, counted: Unpacked) -> None:
         self._stream = stream
         self._counted = counted
         self.closed = False
