@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.identify.diagnosis import diagnose
+from tsa_ctrl.identify.diagnosis.residual.changes import drift
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import RigidDrive, load_model
 
@@ -73,6 +74,14 @@ def test_the_measured_servo_has_its_published_gravity(data_dir: Path) -> None:
 def test_no_gravity_is_named_where_there_is_none() -> None:
     found = diagnose(logs(0.0), DRIVE)
     assert "gravity_load" not in [name for cause in found.causes for name in (cause.effect, *cause.alternatives)]
+
+
+def test_a_drift_is_no_more_than_all_of_what_is_left() -> None:
+    t = np.arange(6000) * 8e-3
+    wander = 0.5 * np.sin(2.0 * np.pi * 0.06 * t) + np.random.default_rng(2).normal(0.0, 0.01, len(t))
+    found = drift(wander, np.ones(len(t), dtype=np.bool_), [slice(0, len(t))], 8e-3, 0.01)
+    assert found.found
+    assert 0.9 < found.share <= 1.0
 
 
 def test_a_refusal_names_the_measured_quantity_its_value_and_what_is_needed() -> None:

@@ -133,6 +133,6 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
     if lines_ == 0 or expected <= 0.0:
         return Finding(DRIFT, 0.0, 0.0, False)
     ratio = excess / expected
-    share = (excess - expected) / rms**2
+    share = min((excess - expected) / rms**2, 1.0)  # the noise's mean square may lie below that of what wanders
     sure = ratio > DRIFT_RATIO + 6.0 / np.sqrt(lines_)
     return Finding(DRIFT, share, ratio, bool(sure and share > DRIFT_SHARE**2))
