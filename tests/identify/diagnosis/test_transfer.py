@@ -84,6 +84,11 @@ def test_a_drift_is_no_more_than_all_of_what_is_left() -> None:
     assert 0.9 < found.share <= 1.0
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_log_that_leaves_nothing_has_no_drift() -> None:
+    assert not drift(np.zeros(6000), np.ones(6000, dtype=np.bool_), [slice(0, 6000)], 8e-3, 0.01).found
+
+
 def test_a_refusal_names_the_measured_quantity_its_value_and_what_is_needed() -> None:
     t = np.arange(4000) * 5e-3
     noise = np.random.default_rng(1).normal(0.0, 0.05, len(t))

@@ -121,7 +121,7 @@ def drift(residual: Array, mask: NDArray[np.bool_], slices: Sequence[slice], per
         power = np.abs(np.fft.rfft(y)) ** 2 / (0.375 * len(y) ** 2) * 2.0
         band = (frequency > REFERENCE_BAND[0]) & (frequency < REFERENCE_BAND[1])
         slow = (frequency > 0.0) & (frequency < 0.2)
-        if band.sum() < 16 or not slow.any():
+        if band.sum() < 16 or not slow.any() or not power[band].all():  # a log that leaves nothing has no colour
             continue
         x = np.log(frequency[band])
         slope, level = np.polyfit(x, np.log(power[band]) + 0.5772, 1)
