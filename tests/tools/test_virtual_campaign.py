@@ -16,6 +16,7 @@ from tools.campaign.phase.plan import MOMENTS, PHASES, Draw, Trial, chosen, full
 from tools.campaign.phase.results import read, row, summary
 from tools.campaign.phase.stage import Seen, Traces
 from tools.campaign.phase.verdict import Judge, Verdict, judge, motion
+from tools.manual import hazards
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.faults import FAULTS, parse_fault
 
@@ -102,6 +103,11 @@ def test_parts_are_the_whole() -> None:
     assert sum(map(len, parts)) == 100
 
 
+def test_a_sample_has_every_fault_before_any_comes_again() -> None:
+    first = [trial.names for trial in chosen(1, "full", len(HAZARDS), (), (1, 1))]
+    assert len(set(first)) == len(HAZARDS)
+
+
 def test_every_fault_of_the_plant_and_every_act_is_in_the_catalogue() -> None:
     lines = [line for hazard in HAZARDS for line in hazard.lines]
     assert {line.split()[0] for line in lines} >= set(FAULTS)
@@ -138,8 +144,20 @@ def test_a_wrong_part_is_one_clear_line(text: str) -> None:
         virtual.part(text)
 
 
+def test_the_table_has_a_line_for_every_hazard() -> None:
+    assert [cells[1] for cells in hazards.rows()] == [hazard.name for hazard in HAZARDS]
+    assert {len(cells) for cells in hazards.rows()} == {len(hazards.HEAD)}
+
+
 def test_the_same_trial_gives_the_same_result() -> None:
     assert judge(LOST) == judge(LOST)
+
+
+def test_a_loop_that_dies_ends_its_trial_and_the_drive_stops_by_itself() -> None:
+    found = judge(dataclasses.replace(LOST, names=("loop dies",)))
+    assert found.wrong == ()
+    assert found.zero is not None
+    assert 0.005 < found.zero < 0.06
 
 
 @pytest.mark.slow

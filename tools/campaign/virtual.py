@@ -107,7 +107,9 @@ def played(trials: list[Trial], seed: int, processes: int) -> Iterator[Row]:
     Stage(trials[0].draw).close()  # compiles the plant, once for both
     context = multiprocessing.get_context("fork")
     with concurrent.futures.ProcessPoolExecutor(processes, context) as pool:
-        yield from pool.map(functools.partial(play, seed), trials)
+        waiting = [pool.submit(play, seed, trial) for trial in trials]
+        for done in concurrent.futures.as_completed(waiting):
+            yield done.result()
 
 
 def keep(rows: list[Row], seed: int) -> None:

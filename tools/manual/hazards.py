@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from tools.campaign.phase import plan
 from tools.campaign.phase.catalogue import HAZARDS, Hazard
 from tools.campaign.phase.results import KEPT
 from tsa_ctrl.safety.cures import cure
@@ -20,6 +21,8 @@ HARDWARE = (
     ("both measurements of a quantity lie alike", "a second sensor of another kind; a slipping clutch"),
     ("a tendon that does not pull tears: the other pulls with its pretension", "an end stop; less pretension"),
 )
+WHOLE = len(HAZARDS) * len(plan.PHASES) * plan.MOMENTS  # trials of the campaign
+PAIRS = plan.PAIRS
 STOPS = "latched: torque 0, drive off"
 
 

@@ -108,8 +108,9 @@ def hazard_table() -> str:
     """Every hazard of the campaign in virtual time, and what only hardware can do."""
     about = hazards.load()["about"]
     counted = (
-        f"{about['trials']} trials of `tools/run campaign/virtual --seed {about['seed']}`, {about['pairs']} of them "
-        f"with two faults at once; {about['safe']} safe; on {about['date']}."
+        f"{about['trials']} trials of `tools/run campaign/virtual --seed {about['seed']}` on {about['date']}, "
+        f"{about['pairs']} of them with two faults at once, of {hazards.WHOLE} and {hazards.PAIRS} that there are: "
+        f"{about['safe']} safe."
     )
     missing = hazards.not_shown()
     shown = f"Causes by which no trial ended first: {', '.join(missing)}." if missing else ""

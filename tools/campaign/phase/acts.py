@@ -55,6 +55,7 @@ def hitch(stage: Stage) -> None:
 def die(stage: Stage) -> None:
     stage.wire.pass_until(stage.wire.now + DEAD)
     stage.over = True
+    raise DiedError
 
 
 def recover(stage: Stage) -> None:

@@ -11,8 +11,9 @@ class Hazard:
 
     `lines`: of the plant, as on its control socket, or `act`: one of `acts.ACTS`. `cause`: a regular expression, one of
     whose matches must be the fault that latches; empty: none needs to. `lie`: it takes nothing away that anybody could
-    miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does.
-    `goes_on`: why the loop may go on. `residual`: what is left, in words. `axes`: how many it needs.
+    miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does;
+    it does not heal, and nor does what `stays`. `goes_on`: why the loop may go on. `residual`: what is left, in words.
+    `axes`: how many it needs.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Hazard:
     residual: str = ""
     axes: int = 1
     released: bool = False
+    stays: bool = False
 
 
 NO_TORQUE = "torque ends without warning"
@@ -37,6 +39,7 @@ _LOST = "stale PDO|heartbeat lost|node booted|emergency|drive fault|left operati
 _MASTER = "second master|node booted|left the operational|stale PDO|emergency|drive fault|left operation"
 _APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
 _LIMP = "a limb that was held falls with its own weight: a brake, or balance by springs"
+_TORN = "a limb falls with its weight, or the other tendon pulls with its pretension: an end stop"
 _UNSEEN = "what no measurement shows is bounded by the limits alone: a second sensor"
 
 HAZARDS: tuple[Hazard, ...] = (
@@ -100,8 +103,8 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN),
     Hazard("drive's clock drifts by 1 %", OLD, "", ("clock_drift duration=0.3",), goes_on="a value is a period old"),
     # tendons
-    Hazard("tendon that pulls tears", MOVES, "", ("torn_tendon value=1",), lie=True, residual=_LIMP),
-    Hazard("tendon that does not pull tears", MOVES, "", ("torn_tendon value=0",), lie=True, residual=_LIMP),
+    Hazard("tendon b tears", MOVES, "", ("torn_tendon value=1",), lie=True, stays=True, residual=_TORN),
+    Hazard("tendon a tears", MOVES, "", ("torn_tendon value=0",), lie=True, stays=True, residual=_TORN),
     Hazard("slack: a tenth of the pretension", MOVES, "", ("slack",), lie=True, released=True),
     Hazard("slack: half of the pretension", MOVES, "", ("slack value=0.5",), lie=True, released=True),
     Hazard("fraying: pretension goes down", MOVES, "", ("fraying",), lie=True, released=True),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -88,9 +89,18 @@ def pairs(seed: int) -> Iterator[Trial]:
 
 
 def chosen(seed: int, kind: str, sample: int | None, only: tuple[str, ...], part: tuple[int, int]) -> list[Trial]:
-    """The trials to run: all or a drawn sample of them, those with a word of `only`, of these every n-th."""
+    """The trials to run: all or a drawn sample of them, those with a word of `only`, of these every n-th.
+
+    The order is drawn, every fault once before any comes again, so that an interrupted run has seen of everything.
+    """
     trials = [*full(seed)] if kind == "full" else [*pairs(seed)]
     trials = [trial for trial in trials if not only or any(word in trial.key for word in only)]
-    random.Random(seed).shuffle(trials)  # so that an interrupted run has seen of everything
+    random.Random(seed).shuffle(trials)
+    seen: Counter[tuple[str, ...]] = Counter()
+    turns = []
+    for trial in trials:
+        turns.append(seen[trial.names])
+        seen[trial.names] += 1
+    trials = [trials[n] for n in sorted(range(len(trials)), key=turns.__getitem__)]
     place, parts = part
     return trials[: len(trials) if sample is None else sample][place - 1 :: parts]

@@ -13,7 +13,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
-from tools.campaign.phase.acts import ACTS
+from tools.campaign.phase.acts import ACTS, DiedError
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import MOMENTS, Draw, Trial
 from tools.campaign.phase.rigs import FADE_IN, controller_of, plant_of
@@ -187,6 +187,8 @@ class Stage:
         self.wire.at(self.wire.now, script.look)
         try:
             self._operation.run(math.inf)
+        except DiedError:
+            pass  # what the way down did then is not in the record
         except TsaError as error:
             refused = str(error)
         except Exception as error:  # whatever it is, the trial says so
@@ -270,9 +272,10 @@ class _Script:
         yield from self._wait(offset + stage.watch)
         if trial.phase in ("fault", "start", "enabling"):
             yield from self._wait(0.1)
-        stage.machine.advance(stage.wire.now)
-        stage.machine.faults.clear(stage.wire.now)
-        stage.cleared = stage.wire.now
+        if not any(hazard.stays or hazard.released for hazard in hazards):  # a tendon does not heal
+            stage.machine.advance(stage.wire.now)
+            stage.machine.faults.clear(stage.wire.now)
+            stage.cleared = stage.wire.now
         yield from self._wait(AFTER)
         stage.stop()
 
