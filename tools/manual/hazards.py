@@ -41,7 +41,9 @@ def rows() -> list[tuple[str, ...]]:
 def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
     stopped, running = row["stopped"], row["running"]
     goes_on = hazard.goes_on or "nothing to see within 0.45 s"
-    if not stopped:
+    if not running:
+        reaction = "not tried with torque in this sample"
+    elif not stopped:
         reaction = "the drive's own time-out" if hazard.act == "die" else f"goes on: {goes_on}"
     elif stopped < running:
         reaction = f"{STOPS} in {stopped} of {running}, else goes on: {goes_on}"
@@ -54,7 +56,7 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
         zero = f"{1e3 * row['zero_median']:.0f} ms ({1e3 * row['zero_worst']:.0f} ms)"
     worst = f"{row['speed']:.1f}, {row['travel']:.2f}, {row['energy']:.2f}"
     unsafe = "".join(f"; {count} unsafe while {phase}" for phase, count in row["unsafe"].items())
-    residual = hazard.residual or "-"
+    residual = "; ".join(words for words in (hazard.residual, hazard.open and f"open: {hazard.open}") if words) or "-"
     if mend:
         reaction = f"{reaction}; then: {mend}"
     counted = f"{row['safe']}/{row['trials']}{unsafe}"

@@ -13,7 +13,7 @@ class Hazard:
     whose matches must be the fault that latches; empty: none needs to. `lie`: it takes nothing away that anybody could
     miss at once: what counts is what it does to the joint. `released`: less holds the joint, whatever the motor does;
     it does not heal, and nor does what `stays`. `goes_on`: why the loop may go on. `residual`: what is left, in words.
-    `axes`: how many it needs.
+    `axes`: how many it needs. `open`: that it is not always met safely is known, and where.
     """
 
     name: str
@@ -27,6 +27,7 @@ class Hazard:
     axes: int = 1
     released: bool = False
     stays: bool = False
+    open: str = ""
 
 
 NO_TORQUE = "torque ends without warning"
@@ -41,6 +42,13 @@ _APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
 _LIMP = "a limb that was held falls with its own weight: a brake, or balance by springs"
 _TORN = "a limb falls with its weight, or the other tendon pulls with its pretension: an end stop"
 _UNSEEN = "what no measurement shows is bounded by the limits alone: a second sensor"
+# Known to be unsafe in some of the trials: what is to be mended next.
+_LATE = "a free joint is at 2.6 rad/s before it is found, and what the motor gives is beyond the limit that is sent"
+_SLACK = "a free joint is given 0.5 J before the joint torque sensor tells it"
+_BLIND = "a weight, no torque sensor: 0.8 J by a quarter more torque than wanted, within what the stretch leaves out"
+_CLIPPED = (
+    "a free joint went on as wanted when the heat was over, while the same joint without it stuck: the judge's twin"
+)
 
 HAZARDS: tuple[Hazard, ...] = (
     # power
@@ -55,7 +63,7 @@ HAZARDS: tuple[Hazard, ...] = (
     ),
     Hazard("power stage without voltage", NO_TORQUE, "left operation|drive reports", ("dead_stage",), residual=_LIMP),
     Hazard("power stage that flaps", OTHER, "left operation|drive reports", ("flapping_stage",)),
-    Hazard("derating to a fifth", OTHER, lines=("derating",), goes_on="less torque, within the limits"),
+    Hazard("derating to a fifth", OTHER, lines=("derating",), goes_on="less torque, within the limits", open=_CLIPPED),
     # words of the drive
     Hazard("EMCY without a fault", NO_TORQUE, "emergency", ("emcy",)),
     Hazard("EMCY of the encoder", NO_TORQUE, "emergency.*encoder", ("emcy node=encoder",)),
@@ -100,15 +108,15 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("motor turns the wrong way", MOVES, "", ("reversed_sign",), lie=True),
     Hazard("polarity turned", MOVES, "", ("polarity",), lie=True),
     Hazard("motor gives 1.4 times", MOVES, "", ("torque_gain value=1.4",), lie=True, residual=_UNSEEN),
-    Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN),
+    Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN, open=_LATE),
     Hazard("drive's clock drifts by 1 %", OLD, "", ("clock_drift duration=0.3",), goes_on="a value is a period old"),
     # tendons
     Hazard("tendon b tears", MOVES, "", ("torn_tendon value=1",), lie=True, stays=True, residual=_TORN),
     Hazard("tendon a tears", MOVES, "", ("torn_tendon value=0",), lie=True, stays=True, residual=_TORN),
-    Hazard("slack: a tenth of the pretension", MOVES, "", ("slack",), lie=True, released=True),
-    Hazard("slack: half of the pretension", MOVES, "", ("slack value=0.5",), lie=True, released=True),
+    Hazard("slack: a tenth of the pretension", MOVES, "", ("slack",), lie=True, released=True, open=_SLACK),
+    Hazard("slack: half of the pretension", MOVES, "", ("slack value=0.5",), lie=True, released=True, open=_BLIND),
     Hazard("fraying: pretension goes down", MOVES, "", ("fraying",), lie=True, released=True),
-    Hazard("friction half", MOVES, "", ("friction value=0.5",), lie=True, released=True),
+    Hazard("friction half", MOVES, "", ("friction value=0.5",), lie=True, released=True, open=_BLIND),
     Hazard("sheath 20 % straighter", MOVES, "", ("bending value=0.8",), lie=True, released=True),
     # sensors
     Hazard("joint encoder jumps", MOVES, "", ("encoder_jump",), lie=True),

@@ -103,10 +103,13 @@ class Judge:
 
     @cached_property
     def _rows(self) -> list[float]:
-        """Times after the fault at which a motor had torque, s, in order."""
+        return self._of(self._seen.axes)
+
+    def _of(self, axes: Sequence[Traces]) -> list[float]:
+        """Times after the fault at which a motor of these axes had torque, s, in order."""
         return sorted(
             clock
-            for each in self._seen.axes
+            for each in axes
             for clock, torque in zip(each.clock, each.torque, strict=True)
             if clock >= self._since and abs(torque) > ZERO
         )
@@ -128,6 +131,10 @@ class Judge:
         if trial.phase in ("stopping", "fault") or not must or not rows or asked_since:
             return wrong
         early = trial.phase in EARLY
+        if early:  # axes enable one by one: another one may pull before this one has met its fault
+            rows = self._of(seen.axes[:1])
+            if not rows:
+                return wrong
         if early and (all(_over(hazard) for hazard in must) or rows[0] > seen.cleared):
             return wrong  # it was over before there was torque, or met what was not yet there
         first = rows[0] if early else self._since
