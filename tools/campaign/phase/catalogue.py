@@ -99,6 +99,7 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("second master sends commands", OTHER, _MASTER, act="command"),
     Hazard("a node is reset by somebody", NOBODY, _MASTER, act="reset"),
     Hazard("a third party's SDO takes the RPDO timer", NOBODY, "second master", act="sdo"),
+    Hazard("a third party's SDO takes our heartbeat", NOBODY, "second master", ("foreign_sdo",)),
     # the computer
     Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8", act="hang"),
     Hazard("loop stands still for 10 ms", OLD, "", act="hitch", goes_on="shorter than every time-out"),

@@ -28,7 +28,7 @@ TRAVEL = 0.35  # rad beyond it: 20 degrees, the reserve of a knee or an elbow in
 ENERGY = 0.1  # J that the tendons give the joint beyond it: a limb of 0.05 kg*m^2 at `SPEED`
 EARLY = ("start", "enabling", "resetting", "recovering")  # phases in which torque may still be to come
 MOVED = ("imposed", "held")  # by another, whatever the motor does: judged by torque alone
-_ONCE = ("emcy", "error_frame", "replay", "fault")  # lines that are over when they have begun
+_ONCE = ("emcy", "error_frame", "replay", "fault", "foreign_sdo")  # lines that are over when they have begun
 OFF = "safe torque off"
 
 
