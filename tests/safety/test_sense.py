@@ -14,13 +14,20 @@ STIFFNESS = 10.0  # N*m/rad
 UNKNOWN = math.nan
 
 
-def run(sense: Sense, sign: float = 1.0, gain: float = UNKNOWN, seconds: float = 0.5, rise: float = 1.0) -> float | str:
+def run(
+    sense: Sense,
+    sign: float = 1.0,
+    gain: float = UNKNOWN,
+    seconds: float = 0.5,
+    rise: float = 1.0,
+    omega_j: float = 0.0,
+) -> float | str:
     """A torque that rises by `rise` N*m/s; what is found, or when the torque was free to grow, s."""
     free = math.inf
     for n in range(round(seconds / PERIOD)):
         torque = rise * n * PERIOD
         apart = sign * torque / STIFFNESS + 3.0
-        wrong = sense.update(n * PERIOD, torque, apart, gain * GEARED * torque, 0.0)
+        wrong = sense.update(n * PERIOD, torque, apart, gain * GEARED * torque, 0.0, omega_j)
         if wrong is not None:
             return wrong
         if sense.ceiling == math.inf:
@@ -54,6 +61,12 @@ def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> No
     assert isinstance(said, str) is found
     if found:
         assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
+
+
+def test_a_joint_that_is_moved_accuses_no_motor_of_giving_more() -> None:
+    """There friction turns with the motion, and what it gives back follows the torque."""
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=2.0, omega_j=0.3), float)
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=2.0, omega_j=math.nan), float)
 
 
 def test_what_shows_nothing_is_not_held_up_for_longer_than_its_patience() -> None:

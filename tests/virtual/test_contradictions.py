@@ -85,9 +85,9 @@ def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_pa
     assert fault.t < 2.1
 
 
-@pytest.mark.parametrize("load", ["held", "spring", "wearer"])
-def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path, load: str) -> None:
-    result = play(tmp_path, load, sine(0.8, 0.5), 2.0, known=False, faults=["torque_gain@0.001"])
+def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> None:
+    """On a joint that is held. On one that moves, friction that turns may follow the torque as much."""
+    result = play(tmp_path, "held", sine(0.8, 0.5), 2.0, known=False, faults=["torque_gain@0.001"])
     fault = next(event for event in result.summary.events if event.fault)
     assert "the joint torque sensor follows" in fault.text
     assert fault.t < 0.5

@@ -179,7 +179,9 @@ class ControlAxis:
             tau_j = instruments.tau_j
             expected = self._expected() if tau_j == tau_j else (0.0, 0.0)
             wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
-            wrong = wrong or self.sense.update(now, image.tau_m, self._stretch(), image.tau_j, terms.sigma)
+            wrong = wrong or self.sense.update(
+                now, image.tau_m, self._stretch(), image.tau_j, terms.sigma, terms.omega_j
+            )
             self.limiter.ceiling = self.sense.ceiling
             if wrong is not None:
                 self.supervisor.trip(wrong, now)

@@ -1,10 +1,12 @@
 """Whether the motor pulls the way it says, and as much: its torque against what the torque does.
 
 A torque stretches the tendons, and motor and joint move apart by it: q_m - (r_J/r_M) q_j follows tau_M with the sign of
-the stiffness, held or moving, whatever the load. Where there is a joint torque sensor, its torque follows, too, by
-r_J/r_M at most: friction only takes away. All are filtered to a band in which neither the motor's ringing on its
-tendons nor the drift of the friction counts, and correlated over the last fifth of a second, but for what came before
-the tendon turned last: on a joint that is moved, friction stretches the tendon against the torque that begins.
+the stiffness, held or moving, whatever the load. Where there is a joint torque sensor, its torque follows, too, and on a
+joint that is held by r_J/r_M at most: friction only takes away there. On one that is moved the friction turns with the
+motion, not with the torque, and what it gives back after a reversal may follow the torque by more: nothing is said of it
+there. All are filtered to a band in which neither the motor's ringing on its tendons nor the drift of the friction
+counts, and correlated over the last fifth of a second, but for what came before the tendon turned last: on a joint that
+is moved, friction stretches the tendon against the torque that begins.
 
 On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
 below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
@@ -28,6 +30,7 @@ MEMORY = 0.2  # s of the correlation
 SHOWN = 0.5  # correlation from which the sense is right, or wrong
 CLEAR = 0.8  # correlation from which it is said how much the joint gets
 EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
+STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
 LAST = 0.02  # s that either must be wrong
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
@@ -56,6 +59,7 @@ class Sense:
         self.ceiling = SMALL * self._limit
         self._waited = 0.0
         self._shown = False
+        self._moved = -math.inf
         self._reversed.reset()
         self._excessive.reset()
         self._begin(0.0, -math.inf)
@@ -67,12 +71,14 @@ class Sense:
         self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
         self._tt = self._ta = self._aa = self._tj = self._jj = 0.0
 
-    def update(self, now: float, torque: float, apart: float, tau_j: float, sigma: float) -> str | None:
+    def update(self, now: float, torque: float, apart: float, tau_j: float, sigma: float, omega_j: float) -> str | None:
         """What is wrong, in words; None while all is well.
 
         `torque`: N*m, as the drive reports it; `apart`: rad, of motor and geared joint; `tau_j`: N*m, of the joint
-        torque sensor, nan each where it is not known; `sigma`: the law's, 1, of the tendon's motion.
+        torque sensor, nan each where it is not known; `sigma`: the law's, 1, of the tendon's motion; `omega_j`: rad/s.
         """
+        if not abs(omega_j) < STILL:
+            self._moved = now
         if self._shown and self.ceiling != math.inf:
             self.ceiling += self._limit * self._period / GROWTH
             if self.ceiling >= self._limit:
@@ -102,7 +108,8 @@ class Sense:
                 "sign of a torque or of an encoder is reversed"
             )
         gain = self._tj / self._tt
-        if self._excessive.update(now, by_sensor > CLEAR and gain > self._most):
+        held = now - self._moved > MEMORY
+        if self._excessive.update(now, held and by_sensor > CLEAR and gain > self._most):
             return (
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
                 f"{self._most / EXCESS:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
