@@ -1,12 +1,12 @@
 """Whether the motor pulls the way it says, and as much: its torque against what the torque does.
 
 A torque stretches the tendons, and motor and joint move apart by it: q_m - (r_J/r_M) q_j follows tau_M with the sign of
-the stiffness, held or moving, whatever the load. Where there is a joint torque sensor, its torque follows, too, and on a
-joint that is held by r_J/r_M at most: friction only takes away there. On one that is moved the friction turns with the
-motion, not with the torque, and what it gives back after a reversal may follow the torque by more: nothing is said of it
-there. All are filtered to a band in which neither the motor's ringing on its tendons nor the drift of the friction
-counts, and correlated over the last fifth of a second, but for what came before the tendon turned last: on a joint that
-is moved, friction stretches the tendon against the torque that begins.
+the stiffness, held or moving, whatever the load. Where there is a joint torque sensor, its torque follows, too, and on
+a joint that is held by r_J/r_M at most: friction only takes away there. On one that is moved the friction turns with
+the motion, not with the torque, and what it gives back after a reversal may follow the torque by more: nothing is said
+of it there. All are filtered to a band in which neither the motor's ringing on its tendons nor the drift of the
+friction counts, and correlated over the last fifth of a second, but for what came before the tendon turned last: on a
+joint that is moved, friction stretches the tendon against the torque that begins.
 
 On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
 below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
@@ -33,6 +33,9 @@ EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
 LAST = 0.02  # s that either must be wrong
+SURE = (
+    0.12  # s that a sense that was shown must be wrong: friction on a joint that is moved against little torque, 0.06
+)
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
 PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
 
@@ -51,7 +54,7 @@ class Sense:
         self._period = period
         self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
         self._memory = 1.0 - math.exp(-period / MEMORY)
-        self._reversed, self._excessive = Leaky(LAST), Leaky(LAST)
+        self._reversed, self._turned, self._excessive = Leaky(LAST), Leaky(SURE), Leaky(LAST)
         self.reset()
 
     def reset(self) -> None:
@@ -61,6 +64,7 @@ class Sense:
         self._shown = False
         self._moved = -math.inf
         self._reversed.reset()
+        self._turned.reset()
         self._excessive.reset()
         self._begin(0.0, -math.inf)
 
@@ -102,7 +106,8 @@ class Sense:
         sense = by_stretch if apart == apart else by_sensor
         if sense > SHOWN or self._waited > PATIENCE:
             self._shown = True
-        if self._reversed.update(now, sense < -SHOWN):
+        wrong = self._turned if self._shown else self._reversed
+        if wrong.update(now, sense < -SHOWN):
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
                 "sign of a torque or of an encoder is reversed"
