@@ -473,6 +473,20 @@ def test_a_power_stage_that_goes_off_while_the_state_says_enabled_is_a_lost_stat
     assert (fault.cause, words in fault.detail) == (Cause.STATE_LOST, True)
 
 
+def test_a_power_stage_that_is_off_at_the_next_enable_is_a_lost_state() -> None:
+    """What the drive showed once is not unlearned by a reset into a stage that flaps."""
+    bench = enabled()
+    bench.step(Request.DISABLE, 5)
+    assert not bench.permitted
+    before = WORDS[PowerState.OPERATION_ENABLED]
+    try:
+        WORDS[PowerState.OPERATION_ENABLED] = 0x1227
+        bench.step(Request.ENABLE, 20)
+    finally:
+        WORDS[PowerState.OPERATION_ENABLED] = before
+    assert (bench.permitted, bench.cause) == (False, Cause.STATE_LOST)
+
+
 def test_a_drive_that_never_shows_voltage_and_remote_runs_without() -> None:
     """Some leave bits 4 and 9 low for ever."""
     before = WORDS[PowerState.OPERATION_ENABLED]

@@ -119,7 +119,7 @@ class Supervisor:
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
         self._running_mask = cia402.STATE_BITS | self._following_mask
         self._running_word = _ENABLED_BITS | self._following_mask
-        self._power_bits = 0  # those of the power bits that this drive showed when it was enabled
+        self._power_bits = 0  # those of the power bits that this drive showed at an enable, ever
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
         self._lost = 0  # cycles without all answers, and commands that were not sent
@@ -270,7 +270,7 @@ class Supervisor:
         in_mode = image.mode == Mode.CYCLIC_SYNC_TORQUE
         following = image.statusword & self._following_mask == self._following_mask
         if state is PowerState.OPERATION_ENABLED and in_mode and following and image.fresh:
-            self._power_bits = image.statusword & _POWER_BITS
+            self._power_bits |= image.statusword & _POWER_BITS
             self._enter(Phase.ENABLED, now)
         elif now - self._since > self._settings.enable_timeout:
             waited, late = self._settings.enable_timeout, self._shows_late
