@@ -428,6 +428,26 @@ def test_repeated_pdos_of_a_drive_in_a_twentieth_of_the_cycles_are_a_second_driv
     assert (bench.cause, bench.supervisor.needs_bring_up) == (Cause.REPEATED_PDO, True)
 
 
+def test_answers_that_are_late_by_a_period_are_no_second_drive() -> None:
+    """Each that comes twice in a cycle is one that another cycle missed; what comes beside them is one too many."""
+    bench = Bench()
+    bench.supervisor = Supervisor(SupervisionSettings(lost_share=1.0), rate=1000.0)
+    bench.step(Request.DISABLE, 5)
+    bench.step(Request.ENABLE, 10)
+    drive = bench.image.nodes[0]
+    for _ in range(200):
+        drive.missed += 1
+        bench.image.missed += 1
+        bench.step(Request.ENABLE)
+        drive.repeated += 1
+        bench.step(Request.ENABLE)
+        assert bench.permitted
+    for _ in range(50):
+        drive.repeated += 1
+        bench.step(Request.ENABLE)
+    assert bench.cause is Cause.REPEATED_PDO
+
+
 def test_a_new_enable_forgets_what_was_lost_before() -> None:
     bench = enabled()
     assert lose(bench, 1, 0.19) is None

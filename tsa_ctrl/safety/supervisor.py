@@ -128,7 +128,9 @@ class Supervisor:
         )
         self._losses = Often(self._too_many)
         self._repeated = 0  # PDOs of the drive that came twice in a cycle
-        self._twins = Often(max(_LEAST_REPEATED, math.ceil(_REPEATED_SHARE * rate)))
+        self._most_owed = max(_LEAST_REPEATED, math.ceil(_REPEATED_SHARE * rate))
+        self._twins = Often(self._most_owed)
+        self._unanswered = self._owed = 0  # cycles without the drive's answers: since the start, and not made up for
         self._events = 0
         self._emcys: dict[int, int] = {}
         self._since = 0.0
@@ -221,9 +223,12 @@ class Supervisor:
             if self._losses.happened(now):
                 self._latch(Cause.STALE_PDO, blame.lossy(image, self._too_many), now)
         drive = image.nodes[0]
+        self._owed = min(self._owed + drive.missed - self._unanswered, self._most_owed)
+        self._unanswered = drive.missed
         if drive.repeated != self._repeated:
             self._repeated = drive.repeated
-            if self._twins.happened(now):
+            self._owed = max(self._owed, 0) - 1  # an answer that is late by a period comes in one cycle with the next
+            if self._owed < 0 and self._twins.happened(now):
                 self._latch(Cause.REPEATED_PDO, f"{drive}: {drive.repeated}; another node may have the same id", now)
 
     def _examine(self, image: Image, health: NodeHealth, now: float) -> None:
