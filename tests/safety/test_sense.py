@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tsa_ctrl.safety.sense import PATIENCE, Sense
+from tsa_ctrl.safety.sense import PATIENCE, SMALL, Sense
 
 PERIOD = 1e-3  # s
 GEARED = 1.25  # r_J/r_M
@@ -37,17 +37,17 @@ def run(
 
 def test_torque_is_small_until_the_stretch_shows_its_sense() -> None:
     sense = Sense(2.0, GEARED, PERIOD)
-    assert sense.ceiling == pytest.approx(0.3)
+    assert sense.ceiling == pytest.approx(2.0 * SMALL)
     free = run(sense)
     assert isinstance(free, float)
-    assert 0.02 + 0.17 < free < 0.1 + 0.17  # which it grows in from 15 % to all of the limit
+    assert 0.02 + 0.17 < free < 0.1 + 0.17  # which it grows in from 11 % to all of the limit
 
 
 def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
     sense = Sense(2.0, GEARED, PERIOD)
     found = run(sense, sign=-1.0)
     assert "the wrong way round" in str(found)
-    assert sense.ceiling == pytest.approx(0.3)
+    assert sense.ceiling == pytest.approx(2.0 * SMALL)
 
 
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
@@ -80,10 +80,24 @@ def test_nothing_known_accuses_nothing_and_a_torque_that_rests_shows_nothing() -
     assert run(Sense(2.0, GEARED, PERIOD), sign=-1.0, rise=0.0) == math.inf
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_set_point_that_rests_is_let_through_slowly_and_shows_its_sense_on_the_way(sign: float) -> None:
+    """2 N*m asked for at once: all of it within two seconds; of a reversed motor not a fifth of the limit."""
+    sense, said, most = Sense(2.0, GEARED, PERIOD), None, 0.0
+    for n in range(2000):
+        torque = min(2.0, sense.ceiling)
+        most = max(most, torque)
+        said = sense.update(n * PERIOD, torque, sign * torque / STIFFNESS, UNKNOWN, 0.0, 0.0)
+        if said is not None:
+            break
+    assert (said is None) is (sign > 0.0)
+    assert most == 2.0 if sign > 0.0 else most < 0.4
+
+
 def test_each_enable_shows_it_anew() -> None:
     sense = Sense(2.0, GEARED, PERIOD)
     run(sense)
     assert sense.ceiling == math.inf
     sense.reset()
-    assert sense.ceiling == pytest.approx(0.3)
+    assert sense.ceiling == pytest.approx(2.0 * SMALL)
     assert "the wrong way round" in str(run(sense, sign=-1.0))

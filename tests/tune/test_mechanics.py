@@ -171,7 +171,9 @@ def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
         Delay(delay / PERIOD - 1.0, LAG, late), Swing(inertia, stiffness, around(ringing, "Hz"), 5.0, 0.0, 20)
     )
     loop = around(0.5, "N*m")
-    calibration = Calibration(loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, "", (), configuration.models[0])
+    calibration = Calibration(
+        loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, 0.1, 0.1, "", (), configuration.models[0]
+    )
     learned = Estimate(configuration.models[0], calibration, Form.GIVEN, {}, (), ())
     made = law_tuning(configuration, configuration.file.axes[0], learned, found)
     assert made is not None

@@ -13,7 +13,8 @@ below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r
 motor gives twice what it reports.
 
 After every enable the torque stays small until the sense is shown, or until it could have been: a rig that is too stiff
-for its encoders shows nothing, and is not held up by that.
+for its encoders shows nothing, and is not held up by that. A set-point that rests shows nothing either: its torque is
+let through slowly, and shows it on the way.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import math
 
 from tsa_ctrl.safety.leaky import Leaky
 
-SMALL = 0.15  # of the limiter's absolute limit: a person bears that in the wrong direction
+SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
 RIPPLE = 0.005  # of that limit, RMS in the band, from which it counts: above what a drive's torque reading fluctuates
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
@@ -33,10 +34,11 @@ EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
 LAST = 0.02  # s that either must be wrong
-SURE = (
-    0.12  # s that a sense that was shown must be wrong: friction on a joint that is moved against little torque, 0.06
-)
+# s that a sense that was shown must be wrong: friction on a limb that a hand moves looks so for 0.18
+SURE = 0.25
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
+RESTS = 0.1  # s after which a torque that does not change may grow slowly, so that it shows its sense by that
+SLOWLY = 2.0  # s in which it would come to the limit: a reversed one is found within 20 ms of it
 PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
 
 
@@ -62,6 +64,7 @@ class Sense:
         self.ceiling = SMALL * self._limit
         self._waited = 0.0
         self._shown = False
+        self._begun = math.inf
         self._moved = -math.inf
         self._reversed.reset()
         self._turned.reset()
@@ -87,6 +90,10 @@ class Sense:
             self.ceiling += self._limit * self._period / GROWTH
             if self.ceiling >= self._limit:
                 self.ceiling = math.inf
+        elif not self._shown:
+            self._begun = min(self._begun, now)
+            if now - self._begun > RESTS:
+                self.ceiling += self._limit * self._period / SLOWLY
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
             self._begin(direction, now + TURN)
