@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -211,3 +214,18 @@ def test_contradictions_are_refused(data: dict[str, Any]) -> None:
     """A file without its kind, a kind without its file or components: an error."""
     with pytest.raises(msgspec.ValidationError, match="kind"):
         msgspec.convert(data, SetPointSettings)
+
+
+@pytest.mark.slow
+def test_a_set_point_from_a_file_maps_no_memory_that_a_lock_would_fill(tmp_path: Path) -> None:
+    """The daemon locks what is mapped: a table reader's arena of 1 GB would be taken from the actuator PC."""
+    path = tmp_path / "motion.csv"
+    path.write_text("t,tau_j_des\n0,0\n1,0.5\n")
+    code = "import sys; from tsa_ctrl.control.setpoint import read_file; read_file(sys.argv[1])"
+    code += "; print(open('/proc/self/maps').read())"
+    run = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60, check=True
+    )
+    ranges = re.findall(r"^([0-9a-f]+)-([0-9a-f]+) rw", run.stdout, re.MULTILINE)
+    assert ranges
+    assert max(int(end, 16) - int(begin, 16) for begin, end in ranges) < 256 << 20

@@ -12,6 +12,7 @@ and polars take a row that is too short, numpy no empty field; pyarrow refuses b
 from __future__ import annotations
 
 import gzip
+import os
 import re
 import zlib
 from collections.abc import Collection
@@ -28,6 +29,9 @@ from tsa_ctrl.log.unpacked import CountedStream, Unpacked
 HEAD = 1 << 16  # bytes in which the header is looked for
 DELIMITERS = ",;\t"
 _NO_NUMBER = re.compile(r"In CSV column #(\d+): Row #(\d+): .* invalid value '(.*)'$", re.DOTALL)  # as pyarrow says it
+
+# pyarrow's own allocator takes an arena of 1 GB at its first byte, all of it present in a daemon that locks its memory
+os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 Columns = dict[str, NDArray[np.float64]]
 
