@@ -6,7 +6,9 @@ import contextlib
 import errno
 import grp
 import json
+import math
 import os
+import signal
 import socket
 import stat
 import subprocess
@@ -23,10 +25,10 @@ import pytest
 from tests.daemon.serving import PATIENCE, Serving, until
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import RECOVER, SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop, make_private
 from tsa_ctrl.ipc.report import EventPrinter
-from tsa_ctrl.ipc.server import CLIENTS, listen
 
 
 @pytest.fixture
@@ -233,6 +235,30 @@ def test_owner_that_is_gone_before_it_asks_is_no_matter(module: str, tmp_path: P
     command = [sys.executable, "-m", module, "0", str(tmp_path / "x.mcap")]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+
+
+def worker_of(pid: int) -> int:
+    """The one child of a process."""
+    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
+    return int(child)
+
+
+@pytest.mark.slow
+def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> None:
+    """By SIGSTOP: who asks meanwhile is answered by the one in its place, and no event is told twice."""
+    event = '{"number":0,"t":1.5,"axis":"knee","text":"heartbeat lost","fault":true}'
+    serving.mailbox.publish_text(f"[{event}]".encode())
+    serving.mailbox.want(0, 0.5, time.monotonic())
+    with Client(serving.path) as client:
+        client.ask(Status())
+    os.kill(worker_of(serving.process.pid), signal.SIGSTOP)
+    with Client(serving.path, timeout=30.0) as client:
+        assert client.ask(Status())["schema"] == 1
+    assert serving.mailbox.replaced == 1
+    wanted = serving.mailbox.wanted(0)
+    assert wanted is not None
+    assert wanted[1] == -math.inf  # what its clients wanted is withdrawn
+    assert serving.end().count("heartbeat lost") == 1
 
 
 def test_events_are_told_once(serving: Serving) -> None:

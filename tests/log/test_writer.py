@@ -190,6 +190,23 @@ def test_a_writer_that_hangs_is_killed(ring: RingWriter, tmp_path: Path) -> None
     assert log.alive is False
 
 
+@pytest.mark.slow
+def test_a_writer_in_anothers_place_goes_on_where_that_one_was(ring: RingWriter, tmp_path: Path) -> None:
+    """Killed in the middle: what the ring still holds is in the next file, and no record is lost or counted as such."""
+    log = LogProcess(tmp_path / "x.mcap", ring, HEADER)
+    push(ring, 300)
+    assert wait_for(lambda: log.health().written >= 600)
+    (worker,) = Path(f"/proc/{log.pid}/task/{log.pid}/children").read_text("ascii").split()
+    os.kill(int(worker), signal.SIGSTOP)
+    push(ring, 300, 300)
+    os.kill(int(worker), signal.SIGKILL)
+    assert wait_for(lambda: ring.replaced == 1)
+    push(ring, 100, 600)
+    health = log.end()
+    assert (health.state, health.written, health.lost) == (WriterState.ENDED, 1400, 0)
+    assert times(tmp_path / "x.mcap") + times(tmp_path / "x-2.mcap") == list(range(700))
+
+
 def test_an_existing_log_is_never_overwritten(ring: RingWriter, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(b"precious")

@@ -11,6 +11,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.helpers import Helper, log_writer, socket_server
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters, Reading
@@ -55,6 +56,9 @@ class Telemetry:
         self._error_frames = 0
         self._warnings: dict[tuple[int, int], int] = {}  # told of each node
         self._server_alive: Callable[[], bool] | None = None
+        self._helpers: list[Helper] = []
+        if ring is not None and log is not None:
+            self._helpers.append(log_writer(lambda: ring.heard, lambda: ring.replaced))
         self._log = log
         self._sensors = sensors
         self._notifier = notifier
@@ -125,11 +129,14 @@ class Telemetry:
             overruns=overruns,
             dropped=self._rig.bus.counters.dropped,
             log_lost=self.log_lost,
+            log_silent=self._helpers[0].silent if self._log_alive and self._helpers else 0.0,
             phase=phase,
         )
         if self._notifier is not None:
             loop = LoopPhase(phase)
             self._notifier.update(now, loop.name.lower(), loop.up, loop.ending)
+        for helper in self._helpers:
+            helper.look(now - start, now, self._events)
         self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
         self.tell_lease(now - start, start)
         if self._events.changed:
@@ -221,6 +228,8 @@ class Telemetry:
     def watch_server(self, alive: Callable[[], bool]) -> None:
         """Look after the socket server, too."""
         self._server_alive = alive
+        mailbox = self._mailbox
+        self._helpers.append(socket_server(lambda: mailbox.heard, lambda: mailbox.replaced))
 
     def check_server(self, t: float) -> None:
         """About once a second: say it when nobody answers on the socket any longer."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import grp
 import os
 import socket
+from collections.abc import Iterator
 from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
@@ -53,6 +55,21 @@ def listen(path: str, group: str | None, watch_group: str | None = None) -> sock
             ) from None
         raise UsageError(f"[socket] path {path}: cannot listen there ({error.strerror}); give another path") from None
     return listener
+
+
+@contextlib.contextmanager
+def listening(path: str, group: str | None, watch_group: str | None = None) -> Iterator[socket.socket]:
+    """As `listen`, while inside; the socket's name goes with it, unless another has taken it meanwhile."""
+    listener = listen(path, group, watch_group)
+    place = Path(path)
+    ours = place.stat().st_ino
+    try:
+        yield listener
+    finally:
+        listener.close()
+        with contextlib.suppress(OSError):
+            if place.stat().st_ino == ours:
+                place.unlink()
 
 
 def group_number(name: str, key: str) -> int:

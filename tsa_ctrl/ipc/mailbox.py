@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -31,6 +32,7 @@ class General(NamedTuple):
     overruns: float = 0.0
     dropped: float = 0.0
     log_lost: float = 0.0
+    log_silent: float = 0.0  # s for which nothing was heard of the log writer, when that is too long
     phase: float = 0.0  # code
 
 
@@ -88,7 +90,8 @@ Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the 
 _SINCE = struct.Struct("=d")  # s, monotonic
 _COMMAND = struct.Struct("=qqd")  # axis, parameter, value
 _WANTED = struct.Struct("=dd")  # N*m; s, monotonic, of the client that wants it
-_TAIL, _STOP = 0, 8  # words of the header: commands taken, stop asked for
+_TAIL, _STOP, _HEARD, _REPLACED = 0, 8, 16, 24  # words of the header: commands taken, stop asked for; of the server
+# its last sign of life (ns, monotonic), and how many were replaced
 _LATENESS = 64
 _WORK = _LATENESS + 8 * BINS
 _COMMANDS = -(-(_WORK + 8 * BINS) // 64) * 64
@@ -140,6 +143,16 @@ class Mailbox:
         self._seen_text = (0, b"")
         self._seen_stage = b""
 
+    @property
+    def heard(self) -> float:
+        """When the server left its last sign of life, s, monotonic; 0 before the first."""
+        return self._words[_HEARD // 8] * 1e-9
+
+    @property
+    def replaced(self) -> int:
+        """How many servers were replaced by another."""
+        return self._words[_REPLACED // 8]
+
     def close(self) -> None:
         """Unmap; the memory goes with its last user."""
         self.lateness.release()
@@ -147,6 +160,14 @@ class Mailbox:
         self._memory.close()
 
     # The server's side
+
+    def alive(self) -> None:
+        """Leave a sign of life."""
+        self._words[_HEARD // 8] = time.monotonic_ns()
+
+    def replace(self, number: int) -> None:
+        """Leave word that `number` servers had to be replaced."""
+        self._words[_REPLACED // 8] = number
 
     def put(self, command: Command) -> int | None:
         """Queue a command; its ticket, or None when the queue is full."""

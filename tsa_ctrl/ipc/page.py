@@ -95,6 +95,8 @@ class Page:
             f"{cycles['dropped']} frames dropped, {cycles['log_lost']} records lost",
             style="not bold default",
         )
+        if cycles.get("log_silent"):
+            head.append(f"   the log's process hangs, for {cycles['log_silent']:.1f} s", style="bold red")
         if status.get("lease"):
             head.append("   set-points of process {process}, user {user}".format(**status["lease"]), "not bold default")
         if status["waiting_for"]:

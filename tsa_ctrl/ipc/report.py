@@ -49,6 +49,7 @@ def status_report(
             "overruns": int(general.overruns),
             "dropped": int(general.dropped),
             "log_lost": int(general.log_lost),
+            "log_silent": general.log_silent or None,
         },
         "lateness": _histogram(mailbox.lateness),
         "work": _histogram(mailbox.work),
@@ -125,12 +126,15 @@ class EventPrinter:
     A thread writes; it ends with the process, in whatever write it hangs.
     """
 
-    def __init__(self, mailbox: Mailbox) -> None:
+    def __init__(self, mailbox: Mailbox, told: bool = False) -> None:
+        """`told`: what there is by now was told by another."""
         self._mailbox = mailbox
         self._lines: queue.Queue[str] = queue.Queue(WAITING)
         threading.Thread(target=self._write, daemon=True).start()
-        self._sequence = 0
-        self._last = -1
+        self._sequence, self._last = 0, -1
+        if told:
+            self._sequence, text = mailbox.text()
+            self._last = max((event["number"] for event in msgspec.json.decode(text or b"[]")), default=-1)
 
     def update(self) -> None:
         """Print what is new."""

@@ -1,7 +1,8 @@
 """The process behind the local socket: `python -m tsa_ctrl.ipc.server FD`, its description as JSON on stdin.
 
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Whatever clients do costs this
-process, never the loop, which takes at most one command per cycle from the mailbox. Whoever gives set-points waits for
+process, never the loop, which takes at most one command per cycle from the mailbox. One that hangs or dies is replaced
+by another that listens on the same socket (`system.keeper`). Whoever gives set-points waits for
 no more than one request of one other client; all others together get a third of the time meanwhile. It ends with the
 daemon: their pipe closes however the daemon dies.
 """
@@ -17,7 +18,6 @@ import socket
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -26,12 +26,13 @@ from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.connection import Connection, may
 from tsa_ctrl.ipc.lease import Lease
-from tsa_ctrl.ipc.listener import CLIENTS, group_number, listen
+from tsa_ctrl.ipc.listener import CLIENTS, group_number, listening
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, check_bounds
 from tsa_ctrl.ipc.peers import Role, peer_of, role_of
 from tsa_ctrl.ipc.protocol import AnyRequest, Description
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
+from tsa_ctrl.system.keeper import keep
 from tsa_ctrl.system.signals import ignore
 
 WATCHERS = CLIENTS // 2  # of them at most, so that who commands finds room
@@ -43,6 +44,7 @@ REST = 2.0  # times what another client's request took, until the next is looked
 NICE = -10  # before what else runs on a crowded machine, so that set-points come in time; the loop is before it
 HANGS = 0.5  # s without a cycle, after which nobody is followed
 AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
+REPLACED = 1.5  # s without a sign of life, of which there are five a second, until another one takes over
 ENDING = ("stopping", "ended")  # phases
 READY = b"ready\n"
 
@@ -309,28 +311,36 @@ def main(argv: list[str]) -> int:
     if not asked:  # the daemon is gone already
         return 0
     description = msgspec.json.decode(asked, type=Description)
-    mailbox = Mailbox(len(description.axes), len(description.parameters[0]), int(argv[0]))
+    axes, parameters, fd = len(description.axes), len(description.parameters[0]), int(argv[0])
+    mailbox = Mailbox(axes, parameters, fd)
     try:
-        server = Server(listen(description.path, description.group, description.watch_group), mailbox, description)
+        with listening(description.path, description.group, description.watch_group) as listener:
+            with contextlib.suppress(BrokenPipeError):  # then stdin says the same
+                os.write(sys.stdout.fileno(), READY)
+
+            def work(before: int) -> int:
+                return serve(listener, Mailbox(axes, parameters, os.dup(fd)), description, told=before > 0)
+
+            return keep(work, mailbox.alive, lambda: mailbox.heard, REPLACED, mailbox.replace)
     except TsaError as error:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code
-    owned = Path(description.path).stat().st_ino
-    with contextlib.suppress(BrokenPipeError):  # then stdin says the same
-        os.write(sys.stdout.fileno(), READY)
+
+
+def serve(listener: socket.socket, mailbox: Mailbox, description: Description, told: bool) -> int:
+    """Until the daemon's end of stdin closes; `told`: what happened by now was printed by another before this one."""
+    server = Server(listener, mailbox, description)
     daemon = sys.stdin.fileno()
     server.watch(daemon)
-    watcher = EventPrinter(mailbox)
+    watcher = EventPrinter(mailbox, told)
     try:
         while daemon not in server.step(0.2):
+            mailbox.alive()
             watcher.update()
         watcher.update()
         watcher.finish(0.5)
     finally:
         server.close()
-        with contextlib.suppress(OSError):
-            if Path(description.path).stat().st_ino == owned:
-                Path(description.path).unlink()
     return 0
 
 

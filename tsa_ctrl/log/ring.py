@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import struct
+import time
 from enum import IntEnum
 
 import numpy as np
@@ -39,10 +40,13 @@ class _Word(IntEnum):
     WRITTEN = 9
     LOST = 10
     TROUBLE = 11  # errno of what kept the writer from writing, 0: none
+    HEARD = 12  # ns, monotonic, of the writer's last sign of life
+    REPLACED = 13  # writers that had to be replaced by another
     COUNT = 64  # of axis 0: records written; one word per axis from here
+    STORED = 288  # of axis 0: number of the last record that the log writer is done with; one word per axis from here
 
 
-MAX_AXES = _HEADER // 8 - _Word.COUNT
+MAX_AXES = _HEADER // 8 - _Word.STORED
 
 
 class WriterState(IntEnum):
@@ -70,6 +74,16 @@ class Ring:
     def close(self) -> None:
         """Give the mapping back; the memory goes when the last process has."""
         self._memory.close()
+
+    @property
+    def heard(self) -> float:
+        """When the log writer left its last sign of life, s, monotonic; 0 before the first."""
+        return self._words[_Word.HEARD] * 1e-9
+
+    @property
+    def replaced(self) -> int:
+        """How many log writers were replaced by another."""
+        return self._words[_Word.REPLACED]
 
     def word(self, word: _Word) -> int:
         return self._words[word]
@@ -106,7 +120,9 @@ class RingWriter(Ring):
 
 
 class RingReader(Ring):
-    """A reader with a position of its own; reads what is there from now on (or all that is kept, `from_start`)."""
+    """A reader with a position of its own; reads what is there from now on, or all that no writer has stored yet
+    (`from_start`).
+    """
 
     def __init__(self, fd: int, from_start: bool = True) -> None:
         """Map the ring behind a descriptor; raises ValueError when it is none."""
@@ -114,9 +130,11 @@ class RingReader(Ring):
         if magic != _MAGIC or fields != len(FIELDS):
             raise ValueError("not a ring of this version")
         super().__init__(axes, slots, os.dup(fd))
-        self._next = [1 if from_start else self._count(axis) + 1 for axis in range(self.axes)]
+        stored = [self._words[_Word.STORED + axis] for axis in range(self.axes)]
+        self._next = [stored[axis] + 1 if from_start else self._count(axis) + 1 for axis in range(self.axes)]
         self._next_note = 1 if from_start else self.word(_Word.NOTES) + 1
-        self.lost = 0
+        self.written = self.word(_Word.WRITTEN)  # by those before this one
+        self.lost = sum(stored) - self.written
 
     def _count(self, axis: int) -> int:
         return self._words[_Word.COUNT + axis]
@@ -138,8 +156,22 @@ class RingReader(Ring):
         """True once the owner has said that no more records come."""
         return bool(self._words[_Word.CLOSED])
 
+    def alive(self) -> None:
+        """Leave a sign of life."""
+        self._words[_Word.HEARD] = time.monotonic_ns()
+
+    def replace(self, number: int) -> None:
+        """Leave word that `number` writers had to be replaced."""
+        self._words[_Word.REPLACED] = number
+
+    def stored(self) -> None:
+        """What was read is written: whoever comes after this reader begins behind it."""
+        for axis, following in enumerate(self._next):
+            self._words[_Word.STORED + axis] = following - 1
+
     def report(self, state: WriterState, written: int, lost: int, trouble: int) -> None:
         """Leave word for the owner: records written and lost, errno of a trouble (0: none)."""
+        self.alive()
         self._words[_Word.WRITTEN] = written
         self._words[_Word.LOST] = lost
         self._words[_Word.TROUBLE] = trouble

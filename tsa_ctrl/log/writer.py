@@ -1,7 +1,8 @@
 """The process that takes records from the ring to the file: `python -m tsa_ctrl.log.writer FD PATH`, header on stdin.
 
 It ends when the owner says so or dies (its end of stdin closes), after draining the ring. A disk that is full or gone
-is said through the ring, counted and tried again; the real-time process never waits for it.
+is said through the ring, counted and tried again; the real-time process never waits for it. A writer that hangs or dies
+is replaced by one that goes on in another file with what the ring still holds (`system.keeper`).
 """
 
 from __future__ import annotations
@@ -22,11 +23,13 @@ from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.log.ring import RingReader, WriterState
+from tsa_ctrl.system.keeper import keep
 from tsa_ctrl.system.signals import ignore
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost
 RETRY = 1.0  # s between attempts after a trouble
+HANGS = 4.0  # s without a sign of life until another one takes over: half of what the ring holds at 1 kHz
 DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
 MOST_NOTES = 1000  # kept while the disk is in trouble
 MOST_PENDING = 120_000  # records kept while the disk is in trouble, about 25 MB; older ones are lost
@@ -46,6 +49,7 @@ class LogWriter:
         self._notes: list[Note] = []
         self._waiting = 0
         self._newest = 0.0  # s, of the log's time
+        self._written = ring.written  # by those before this one
         self._dropped = 0
         self._trouble = 0
         self._due = 0.0
@@ -96,6 +100,7 @@ class LogWriter:
         self._notes.clear()
 
     def _forget(self) -> None:
+        self._ring.stored()
         self._waiting = 0
         for blocks in self._pending:
             blocks.clear()
@@ -110,7 +115,7 @@ class LogWriter:
         file = self._file
         self._ring.report(
             state,
-            written=file.written if file else 0,
+            written=self._written + (file.written if file else 0),
             lost=self._ring.lost + self._dropped,
             trouble=self._trouble,
         )
@@ -124,20 +129,33 @@ def main(argv: list[str]) -> int:
     """Run until the owner finishes the ring or dies."""
     ignore(signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # the owner decides when records end
     fd, path = int(argv[0]), Path(argv[1])
-    owner = os.getppid()
     asked = sys.stdin.buffer.readline()
     if not asked:  # the owner is gone already
         return 0
     header = LogHeader.from_json(asked.decode())
     ring = RingReader(fd)
+
+    def work(before: int) -> int:
+        return write(RingReader(fd), continued(path, before), header)
+
+    return keep(work, ring.alive, lambda: ring.heard, HANGS, ring.replace)
+
+
+def write(ring: RingReader, path: Path, header: LogHeader) -> int:
+    """Until the owner has finished the ring, or is gone."""
     writer = LogWriter(ring, path, header)
     orphaned = False
     while not (ring.finished or orphaned):
         writer.step(time.monotonic())
         readable, _, _ = select.select([sys.stdin], [], [], POLL)
-        orphaned = bool(readable and not os.read(sys.stdin.fileno(), 4096)) or os.getppid() != owner
+        orphaned = bool(readable and not os.read(sys.stdin.fileno(), 4096))
     writer.end(orphaned and not ring.finished)
     return 0
+
+
+def continued(path: Path, before: int) -> Path:
+    """Where the log of `path` goes on after `before` writers: NAME-2.mcap after the first."""
+    return path if before == 0 else path.with_name(f"{path.stem}-{before + 1}{path.suffix}")
 
 
 if __name__ == "__main__":

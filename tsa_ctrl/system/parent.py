@@ -57,7 +57,7 @@ def follow() -> None:
         sys.exit(1)
 
 
-def end_with_parent() -> None:
-    """From now on this process gets SIGTERM when the one that started it is gone, killed or not."""
+def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
+    """From now on this process gets the signal `number` when the one that started it is gone, killed or not."""
     with contextlib.suppress(OSError, AttributeError):  # not Linux
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)

@@ -67,18 +67,18 @@ def hang_up(site: Site, daemon: Daemon) -> None:
 
 
 def kill_log(site: Site, daemon: Daemon) -> None:
-    for pid in daemon.children("log.writer"):
-        os.kill(pid, signal.SIGKILL)
+    keeper, *_ = daemon.children("log.writer")
+    os.kill(keeper, signal.SIGKILL)  # its writer ends with it
 
 
 def kill_server(site: Site, daemon: Daemon) -> None:
-    for pid in daemon.children("ipc.server"):
-        os.kill(pid, signal.SIGKILL)
+    keeper, *_ = daemon.children("ipc.server")
+    os.kill(keeper, signal.SIGKILL)
 
 
 def fill_disk(site: Site, daemon: Daemon) -> Undo:
     if not site.small_disk:  # a limit on the writer's file stands in
-        (pid,) = daemon.children("log.writer")
+        *_, pid = daemon.children("log.writer")
         size = max(path.stat().st_size for path in site.logs.glob("*.mcap"))
         resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
         return lambda: resource.prlimit(pid, resource.RLIMIT_FSIZE, (-1, -1)) and None

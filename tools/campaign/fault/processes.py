@@ -130,10 +130,13 @@ class Daemon:
             client.ask(Recover())
 
     def children(self, word: str) -> list[int]:
-        """Processes of it whose command line has `word`."""
-        pid = self.process.pid
-        listed = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-        return [int(child) for child in listed if word in Path(f"/proc/{child}/cmdline").read_text(encoding="utf-8")]
+        """Processes of it whose command line has `word`: the one that keeps another, then that one."""
+        found, looked = [], [self.process.pid]
+        for pid in looked:
+            listed = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
+            found += [int(child) for child in listed if word in Path(f"/proc/{child}/cmdline").read_text("utf-8")]
+            looked += map(int, listed)
+        return found
 
     def end(self) -> dict[str, Any]:
         """Its summary; nothing when it was killed."""

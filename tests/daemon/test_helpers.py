@@ -1,0 +1,67 @@
+"""A process beside the loop that hangs is said in time, once, and so is the one that took over."""
+
+from __future__ import annotations
+
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.helpers import Helper
+
+STATUS = 0.02  # s between two looks, as of the loop
+
+
+class Process:
+    """What it leaves in shared memory; the loop's log begins at 100 s."""
+
+    def __init__(self) -> None:
+        self.heard = 0.0
+        self.replaced = 0
+        self.events = Events()
+        self.helper = Helper("log", lambda: self.heard, lambda: self.replaced, ("hang", "on"))
+
+    def until(self, begin: float, end: float, beats: bool) -> None:
+        for look in range(round((end - begin) / STATUS)):
+            now = begin + look * STATUS
+            self.heard = now if beats else self.heard
+            self.helper.look(now - 100.0, now, self.events)
+
+    @property
+    def said(self) -> list[tuple[float, str]]:
+        return [(event.t, event.text) for event in self.events.all]
+
+
+def test_hanging_process_is_said_once_and_within_two_seconds() -> None:
+    process = Process()
+    process.until(100.0, 110.0, beats=True)
+    assert process.said == []
+    process.until(110.0, 120.0, beats=False)
+    ((t, text),) = process.said
+    assert 10.0 < t < 12.0
+    assert "log: its process hangs" in text
+    assert process.helper.silent > 8.0
+
+
+def test_process_that_comes_back_is_said_and_may_hang_again() -> None:
+    process = Process()
+    process.until(100.0, 101.0, beats=True)
+    process.until(101.0, 104.0, beats=False)
+    process.until(104.0, 105.0, beats=True)
+    process.until(105.0, 108.0, beats=False)
+    assert [text.split(",")[0] for _, text in process.said] == [
+        "log: its process hangs",
+        "log: its process answers again",
+        "log: its process hangs",
+    ]
+
+
+def test_process_in_its_place_is_said() -> None:
+    process = Process()
+    process.until(100.0, 101.0, beats=True)
+    process.replaced = 1
+    process.until(101.0, 102.0, beats=True)
+    ((_, text),) = process.said
+    assert "another one took over" in text
+
+
+def test_process_that_has_not_begun_does_not_hang() -> None:
+    process = Process()
+    process.until(100.0, 110.0, beats=False)
+    assert process.said == []

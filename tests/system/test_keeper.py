@@ -1,0 +1,95 @@
+"""A worker that dies or hangs is replaced, one that has done its work is not, and none outlives its keeper."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tests.system.test_parent import alive
+
+PROGRAM = """
+import os, sys, time
+from tsa_ctrl.system import keeper
+keeper.LOOK, keeper.REST = 0.01, 0.0
+heard = [0.0]
+def left():
+    heard[0] = time.monotonic()
+def work(before):
+    print("worker", before, os.getpid(), flush=True)
+    {work}
+    return 0
+sys.exit(keeper.keep(work, left, lambda: heard[0], 0.3, lambda number: print("replaced", number, 0, flush=True)))
+"""
+
+
+class Kept:
+    """A keeper whose workers never leave a sign of life, and so have 0.3 s each."""
+
+    def __init__(self, work: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM.format(work=work)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    def line(self) -> tuple[str, int, int]:
+        assert self.process.stdout is not None
+        word, number, pid = self.process.stdout.readline().split()
+        return word, int(number), int(pid)
+
+
+@pytest.fixture
+def kept() -> Iterator[Callable[[str], Kept]]:
+    made: list[Kept] = []
+
+    def make(work: str) -> Kept:
+        made.append(Kept(work))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.process.kill()
+        each.process.communicate()
+
+
+def test_worker_that_has_done_its_work_is_not_replaced(kept: Callable[[str], Kept]) -> None:
+    out, error = kept("pass").process.communicate(timeout=30)
+    assert [line.split()[:2] for line in out.splitlines()] == [["worker", "0"]]
+    assert error == ""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_worker_that_dies_or_hangs_is_gone_before_the_next_begins(
+    kept: Callable[[str], Kept], number: signal.Signals
+) -> None:
+    """Stopped as by SIGSTOP, a worker never comes back beside the one in its place."""
+    one = kept("time.sleep(60)")
+    _, _, first = one.line()
+    os.kill(first, number)
+    assert one.line()[:2] == ("replaced", 1)
+    assert not alive(first)
+    word, before, second = one.line()
+    assert (word, before) == ("worker", 1)
+    assert second != first
+
+
+def test_worker_that_always_fails_is_given_up(kept: Callable[[str], Kept]) -> None:
+    one = kept("raise SystemError")
+    out, _ = one.process.communicate(timeout=60)
+    assert one.process.returncode == 1
+    assert out.count("worker") == 11
+
+
+def test_worker_ends_with_its_keeper(kept: Callable[[str], Kept]) -> None:
+    one = kept("time.sleep(60)")
+    _, _, worker = one.line()
+    one.process.kill()
+    one.process.wait()
+    end = time.monotonic() + 20.0
+    while alive(worker) and time.monotonic() < end:
+        time.sleep(0.01)
+    assert not alive(worker)
