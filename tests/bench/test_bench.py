@@ -8,6 +8,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import can
 import pytest
 from click.testing import CliRunner, Result
 from hypothesis import given
@@ -104,3 +105,36 @@ def test_a_bus_that_is_not_there_is_one_line(tmp_path: Path, capsys: pytest.Capt
         main(["bench", str(path)])
     said = capsys.readouterr()
     assert (left.value.code, said.out, said.err.count("\n")) == (1, "", 1)
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (can.Message(arbitration_id=0x701, data=b"\x05", is_extended_id=False), "drive node 17 (nodes 1 talk)"),
+        (can.Message(arbitration_id=0x080, is_extended_id=False), "another master"),
+    ],
+    ids=["other nodes", "a master"],
+)
+def test_beside_others_nothing_stands_in_and_nothing_is_commanded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], frame: can.Message, words: str
+) -> None:
+    """Nodes without ours, or somebody who leads the bus: one line, and at most a question who is there."""
+    path, channel = tmp_path / "controller.toml", words[:12]
+    shutil.copytree(ROOT / "config", tmp_path, dirs_exist_ok=True)
+    text = path.read_text(encoding="utf-8")
+    for before, after in (('"socketcan"', '"virtual"'), ('"vcan0"', f'"{channel}"'), ("node_id = 1 ", "node_id = 17 ")):
+        assert before in text
+        text = text.replace(before, after, 1)
+    path.write_text(text, encoding="utf-8")
+    heard = []
+    with can.Bus(interface="virtual", channel=channel) as other:
+        task = other.send_periodic(frame, 0.01)
+        with pytest.raises(SystemExit) as left:
+            main(["bench", str(path)])
+        task.stop()
+        while (message := other.recv(0.0)) is not None:
+            heard.append(message.arbitration_id)
+    said = capsys.readouterr()
+    assert (left.value.code, said.out, said.err.count("\n")) == (1, "", 1)
+    assert words in said.err
+    assert set(heard) <= {0x611}

@@ -1,4 +1,4 @@
-"""tsa bench on a vcan: with nodes that stand in, beside a plant, and beside another master."""
+"""tsa bench on a vcan: with nodes that stand in, and beside a plant."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.daemon.test_vcan import STARTED, Rig, until
+from tests.daemon.test_vcan import Rig
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 
@@ -23,7 +23,7 @@ def rig(tmp_path: Path, vcan: str) -> Iterator[Rig]:
 
 
 def bench(rig: Rig) -> tuple[int, dict[str, Any], str]:
-    command = ["tsa", "bench", "controller.toml", "--seconds", "1", "--json"]
+    command = ["tsa", "bench", "controller.toml", "--seconds", "0.4", "--json"]
     run = subprocess.run(command, cwd=rig.folder, capture_output=True, text=True, check=False)
     return run.returncode, json.loads(run.stdout or "{}"), run.stderr
 
@@ -40,21 +40,8 @@ def test_without_nodes_others_stand_in_and_the_rate_is_run(rig: Rig) -> None:
 
 
 def test_real_nodes_are_measured_and_never_enabled(rig: Rig) -> None:
-    """The plant answers; its drive was off at every cycle; a wrong node id, and another master, in one line."""
+    """The plant answers; its drive was off at every cycle."""
     rig.plant()
     code, found, err = bench(rig)
     assert code == 0, err
     assert (found["nodes"], len(found["measured"]), found["measured"][0]["enabled"]) == ("real", 1, 0)
-    settings = rig.folder / "controller.toml"
-    text = settings.read_text(encoding="utf-8")
-    settings.write_text(text.replace("node_id = 1 ", "node_id = 17 ", 1), encoding="utf-8")
-    code, found, err = bench(rig)
-    assert (code, found, err.count("\n")) == (1, {}, 1)
-    assert "no answer from drive node 17 (nodes 1, 32, 64 talk)" in err
-    settings.write_text(text, encoding="utf-8")
-    rig.run()
-    until(lambda: rig.phase("running"), STARTED)
-    code, found, err = bench(rig)
-    assert (code, found, err.count("\n")) == (1, {}, 1)
-    assert "another master" in err
-    assert rig.phase("running")

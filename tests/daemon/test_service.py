@@ -98,6 +98,7 @@ def test_full_disk_stops_nothing(rig: Rig) -> None:
         subprocess.run(["umount", str(disk)], check=True)
 
 
+@pytest.mark.soak  # tests/log/test_writer.py counts what a full disk costs, and the test above meets a real one
 def test_disk_that_stays_full_costs_records_and_counts_them(rig: Rig) -> None:
     """To the end no room: the run ends in order, the loss is in the summary, and the log up to then can be read."""
     disk = rig.folder / "logs"

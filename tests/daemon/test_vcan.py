@@ -135,32 +135,31 @@ def columns(summary: dict[str, Any], *names: str) -> list[np.ndarray]:
 def test_delivers_the_wanted_torque(rig: Rig) -> None:
     """With nominal parameters off by some per cent, the joint torque error is a fifth of that without compensation."""
     rig.plant()
-    summary, err, code = ended(rig.run("--seconds", "6"))
+    summary, err, code = ended(rig.run("--seconds", "4"))
     assert code == 0, err
     assert not summary["unconfirmed"]
     cycles = summary["cycles"]
     assert cycles["planned"] == cycles["sent"] + cycles["skipped"]
     assert summary["log_records"] == {"written": cycles["sent"], "lost": 0}
     t, wanted, delivered, direction = columns(summary, "t", "tau_j_des", "tau_j", "sigma")
-    during = (t > 2.0) & (t < 5.5)
+    during = (t > 1.5) & (t < 3.8)
     error = delivered[during] - wanted[during]
     without = 2.0 * 45.0 * 0.025 * np.sinh(0.26)  # half loop of the nominal model, N*m
     assert np.sqrt(np.mean(error**2)) < 0.2 * without
     assert np.abs(direction[during]).mean() > 0.8
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signal_ramps_down_and_disables(rig: Rig, number: signal.Signals) -> None:
-    """A signal ends the run in order, even when it comes twice; the torque ramps to 0 and the drive confirms."""
+def test_signal_ramps_down_and_disables(rig: Rig) -> None:
+    """A signal ends the run in order, even when another comes; the torque ramps to 0 and the drive confirms."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
     until(lambda: abs(rig.status()["axes"][0]["tau_m_cmd"]) > 0.05)  # type: ignore[index]
-    daemon.send_signal(number)
     daemon.send_signal(signal.SIGINT)
+    daemon.send_signal(signal.SIGTERM)
     summary, err, code = ended(daemon)
     assert code == 0, err
-    assert summary["cause"] == number.name
+    assert summary["cause"] == "SIGINT"
     assert not summary["unconfirmed"]
     (command,) = columns(summary, "tau_m_cmd")
     assert command[-1] == 0.0
@@ -168,7 +167,7 @@ def test_signal_ramps_down_and_disables(rig: Rig, number: signal.Signals) -> Non
 
 
 def test_status_set_and_stop(rig: Rig) -> None:
-    """The three verbs talk to the running daemon; after stop it is gone."""
+    """The three verbs talk to the running daemon, a second daemon is refused; after stop it is gone."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
@@ -183,6 +182,10 @@ def test_status_set_and_stop(rig: Rig) -> None:
     refused = subprocess.run([*tsa, "set", "compensation", "7", "--socket", rig.socket], capture_output=True, text=True)
     assert refused.returncode == 2
     assert "out of bounds; allowed is 0 to 1.2" in refused.stderr
+    _, err, code = ended(rig.run())
+    assert (code, err.count("\n")) == (2, 1)
+    assert "another daemon answers there" in err
+    assert rig.phase("running")
     assert subprocess.run([*tsa, "stop", "--socket", rig.socket]).returncode == 0
     summary, err, code = ended(daemon)
     assert (code, summary["cause"]) == (0, "tsa stop"), err
@@ -191,6 +194,7 @@ def test_status_set_and_stop(rig: Rig) -> None:
     assert gone.stderr.count("\n") == 1
 
 
+@pytest.mark.soak  # silent nodes and a recovery are seen in virtual time: tests/virtual, campaign/virtual
 def test_dead_plant_latches_and_the_cause_is_told(rig: Rig) -> None:
     """When the nodes go silent the torque is 0, the fault is named, stays, and a recovery brings everything up anew."""
     plant = rig.plant()
@@ -213,26 +217,36 @@ def test_dead_plant_latches_and_the_cause_is_told(rig: Rig) -> None:
     assert not summary["unconfirmed"]
 
 
-def test_killed_log_writer_does_not_stop_the_loop(rig: Rig) -> None:
-    """The loop goes on without its log; the loss is told and counted, and what was written can be read."""
+def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
+    """Without its log, told and counted, what was written can be read; without its socket a signal still ends it."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
     until(lambda: any(rig.folder.glob("logs/*.mcap")))
     time.sleep(1.0)  # some records to lose the rest of
-    writer = subprocess.run(["pgrep", "-P", str(daemon.pid), "-f", "log.writer"], capture_output=True, text=True)
-    os.kill(int(writer.stdout), signal.SIGKILL)
+    kill_child(daemon, "log.writer")
     gone = "its process is gone"
     status = until(lambda: (s := rig.status()) and any(gone in event["text"] for event in s["events"]) and s)
     assert status["phase"] == "running"
+    kill_child(daemon, "ipc.server")
+    time.sleep(1.5)  # the loop looks about once a second
     daemon.terminate()
     summary, err, code = ended(daemon)
     assert code == 0, err
+    assert summary["cause"] == "SIGTERM"
+    assert any(gone in event["text"] and "socket" in event["text"] for event in summary["events"])
+    assert not summary["unconfirmed"]
     assert summary["log_records"]["lost"] > 0
     (t,) = columns(summary, "t")
     assert len(t) > 0
 
 
+def kill_child(daemon: subprocess.Popen[str], module: str) -> None:
+    found = subprocess.run(["pgrep", "-P", str(daemon.pid), "-f", module], capture_output=True, text=True)
+    os.kill(int(found.stdout), signal.SIGKILL)
+
+
+@pytest.mark.soak  # in virtual time: tests/virtual/test_simulate_loop.py
 def test_no_drive_is_one_line(rig: Rig) -> None:
     """Nobody on the bus: exit code 1, one line that names who did not answer."""
     _, err, code = ended(rig.run())
@@ -248,14 +262,3 @@ def test_missing_interface_is_one_line(rig: Rig) -> None:
     assert code == 1
     assert err.count("\n") == 1
     assert "no such CAN interface" in err
-
-
-def test_second_daemon_on_the_same_socket_is_refused(rig: Rig) -> None:
-    """Two daemons for one rig: the second says so before it touches the bus."""
-    rig.plant()
-    rig.run()
-    until(lambda: rig.phase("running"), STARTED)
-    _, err, code = ended(rig.run())
-    assert code == 2
-    assert "another daemon answers there" in err
-    assert rig.phase("running")

@@ -216,6 +216,7 @@ def test_what_virtual_time_and_loads_do_not_go_with_is_one_line(
 @pytest.mark.vcan
 @pytest.mark.hil
 @pytest.mark.slow
+@pytest.mark.soak  # what compensation gains is seen in virtual time, the way through processes by tests/daemon
 def test_the_whole_system_reduces_the_error_by_four_fifths(tmp_path: Path, vcan: str) -> None:
     command = [sys.executable, "-m", "tsa_ctrl", "demo", "--bus", vcan, "--out", str(tmp_path), "--json"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)

@@ -1,4 +1,7 @@
-"""Three makes on one real vcan at 500 Hz: plant and daemon are processes, each drive has its own maker's profile."""
+"""Three makes on one real vcan at 500 Hz: plant and daemon are processes, each drive has its own maker's profile.
+
+In virtual time: tests/drives/test_several.py.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ import tomlkit
 from tests.conftest import ROOT
 from tests.plant.bench import ACTUATOR
 
-pytestmark = [pytest.mark.vcan, pytest.mark.hil]
+pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow, pytest.mark.soak]
 
 MAKES = ("generic", "epos4", "elmo_gold")
 RATE = 500.0  # Hz
