@@ -71,6 +71,12 @@ class Serving:
         self.greeting = self.process.stdout.readline()
         self.ready = self.greeting == READY
 
+    @property
+    def worker(self) -> int:
+        """The process that answers; the other one keeps it."""
+        (child,) = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text("ascii").split()
+        return int(child)
+
     def end(self) -> str:
         """Close its stdin, as the daemon's death would; what it said on stderr."""
         if self.process.returncode is None:

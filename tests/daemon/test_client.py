@@ -114,7 +114,7 @@ def test_a_daemon_that_goes_or_hangs_ends_the_lease(serving: Serving, how: str, 
         if how == "end":
             serving.end()
         else:
-            serving.process.send_signal(getattr(signal, how))
+            os.kill(serving.worker if how == "SIGSTOP" else serving.process.pid, getattr(signal, how))
         assert words in stream(lease)
         with pytest.raises(BusError, match=r"lease is lost|does not answer"):
             client.measure()
@@ -123,7 +123,7 @@ def test_a_daemon_that_goes_or_hangs_ends_the_lease(serving: Serving, how: str, 
 def test_a_server_that_reads_no_more_ends_the_lease_at_once_when_its_buffer_is_full(serving: Serving) -> None:
     """Not after the last value that fits, and without a traceback for who asks then."""
     with Client(serving.path) as client, client.lease(10.0) as lease:
-        serving.process.send_signal(signal.SIGSTOP)
+        os.kill(serving.worker, signal.SIGSTOP)
         client.stream(b"", 0.05)
         with pytest.raises(LeaseLostError, match="does not read any longer"):
             client.stream(b" " * 10_000_000, 0.05)

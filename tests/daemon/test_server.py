@@ -237,12 +237,6 @@ def test_owner_that_is_gone_before_it_asks_is_no_matter(module: str, tmp_path: P
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
-def worker_of(pid: int) -> int:
-    """The one child of a process."""
-    (child,) = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii").split()
-    return int(child)
-
-
 @pytest.mark.slow
 def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> None:
     """By SIGSTOP: who asks meanwhile is answered by the one in its place, and no event is told twice."""
@@ -251,7 +245,7 @@ def test_server_that_hangs_is_replaced_on_the_same_socket(serving: Serving) -> N
     serving.mailbox.want(0, 0.5, time.monotonic())
     with Client(serving.path) as client:
         client.ask(Status())
-    os.kill(worker_of(serving.process.pid), signal.SIGSTOP)
+    os.kill(serving.worker, signal.SIGSTOP)
     with Client(serving.path, timeout=30.0) as client:
         assert client.ask(Status())["schema"] == 1
     assert serving.mailbox.replaced == 1
