@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.daemon.machine import Machine
-from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.axis import BENT, ControlAxis
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.supervisor import Phase, Request
 
@@ -180,7 +180,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     x, radii = axis.model.friction_angle, (axis.model.motor_pulley_radius, axis.model.joint_pulley_radius)
     at_joint = 2.0 * axis.model.pretension * radii[1] * math.tanh(x)
     bare, friction = 0.31 / radii[0] * math.cosh(x), 2.0 * axis.model.pretension * math.sinh(x)
-    expected = (radii[1] * (bare - friction), radii[1] * (bare + friction))
+    expected = (radii[1] * (bare - BENT * friction), radii[1] * (bare + BENT * friction))
     assert calls == [
         ("law", 0.44),
         ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 0.34, pytest.approx(expected, rel=1e-12)),

@@ -41,7 +41,15 @@ def brought_to_rest(joint: Joint, sign: float, seconds: float = 1.0) -> float:
 
 def test_nothing_slips_before_anything_has_moved() -> None:
     joint = Joint()
-    assert {joint.step(0.3, 0.5) for _ in range(1000)} == {0.0}
+    assert {joint.step(0.3) for _ in range(1000)} == {0.0}
+    assert {joint.step(0.3, 0.9 * DirectionSettings().play / REACH) for _ in range(1000)} == {0.0}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_torque_that_is_all_ahead_when_it_is_first_seen_has_a_direction(sign: float) -> None:
+    """A set-point that is constant before a turn would be over: nothing changes any more, but it began from 0."""
+    joint = Joint()
+    assert {joint.step(0.3, sign * 0.5) for _ in range(1000)} == {sign}
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -127,7 +135,8 @@ def test_no_chatter_at_standstill_for_any_encoder(bits: int) -> None:
     at = brought_to_rest(joint, 1.0)
     trembling = at + joint.count * random.uniform(-0.5, 0.5, 20_000)
     before = joint.direction.sigma
-    assert {joint.step(float(angle), 0.5) for angle in trembling} == {before} != {0.0}
+    assert {joint.step(float(angle)) for angle in trembling} == {before} != {0.0}
+    assert {joint.step(float(angle), 0.5) for angle in trembling} == {1.0}
 
 
 def test_the_zone_follows_the_encoder_and_cannot_be_set_below_its_noise() -> None:
@@ -147,8 +156,10 @@ def test_without_torque_the_direction_stays_and_the_next_torque_starts_anew() ->
         joint.step(0.0, 0.5 * n / 200)
     joint.direction.forget()
     assert {joint.step(0.0) for _ in range(10)} == {1.0}
-    assert joint.step(0.0, -0.4) == 1.0  # where the next one begins is no travel
-    assert joint.step(0.0, -0.5) == -1.0
+    assert joint.step(0.0, 0.5) == 1.0
+    joint.direction.forget()
+    assert joint.step(0.0, -0.4) == -1.0  # from none, not from the 0.5 before
+    assert joint.step(0.0, -0.3) == 1.0
 
 
 def test_is_odd() -> None:

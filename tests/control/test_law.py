@@ -104,10 +104,10 @@ def test_fades_in_after_the_enable() -> None:
 
 
 def test_without_a_direction_there_is_no_friction_term() -> None:
-    """Nothing has moved, nothing was wanted to change."""
+    """Nothing has moved, nothing is to change."""
     law = law_of()
     for _ in range(100):
-        law.observe(0.3, math.nan, True, 0.4, 0.0)
+        law.observe(0.3, math.nan, True, math.nan, 0.0)
         assert law.update(0.4, math.nan, math.nan, 1.0, 1.0) == pytest.approx(0.32)
 
 

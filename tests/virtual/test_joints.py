@@ -14,7 +14,7 @@ import pytest
 
 from tests.virtual.joints import GAIT, error, play, play_case, rms, sine
 from tsa_ctrl.virtual.result import Simulation
-from tsa_ctrl.virtual.script import Change
+from tsa_ctrl.virtual.script import Change, Fault
 
 QUIET_AFTER = 3.0  # s after the last change of the set-point
 
@@ -56,6 +56,19 @@ def test_torque_arrives_at_a_held_joint(tmp_path: Path, setpoint: dict[str, Any]
     result = play(tmp_path, "held", setpoint, seconds)
     assert rms(error(result)) <= most
     assert np.ptp(result.truth["q_j"]) == 0.0
+
+
+def test_a_constant_starts_a_free_joint_at_an_enable_and_after_a_recovery(tmp_path: Path) -> None:
+    """It is all ahead when it is first seen; 0.40 N*m at the motor, without the friction term, do not move it."""
+    constant = {"kind": "constant", "offset": 0.5}
+    fault, again = Fault("interface_down duration=0.1", 0.05), Change("recover", 1.0, 0.4)
+    result = play(tmp_path, "free", constant, 1.3, faults=[fault], changes=(again,))
+    axis = result.axes[0]
+    began, omega = axis.log["t"], np.interp(axis.log["t"], result.truth["clock"] - axis.start, result.truth["omega_j"])
+    assert axis.faults
+    assert np.abs(omega[began < 0.4]).max() < 0.05
+    assert omega[-1] > 0.5
+    assert axis.log["sigma"][-1] == 1.0
 
 
 def test_partial_reversals_of_a_held_joint(tmp_path: Path) -> None:

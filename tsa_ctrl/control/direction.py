@@ -11,7 +11,8 @@ the second alone, and torque must reach it, too. Friction does not depend on rat
 * the joint's motion by speed, taken ahead by the lead, omega_J + L alpha_J, so that a turn is centred on the reversal.
   Within `zone` it counts as 0; the zone is never narrower than what one count of the encoder makes of it.
 * the stretch by travel: with the joint at rest sigma turns when the torque wanted has turned back by `play` metres of
-  tendon, however slowly. That torque is known ahead, so the turn is over when it is needed.
+  tendon, however slowly. That torque is known ahead, so the turn is over when it is needed. After every enable it
+  begins from none, as the set-point does, even where all of it lies ahead when it is first seen.
 
 Where nothing slips, friction keeps its last direction. Before anything has moved there is none: 0.
 Source: (3.29) with its own xi' instead of omega_J; T2 + T4 moves in the second order alone.
@@ -89,7 +90,7 @@ class Direction:
         self.forget()
 
     def forget(self) -> None:
-        """There is no torque wanted; the last direction stays."""
+        """There is no torque wanted, and the next one begins from none; the last direction stays."""
         self._edge = math.nan
 
     def update(self, ahead: float, rate: float) -> float:
@@ -113,13 +114,15 @@ class Direction:
                 self.age = since / self._period if since < self._period else 1.0
             return self.sigma
         self.rest += self._period
-        edge = self._edge
-        if edge != edge:
-            self._edge = stretch
-        elif stretch > edge + self._play:
+        if ahead != ahead:
+            return self.sigma
+        edge = self._edge if self._edge == self._edge else 0.0
+        if stretch > edge + self._play:
             self._edge = stretch - self._play
             self.sigma = 1.0
         elif stretch < edge - self._play:
             self._edge = stretch + self._play
             self.sigma = -1.0
+        else:
+            self._edge = edge
         return self.sigma
