@@ -2,11 +2,12 @@
 
 The tendons are followed contact by contact (`tendons`), the motor given by its torque less what its own inertia takes,
 tau_M - J_M alpha_M, the joint by its angle. That foretells the stretch s = r_M q_M - r_J q_J; what is measured
-otherwise is friction that the model has not, or a zero of s that has moved. An extended Kalman filter parts them: ln x
-and the zero walk slowly, a third state is friction that does not stay. So the friction angle need not be known: while
-the tendons slide this is the line of `tsa_ctrl.model.stretch`, and inside a reversal, where that line is wrong by up to
-half the friction, the slip fronts say it. x stands for x T_p here, as only the product shows. Stiffness and shape must
-be known: their share of the band is [uncertainty] of the model file.
+otherwise is friction or stiffness that the model has not, or a zero of s that has moved. An extended Kalman filter
+parts them: ln x, the stiffness and the zero walk slowly, a fourth state is friction that does not stay. While the
+tendons slide this is the line of `tsa_ctrl.model.stretch`, and inside a reversal, where that line is wrong by up to
+half the friction, the slip fronts say it. x stands for x T_p here, as only the product shows. So neither friction nor
+pretension need be known, and the stiffness only within its [uncertainty]: how s follows tau_M while all slides is its
+inverse, whatever the friction is. The shape must be known: [uncertainty] bending_centre is a part of the band.
 
 The joint torque is that of the tendons at the joint's pulley, r_J (T4 - T2), before any friction in the joint.
 """
@@ -27,12 +28,15 @@ from tsa_ctrl.observer import tendons
 CONTACTS = 12  # a tendon; 6 are 1 mN*m worse on the shipped actuator, 24 no better and twice as dear
 NEAR = 1e-3  # 1, of the length, within which bends are one contact, and the shortest spring: far below what x shows
 FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at the start and the most it grows to again
-FRICTION_WALK = 0.1  # 1 per root of s: 40 % within 10 s is 1.3 standard deviations
-PASSING, PASSING_TIME = 0.03, 0.05  # 1 and s: friction that comes and goes, of x
+FRICTION_WALK = 0.07  # 1 per root of s: 40 % within 10 s is 1.5 standard deviations
+PASSING, PASSING_TIME = 0.015, 0.05  # 1 and s: friction that comes and goes, of x; more hides the stiffness
 ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
 FACTOR = 4.0  # of x either way
+STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in an hour
+STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
 COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
+ALIKE = 100.0  # times the variance of a stretch measured: what the tendons' model has not is alike for a tenth of a s
 SLACK = 0.02  # 1, of the pretension, below which a tendon counts as slack
 LONGEST_GAP = 0.05  # s without measurements after which the fronts are not known any longer
 RESTART = 1.0  # s without measurements after which an encoder may have been switched on anew: boot-ups take longer
@@ -76,7 +80,6 @@ class StretchObserver:
         self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
         per_torque = r_j / r_m
         self._noise = (per_torque * TORQUE_NOISE) ** 2
-        self._soft = (model.axial_stiffness_uncertainty / BAND) ** 2
         self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
         self._per_torque = per_torque
         self.pretension = model.pretension  # N, that x is told at
@@ -91,9 +94,9 @@ class StretchObserver:
         self._memory[:] = 0.0
         settings, memory = self._settings, self._memory
         memory[tendons.ANGLE] = self._model.friction_angle * self._model.pretension / self.pretension
-        memory[tendons.P_XX] = settings[tendons.PRIOR_X]
-        memory[tendons.P_FF] = settings[tendons.SPREAD_F]
-        memory[tendons.P_ZZ] = settings[tendons.PRIOR_Z]
+        memory[tendons.STIFF] = 1.0
+        for state in range(tendons.STATES):
+            memory[tendons.COVARIANCE + (tendons.STATES + 1) * state] = settings[tendons.PRIOR + state]
         self._lose()
 
     def _lose(self) -> None:
@@ -106,13 +109,16 @@ class StretchObserver:
         """Tensions level along each tendon, by the stretch (m) that there is."""
         if self._origin != self._origin:
             self._origin = stretch
-        memory, model = self._memory, self._model
-        most = 0.9 * self.pretension / model.tendon_stiffness
+        memory = self._memory
+        stiffness = float(memory[tendons.STIFF]) * self._model.tendon_stiffness
+        most = 0.9 * self.pretension / stiffness
         real = min(most, max(-most, stretch - self._origin - float(memory[tendons.ZERO])))
         self._pairs[:] = self._first
-        self._pairs[:, 0, tendons.TENSION] -= model.tendon_stiffness * real
-        self._pairs[:, 1, tendons.TENSION] += model.tendon_stiffness * real
-        memory[tendons.WAY] = memory[tendons.WAY_MORE] = real
+        for number, factor in enumerate((1.0, 1.0, 1.0 + tendons.MORE[1])):
+            self._pairs[number, :, tendons.STIFFNESS] *= factor * memory[tendons.STIFF]
+            self._pairs[number, 0, tendons.TENSION] -= factor * stiffness * real
+            self._pairs[number, 1, tendons.TENSION] += factor * stiffness * real
+            memory[tendons.WAY + number] = real
         memory[tendons.JOINT_WAY] = memory[tendons.SLID] = memory[tendons.FAST] = 0.0
         memory[tendons.REST] = memory[tendons.KNOWN] = 0.0
         self._grip()
@@ -125,7 +131,18 @@ class StretchObserver:
     @property
     def friction_deviation(self) -> float:
         """Standard deviation of ln x."""
-        return math.sqrt(max(0.0, float(self._memory[tendons.P_XX])))
+        return math.sqrt(max(0.0, float(self._memory[tendons.COVARIANCE])))
+
+    @property
+    def stiffness(self) -> float:
+        """1, of the tendons (and of a series spring) over the model file's."""
+        return float(self._memory[tendons.STIFF])
+
+    @property
+    def stiffness_deviation(self) -> float:
+        """Standard deviation of its logarithm."""
+        place = tendons.COVARIANCE + (tendons.STATES + 1) * tendons.K
+        return math.sqrt(max(0.0, float(self._memory[place])))
 
     @property
     def zero(self) -> float:
@@ -151,8 +168,7 @@ class StretchObserver:
         self._grip()
 
     def _grip(self) -> None:
-        for pair, factor in zip(self._pairs, (1.0, 1.0 + tendons.MORE), strict=True):
-            tendons.grip(pair, factor * self._memory[tendons.ANGLE])
+        tendons.spread(self._pairs, float(self._memory[tendons.ANGLE]), 1.0)
 
     def update(self, tau_m: float, omega_m: float, q_m: float, q_j: float, fresh: bool = True) -> None:
         """One cycle's measurements, N*m, rad/s and rad; those that are not `fresh` or not finite are passed over."""
@@ -184,7 +200,7 @@ class StretchObserver:
         torque = self._r_j * tensions
         variance = (self._r_j * deviation) ** 2 + self._noise
         tau = self._per_torque * tau_m
-        variance += self._soft * (torque + tau) ** 2 + self._bent * (torque - tau) ** 2
+        variance += self._bent * (torque - tau) ** 2
         self.state = StretchState.TOLD
         if memory[tendons.SLID] == 0.0:
             self.state = StretchState.UNSLID
@@ -194,7 +210,7 @@ class StretchObserver:
 
 
 def pairs_of(model: TendonSheath) -> Array:
-    """The tendons at their pretension, twice: with the model's friction and with `tendons.MORE` of it."""
+    """The tendons at their pretension, `tendons.PAIRS` times alike, without friction yet."""
     points = np.array(profile_of(model).points, dtype=np.float64)
     rising = points[:, 1] + 1e-12 * np.arange(len(points))  # where the sheath is straight, the place is the farther one
     shares = (np.arange(CONTACTS) + 0.5) / CONTACTS
@@ -212,7 +228,7 @@ def pairs_of(model: TendonSheath) -> Array:
     whole = lengths.sum()
     lengths = np.maximum(lengths, NEAR * length)
     lengths *= whole / lengths.sum()
-    pairs = np.zeros((2, 2, tendons.ROWS, len(places) + 1))
+    pairs = np.zeros((tendons.PAIRS, 2, tendons.ROWS, len(places) + 1))
     pairs[:, :, tendons.STIFFNESS] = model.axial_stiffness / lengths
     pairs[:, :, tendons.TENSION] = model.pretension
     pairs[:, :, tendons.SHARE, : len(places)] = weights
@@ -225,13 +241,18 @@ def _settings(model: TendonSheath, period: float, counts: tuple[float, float]) -
     told = np.zeros(tendons.SETTINGS)
     told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x
     told[tendons.MOST_ZERO] = stretched
-    told[tendons.PRIOR_X] = FRICTION_PRIOR**2
-    told[tendons.PRIOR_Z] = (0.5 * x * stretched) ** 2  # of a joint at rest: half of what friction can hide
-    told[tendons.SPREAD_F] = PASSING**2
-    told[tendons.WALK_X] = FRICTION_WALK**2 * period
-    told[tendons.WALK_Z] = ZERO_WALK**2 * period
-    told[tendons.KEEP_F] = math.exp(-period / PASSING_TIME)
+    keep = math.exp(-period / PASSING_TIME)
+    hidden = 0.5 * x * stretched  # m, at a joint at rest: half of what friction can hide
+    told[tendons.MOST_STIFF] = STIFF_FACTOR
+    prior = {tendons.X: FRICTION_PRIOR, tendons.F: PASSING, tendons.Z: hidden}
+    walk = {tendons.X: FRICTION_WALK, tendons.Z: ZERO_WALK, tendons.K: STIFF_WALK}
+    prior[tendons.K] = model.axial_stiffness_uncertainty / BAND
+    for state in range(tendons.STATES):
+        told[tendons.PRIOR + state] = prior[state] ** 2
+        told[tendons.WALK + state] = walk.get(state, 0.0) ** 2 * period
+    told[tendons.WALK + tendons.F] = (1.0 - keep * keep) * PASSING**2
+    told[tendons.KEEP_F] = keep
     torque = 0.5 * TORQUE_NOISE / model.motor_pulley_radius / model.tendon_stiffness
-    told[tendons.NOISE] = COUNTS * (counts[0] ** 2 + counts[1] ** 2) / 12.0 + torque**2
+    told[tendons.NOISE] = ALIKE * (COUNTS * (counts[0] ** 2 + counts[1] ** 2) / 12.0 + torque**2)
     told[tendons.LEAST] = SLACK * model.pretension
     return told

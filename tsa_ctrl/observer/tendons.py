@@ -27,8 +27,8 @@ SHARE = 2  # 1, of the bending, of contact i
 GRIP = 3  # 1, of contact i
 MODE = 4  # of contact i: 0 holds, 1 slips to the motor, -1 to the joint
 UPPER, SLIP, BY_MOTOR, NEW = 5, 6, 7, 8  # of the elimination: delta = SLIP + BY_MOTOR du; NEW: tensions tried
-HELD = 9  # N of spring i, between the pairs when the joint's end came to rest
-ROWS = 10
+HELD = 9  # and the next: N of spring i, between the first pair and the others when the joint's end came to rest
+ROWS = 11
 ROUNDS = 60  # of Newton's method; one or two are usual, one for each contact that a step passes is the most
 PIECES = 8  # into which a step is cut whose modes were not found
 _FORCE = 1e-7  # N beyond the grip that still holds
@@ -160,33 +160,47 @@ def follow(pair: Array, difference: Array, joint: Array) -> tuple[Array, Array, 
 ANGLE = 0  # friction angle x of the tendons as they are now, 1
 ZERO = 1  # m of stretch that the encoders show where there is none
 FAST = 2  # 1, friction beyond x that is not expected to stay
-WAY, WAY_MORE, JOINT_WAY = 3, 4, 5  # m that motor (of both pairs) and joint have made
-P_XX, P_XF, P_XZ, P_FF, P_FZ, P_ZZ = 6, 7, 8, 9, 10, 11  # covariance of ln x, FAST and ZERO
-SLID = 12  # 1 once both tendons have slid all along: what they were before is forgotten
-INNOVATION = 13  # m
-GAIN_S, GAIN_T = 14, 15  # m and N by which stretch and T4 - T2 grow with ln x
-HELD_S, HELD_T = 16, 17  # GAIN_S and GAIN_T when the joint's end of both tendons came to rest
-REST = 18  # 1, from then until all slides again: how surely the tensions were known then
-KNOWN = 19  # 1, share of what was held that counts as known
-HELD_V = 20  # N^2, variance of T4 - T2 when the joint's end came to rest
-MEMORY = 21
+STIFF = 3  # 1, stiffness over the model's
+SLID = 4  # 1 once both tendons have slid all along: what they were before is forgotten
+INNOVATION = 5  # m
+REST = 6  # 1, from when the joint's end rests until all slides again: how surely the tensions were known then
+KNOWN = 7  # 1, share of what was held that counts as known
+HELD_V = 8  # N^2, variance of T4 - T2 when the joint's end came to rest
+JOINT_WAY = 9  # m that the joint has made
+WAY = 10  # and the next two: m that the motor has made, by each pair
+GAIN_S, GAIN_T = 13, 15  # two each: m and N by which stretch and T4 - T2 grow with ln x and ln STIFF
+HELD_S, HELD_T = 17, 19  # the same when the joint's end of both tendons came to rest
+COVARIANCE = 21  # from here on, (4, 4)
+STATES = 4
+X, K, F, Z = 0, 1, 2, 3  # ln x, ln STIFF, FAST, ZERO (m)
+MEMORY = COVARIANCE + STATES * STATES
 # What it is told once.
 LOW, HIGH = 0, 1  # of x
 MOST_ZERO = 2  # m, either way
-PRIOR_X, PRIOR_Z, SPREAD_F = 3, 4, 5  # variances: 1, m^2, 1
-WALK_X, WALK_Z, KEEP_F = 6, 7, 8  # variance a step gains; share of FAST that a step leaves
-NOISE = 9  # m^2 of a stretch measured
-LEAST = 10  # N, tension below which a tendon is slack
-SETTINGS = 11
-MORE = -0.05  # 1, of x, that the second pair has: less, so that it slips before the first one does, and never too late
+MOST_STIFF = 3  # factor either way
+PRIOR = 4  # and the next three: variances of the states at the start, and the most that they grow to again
+WALK = 8  # and the next three: variance a step gains
+KEEP_F = 12  # share of FAST that a step leaves
+NOISE = 13  # m^2 of a stretch measured
+LEAST = 14  # N, tension below which a tendon is slack
+SETTINGS = 15
+PAIRS = 3  # as they are, with other friction, with other stiffness
+MORE = (-0.05, 0.05)  # 1, of x and of the stiffness; less x, so that it slips before the first does, and never too late
 _OUTLIER = 5.0  # standard deviations beyond which an innovation counts no more
-_STEP = 0.05  # 1, of ln x, most in a cycle: the tensions must follow
+_STEP = 0.05  # 1, of ln x and ln STIFF, most in a cycle: the tensions must follow
 OK, UNSETTLED, SLACK = 0, 1, 2
 
 
 @njit(cache=True, error_model="numpy")
-def _rest(pairs: Array, w: Array, h: float, g: float, keep: float, sure: float) -> None:
-    """Keep apart what no longer depends on x: tensions at a joint's end at rest were measured while all slid.
+def covariance(memory: Array) -> Array:
+    """The part of the memory that is the covariance, as it lies there."""
+    found: Array = memory[COVARIANCE : COVARIANCE + STATES * STATES].reshape((STATES, STATES))
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _rest(pairs: Array, w: Array, keep: float, sure: float) -> None:
+    """Keep apart what no longer depends on x and stiffness: tensions at a joint's end at rest, measured while all slid.
 
     As far as x, and not the zero, was known then: `sure` is the variance of ln x at which half of it counts.
     """
@@ -198,81 +212,120 @@ def _rest(pairs: Array, w: Array, h: float, g: float, keep: float, sure: float) 
         w[SLID] = 1.0
         w[REST] = 0.0
     elif w[REST] == 0.0 and pairs[0, 0, MODE, n - 1] == 0.0 and pairs[0, 1, MODE, n - 1] == 0.0:
-        w[REST] = sure / (sure + w[P_XX])
-        w[HELD_V] = g * g * (w[P_XX] + 2.0 * w[P_XF] + w[P_FF])
-        w[HELD_S], w[HELD_T] = h, g
-        for tendon in range(2):
-            for i in range(n + 1):
-                pairs[0, tendon, HELD, i] = pairs[1, tendon, TENSION, i] - pairs[0, tendon, TENSION, i]
+        w[REST] = sure / (sure + covariance(w)[X, X])
+        w[HELD_V] = _variance(w)
+        for which in range(2):
+            w[HELD_S + which], w[HELD_T + which] = w[GAIN_S + which], w[GAIN_T + which]
+            for tendon in range(2):
+                for i in range(n + 1):
+                    change = pairs[1 + which, tendon, TENSION, i] - pairs[0, tendon, TENSION, i]
+                    pairs[0, tendon, HELD + which, i] = change
     w[KNOWN] = keep * w[KNOWN] + (1.0 - keep) * w[REST] * w[SLID]
 
 
 @njit(cache=True, error_model="numpy")
-def _take_over(pairs: Array, x: float, share: float, known: float) -> None:
-    """Another friction angle, and the tensions that would be there had it been so since the joint's end came to rest.
+def _variance(w: Array) -> float:
+    """N^2, of T4 - T2, as far as friction and stiffness decide it."""
+    p, by_x, by_k = covariance(w), w[GAIN_T], w[GAIN_T + 1]
+    found = by_x * by_x * (p[X, X] + 2.0 * p[X, F] + p[F, F]) + 2.0 * by_x * by_k * (p[X, K] + p[F, K])
+    return float(found + by_k * by_k * p[K, K])
 
-    `known`: of the differences held then; 0: as if it had always been so.
+
+@njit(cache=True, error_model="numpy")
+def _take_over(pairs: Array, w: Array, which: int, change: float) -> None:
+    """Another x or stiffness, by `change` of its logarithm, and the tensions that would be there had it been so before.
+
+    As far as they are not known from when the joint's end came to rest.
     """
+    share = change / MORE[which]
     for tendon in range(2):
         for i in range(pairs.shape[3]):
-            difference = pairs[1, tendon, TENSION, i] - pairs[0, tendon, TENSION, i]
-            change = share * (difference - known * pairs[0, tendon, HELD, i])
-            pairs[0, tendon, TENSION, i] += change
-            pairs[1, tendon, TENSION, i] += change
-    grip(pairs[0], x)
-    grip(pairs[1], (1.0 + MORE) * x)
+            difference = pairs[1 + which, tendon, TENSION, i] - pairs[0, tendon, TENSION, i]
+            more = share * (difference - w[KNOWN] * pairs[0, tendon, HELD + which, i])
+            for number in range(PAIRS):
+                pairs[number, tendon, TENSION, i] += more
+    for number in range(PAIRS):
+        w[WAY + number] += change * w[GAIN_S + which]
+
+
+@njit(cache=True, error_model="numpy")
+def spread(pairs: Array, x: float, stiffer: float) -> None:
+    """Give the pairs their friction angles, and `stiffer` times the stiffness that they have."""
+    for number in range(PAIRS):
+        grip(pairs[number], (1.0 + MORE[0]) * x if number == 1 else x)
+        for tendon in range(2):
+            for i in range(pairs.shape[3]):
+                pairs[number, tendon, STIFFNESS, i] *= stiffer
 
 
 @njit(cache=True, error_model="numpy")
 def observe(
     pairs: Array, memory: Array, settings: Array, difference: float, stretch: float, joint: float
 ) -> tuple[float, float, int]:
-    """One cycle of two pairs, the second with `MORE` friction: predict the stretch, learn from the one measured.
+    """One cycle of all pairs, which differ by `MORE`: predict the stretch, learn from the one measured.
 
-    `pairs` (2, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
-    has turned since. Returns T4 - T2 (N), its standard deviation as far as the friction decides it (N), and a code.
+    `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
+    has turned since. Returns T4 - T2 (N), its standard deviation as far as the tendons decide it (N), and a code.
     """
     n = pairs.shape[3] - 1
     w = memory
-    way, settled = move(pairs[0], difference, joint)
-    more, settled_more = move(pairs[1], difference, joint)
+    all_settled = True
+    for number in range(PAIRS):
+        way, settled = move(pairs[number], difference, joint)
+        w[WAY + number] += way
+        all_settled = all_settled and settled
     least = min(pairs[0, 0, TENSION].min(), pairs[0, 1, TENSION].min())
-    if not (settled and settled_more and least > settings[LEAST]):
+    if not (all_settled and least > settings[LEAST]):
         return math.nan, math.nan, UNSETTLED if least > settings[LEAST] else SLACK
-    w[WAY] += way
-    w[WAY_MORE] += more
     w[JOINT_WAY] += joint
     end = pairs[0, 1, TENSION, n] - pairs[0, 0, TENSION, n]
-    h = (w[WAY_MORE] - w[WAY]) / MORE
-    g = (pairs[1, 1, TENSION, n] - pairs[1, 0, TENSION, n] - end) / MORE
+    for which in range(2):
+        w[GAIN_S + which] = (w[WAY + 1 + which] - w[WAY]) / MORE[which]
+        w[GAIN_T + which] = (pairs[1 + which, 1, TENSION, n] - pairs[1 + which, 0, TENSION, n] - end) / MORE[which]
     keep = settings[KEEP_F]
-    _rest(pairs, w, h, g, keep, 2.0 * settings[SPREAD_F])
-    h -= w[KNOWN] * w[HELD_S]
-    g -= w[KNOWN] * w[HELD_T]
-    # ln x and the zero walk, never further than the prior; FAST forgets
-    xx, xf, xz = min(w[P_XX] + settings[WALK_X], settings[PRIOR_X]), keep * w[P_XF], w[P_XZ]
-    ff, fz = keep * keep * w[P_FF] + (1.0 - keep * keep) * settings[SPREAD_F], keep * w[P_FZ]
-    zz = min(w[P_ZZ] + settings[WALK_Z], settings[PRIOR_Z])
-    w[FAST] *= keep
-    gx, gf, gz = h * (xx + xf) + xz, h * (xf + ff) + fz, h * (xz + fz) + zz
-    total = h * (gx + gf) + gz + settings[NOISE]
-    error = stretch - w[ZERO] - (w[WAY] - w[JOINT_WAY]) - h * w[FAST]
+    _rest(pairs, w, keep, 2.0 * settings[PRIOR + F])
+    for which in range(2):
+        w[GAIN_S + which] -= w[KNOWN] * w[HELD_S + which]
+        w[GAIN_T + which] -= w[KNOWN] * w[HELD_T + which]
+    error = stretch - w[ZERO] - (w[WAY] - w[JOINT_WAY]) - w[GAIN_S] * keep * w[FAST]
     w[INNOVATION] = error
+    by_x, by_k = _learn(w, settings, keep, error)
+    x = min(settings[HIGH], max(settings[LOW], w[ANGLE] * math.exp(by_x)))
+    most = settings[MOST_STIFF]
+    stiff = min(most, max(1.0 / most, w[STIFF] * math.exp(by_k)))
+    by_x, by_k = math.log(x / w[ANGLE]), math.log(stiff / w[STIFF])
+    if by_x != 0.0 or by_k != 0.0:
+        w[ANGLE], w[STIFF] = x, stiff
+        _take_over(pairs, w, 0, by_x)
+        _take_over(pairs, w, 1, by_k)
+        spread(pairs, x, math.exp(by_k))
+    variance = _variance(w) + w[KNOWN] * w[HELD_V]
+    end += w[GAIN_T] * (by_x + w[FAST]) + w[GAIN_T + 1] * by_k
+    return end, math.sqrt(max(0.0, variance)), OK
+
+
+@njit(cache=True, error_model="numpy")
+def _learn(w: Array, settings: Array, keep: float, error: float) -> tuple[float, float]:
+    """A step of the states by themselves, then what a stretch changes; returns the changes of ln x and ln STIFF.
+
+    FAST forgets, the others walk slowly, never further than the prior. `error`: m by which the stretch was foretold
+    wrongly.
+    """
+    p, h, by_k = covariance(w), w[GAIN_S], w[GAIN_S + 1]
+    for i in range(STATES):
+        p[i, F] *= keep
+        p[F, i] *= keep
+    for i in range(STATES):
+        p[i, i] = min(p[i, i] + settings[WALK + i], settings[PRIOR + i])
+    gain = np.empty(STATES)
+    for i in range(STATES):
+        gain[i] = h * (p[i, X] + p[i, F]) + by_k * p[i, K] + p[i, Z]
+    total = h * (gain[X] + gain[F]) + by_k * gain[K] + gain[Z] + settings[NOISE]
     most = _OUTLIER * math.sqrt(total)
-    error = min(most, max(-most, error))
-    change = min(_STEP, max(-_STEP, gx / total * error))
-    w[FAST] += gf / total * error
-    w[ZERO] = min(settings[MOST_ZERO], max(-settings[MOST_ZERO], w[ZERO] + gz / total * error))
-    w[P_XX], w[P_XF], w[P_XZ] = xx - gx * gx / total, xf - gx * gf / total, xz - gx * gz / total
-    w[P_FF], w[P_FZ], w[P_ZZ] = ff - gf * gf / total, fz - gf * gz / total, zz - gz * gz / total
-    w[GAIN_S], w[GAIN_T] = h, g
-    x = min(settings[HIGH], max(settings[LOW], w[ANGLE] * math.exp(change)))
-    change = math.log(x / w[ANGLE])
-    if change != 0.0:
-        w[ANGLE] = x
-        _take_over(pairs, x, change / MORE, w[KNOWN])
-        w[WAY] += change * h
-        w[WAY_MORE] += change * h
-    variance = w[P_XX] + 2.0 * w[P_XF] + w[P_FF]
-    variance = g * g * variance + w[KNOWN] * w[HELD_V]
-    return end + g * (change + w[FAST]), math.sqrt(max(0.0, variance)), OK
+    share = min(most, max(-most, error)) / total
+    for i in range(STATES):
+        for j in range(STATES):
+            p[i, j] -= gain[i] * gain[j] / total
+    w[FAST] = keep * w[FAST] + gain[F] * share
+    w[ZERO] = min(settings[MOST_ZERO], max(-settings[MOST_ZERO], w[ZERO] + gain[Z] * share))
+    return min(_STEP, max(-_STEP, gain[X] * share)), min(_STEP, max(-_STEP, gain[K] * share))
