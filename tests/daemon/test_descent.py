@@ -168,3 +168,22 @@ def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> 
     machine.axis.terms.tau_m_cmd = 0.4
     descend(machine.rig, machine.axes, 1e-3, 0.1)
     assert kept == [0.0]
+
+
+def test_joint_that_runs_away_meanwhile_gets_no_torque(machine: Machine, drive: TimedDrive) -> None:
+    """The limiter's over-speed counts on the way down, too, and stays."""
+    broken(machine, drive)
+    before = len(drive.commands)
+
+    def run_away() -> None:
+        drive.velocity = 10_000_000  # mrpm: 1047 rad/s
+
+    def rest() -> None:
+        drive.velocity = 0
+
+    drive.at_sync[drive.beats + 20] = run_away
+    drive.at_sync[drive.beats + 22] = rest
+    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    torques = drive.torques[before:]
+    assert all(torques[:18])
+    assert not any(torques[20:])

@@ -27,6 +27,7 @@ from tsa_ctrl.plant.settings import load_plant
 Keys = dict[str, Any]
 _channels = itertools.count()
 NONE = {"present": False}
+QUIET: Keys = {"fade_in": 0.05, "compensation": 0.0}  # which way a held motor last moved is another matter
 
 
 def files(folder: Path, *axes: tuple[Keys, Keys]) -> tuple[Path, Path]:
@@ -38,7 +39,7 @@ def files(folder: Path, *axes: tuple[Keys, Keys]) -> tuple[Path, Path]:
         name = "abcdef"[number]
         wanted = {"kind": "constant", "offset": 0.2 + 0.1 * number}
         axis: Keys = {"name": name, "model": "actuator.toml", "drive": {"node_id": number + 1, **drive}}
-        ours.append({**axis, "setpoint": wanted, "law": {"fade_in": 0.05}, "limits": {"torque": 0.9}})
+        ours.append({**axis, "setpoint": wanted, "law": QUIET, "limits": {"torque": 0.9}})
         machine: Keys = {"name": name, "drive": {"node_id": number + 1, **simulated}, "motion": {"kind": "still"}}
         theirs.append({**machine, "encoder": NONE, "torque_sensor": NONE})
     tables = {"controller": {"rate": 500.0, "settle_cycles": 10}, "axis": ours}, {"axis": theirs}

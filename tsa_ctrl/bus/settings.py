@@ -83,6 +83,7 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     gear_ratio: Positive = 1.0  # motor revolutions per revolution of the motor pulley
     torque_sign: Sign = 1
     position_sign: Sign = 1  # of position and velocity
+    polarity: Annotated[int, Meta(ge=0, le=255)] | None = None  # 0x607E, written; default: no sign may be turned there
     velocity_source: Literal["drive", "position"] = "drive"  # 0x606C, or 0x6064 differentiated
     velocity_cutoff: Positive = 100.0  # Hz, of the filter when differentiated
     max_torque: Positive | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio

@@ -1,4 +1,7 @@
-"""Torque to zero when the loop itself has failed: the last torque fades, and nothing of the control law is asked."""
+"""Torque to zero when the loop itself has failed: the last torque fades, and nothing of the control law is asked.
+
+The limiter has the last word here, too: a joint that runs away meanwhile gets no torque, not even a fading one.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from tsa_ctrl.safety.supervisor import Request
 
 
 def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: float) -> None:
-    """Ramp what was last sent to 0 within `stop_time` s, as far as each supervisor still permits torque."""
+    """Ramp what was last sent to 0 within `stop_time` s, as far as each supervisor and limiter still permit torque."""
     steps = max(1, round(stop_time / period))
     last = [axis.terms.tau_m_cmd for axis in axes]
     start = rig.wait(0.0)
@@ -23,6 +26,10 @@ def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: flo
             controlword, permitted, _ = axis.supervisor.update(
                 axis.image, now, Request.ENABLE if torque else Request.DISABLE
             )
-            axis.io.command(controlword, torque * share if permitted else 0.0)
-            axis.terms.tau_m_cmd = torque * share if permitted else 0.0
+            image, terms = axis.image, axis.terms
+            sent, terms.reason = axis.limiter.update(
+                torque * share, permitted, image.pdo_age <= axis.most_age, image.tau_m, image.omega_m, *axis.joint()
+            )
+            axis.io.command(controlword, sent)
+            terms.tau_m_cmd = sent
         rig.heartbeat(now)

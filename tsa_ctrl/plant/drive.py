@@ -28,6 +28,7 @@ _RPM = 2.0 * math.pi / 60.0  # rad/s
 _VOLTAGE_ENABLED, _WARNING, _REMOTE = 1 << 4, 1 << 7, 1 << 9
 _INTERNAL_LIMIT, _FOLLOWS_COMMAND = 1 << 11, 1 << 12
 _ERROR_REGISTER_PROFILE = 0x20
+_POSITION_TURNED, _VELOCITY_TURNED, _TORQUE_TURNED = 0x80, 0x40, 0x20  # bits of 0x607E
 _OWN_CYCLE = 1e-3  # s, of a drive that does not follow the SYNC
 _ENABLED = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE)
 _FAULTED = (PowerState.FAULT, PowerState.FAULT_REACTION_ACTIVE)
@@ -211,6 +212,7 @@ class Drive:
             target = max(-limit, min(limit, wanted))
             self.limited = target != wanted
         scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / self.persona.torque_digits
+        scale *= self._turned(_TORQUE_TURNED)
         wanted_command = (
             target * scale * self.faults.torque_sign * self.faults.torque_gain,
             enabled,
@@ -219,6 +221,10 @@ class Drive:
         if wanted_command != (command.torque, command.enabled, command.max_speed):
             self.before_change(self.node.now)
             command.torque, command.enabled, command.max_speed = wanted_command
+
+    def _turned(self, bit: int) -> int:
+        """-1 where 0x607E has this bit."""
+        return -1 if self.values.get((0x607E, 0), 0) & bit else 1
 
     def _clamp(self) -> int:
         """Largest torque in digits of 0x6071."""
@@ -274,9 +280,10 @@ class Drive:
         digits = (
             self.persona.torque_digits * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
         ) / self.faults.torque_gain
+        digits *= self._turned(_TORQUE_TURNED)
         sign = settings.position_sign * self.faults.turned
-        turns = sign * gear / (2.0 * math.pi)
-        velocity = sign * gear * readings.motor_speed / self._velocity_digit()
+        turns = sign * self._turned(_POSITION_TURNED) * gear / (2.0 * math.pi)
+        velocity = sign * self._turned(_VELOCITY_TURNED) * gear * readings.motor_speed / self._velocity_digit()
         torque = readings.motor_torque
         if settings.torque_noise > 0.0:
             torque += self._noise.gauss(0.0, settings.torque_noise)

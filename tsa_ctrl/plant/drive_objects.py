@@ -81,8 +81,15 @@ def objects(settings: DriveSettings) -> list[Entry]:
         Entry(0x6075, 0, Type.U32, rw, 5000),  # mA
         Entry(0x6076, 0, Type.U32, rw, rated),
         Entry(0x6077, 0, Type.I16, ro, mappable=True),
+        Entry(0x607E, 0, Type.U8, rw, 0),
         Entry(0x6080, 0, Type.U32, rw, 3000),  # rpm of the motor
         Entry(0x6087, 0, Type.U32, rw, 100_000),  # per mille of rated torque per s
+        Entry(0x608F, 0, Type.U8, Access.CONST, 2),
+        Entry(0x608F, 1, Type.U32, rw, settings.counts_per_revolution),
+        Entry(0x608F, 2, Type.U32, rw, 1),
+        Entry(0x6091, 0, Type.U8, Access.CONST, 2),
+        Entry(0x6091, 1, Type.U32, rw, 1),
+        Entry(0x6091, 2, Type.U32, rw, 1),
         Entry(0x60A9, 0, Type.U32, rw, unit_code(settings)),
         Entry(0x60C2, 0, Type.U8, Access.CONST, 2),
         Entry(0x60C2, 1, Type.U8, rw, 1, low=1),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.bus.local_nodes import I16, U32, Bench, bench, drive
+from tests.bus.local_nodes import I16, U8, U32, Bench, bench, drive
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.drive import checks
 from tsa_ctrl.bus.drive.bring_up import bring_up
@@ -230,8 +230,11 @@ def test_drive_found_enabled_is_switched_off_first() -> None:
                 node.data_store.setdefault(0x6041, {})[0] = b"\x40\x02"
 
         node.add_write_callback(switch_off)
+        resets: list[int] = []  # how many there were by each write
+        node.add_write_callback(lambda **_: resets.append(len(nodes.commands)))
         start(nodes)
         assert nodes.written[0] == (1, 0x6040, 0, b"\x00\x00")
+        assert resets[0] == 0  # a reset would take its watchdogs, and leave it on: none was sent before
 
 
 def test_encoder_with_another_resolution_is_refused() -> None:
@@ -240,6 +243,56 @@ def test_encoder_with_another_resolution_is_refused() -> None:
         pytest.raises(UsageError, match=r"is 4096, the configuration says 1048576; correct counts_per_revolution"),
     ):
         start(nodes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({(0x607E, 0): (U8, 0xE0)}, r"turns the sign of position and velocity and torque; write polarity = 0xE0"),
+        ({(0x607E, 0): (U8, 0x20)}, r"polarity \(0x607E\) is 0x20, the drive turns the sign of torque"),
+        ({(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)}, r"counts 4096 in a revolution .* says 65536; correct"),
+        ({(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 1)}, r"gear ratio \(0x6091\) is 7, .* write absent = "),
+        (
+            {(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 2), (0x6092, 1): (U32, 65536), (0x6092, 2): (U32, 1)},
+            r"gear ratio \(0x6091\) is 7/2",
+        ),
+    ],
+)
+def test_sign_or_count_that_the_drive_makes_otherwise_is_refused(
+    changes: dict[tuple[int, int], tuple[int, int]], said: str
+) -> None:
+    with bench(drive=changes) as nodes:
+        with pytest.raises(UsageError, match=said):
+            start(nodes)
+        assert all(command[0] != 0x01 for command in nodes.commands)  # none becomes operational
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {(0x607E, 0): (U8, 0), (0x608F, 1): (U32, 1 << 17), (0x608F, 2): (U32, 2)},
+        {(0x608F, 1): (U32, 0), (0x608F, 2): (U32, 0), (0x6091, 1): (U32, 3), (0x6091, 2): (U32, 3)},
+        {(0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1), (0x6092, 1): (U32, 65536), (0x6092, 2): (U32, 1)},
+        {(0x6091, 1): (U32, 2), (0x6091, 2): (U32, 1), (0x6092, 1): (U32, 1 << 17), (0x6092, 2): (U32, 1)},
+    ],
+)
+def test_sign_and_count_as_configured_in_whatever_terms_pass(
+    changes: dict[tuple[int, int], tuple[int, int]],
+) -> None:
+    with bench(drive=changes) as nodes:
+        start(nodes)
+
+
+def test_polarity_that_is_given_is_written() -> None:
+    with bench(drive={(0x607E, 0): (U8, 0xE0)}) as nodes:
+        start(nodes, axis_nodes(polarity=0))
+        assert nodes.get(1, 0x607E) == 0
+
+
+def test_what_the_profile_says_it_lacks_is_not_compared() -> None:
+    changes = {(0x6091, 1): (U32, 7), (0x6091, 2): (U32, 1), (0x608F, 1): (U32, 4096), (0x608F, 2): (U32, 1)}
+    with bench(drive=changes) as nodes:
+        start(nodes, profile=DriveProfile(absent=["motor shaft revolutions", "encoder increments"]))
 
 
 def test_option_code_that_the_drive_refuses_to_change_is_an_error() -> None:

@@ -33,6 +33,7 @@ from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import NodeReport, Report
 from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.drive.session import Session, another_master
+from tsa_ctrl.bus.drive.signs import check_signs
 from tsa_ctrl.bus.drive.twins import check_twins
 from tsa_ctrl.bus.drive.writing import with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
@@ -205,6 +206,7 @@ def _configure(
         if reset_faults:
             reset_fault(session, node, report)
         check_drive(session, node, report, resets_later)
+        check_signs(session, node)
         plan = with_consumer(session, node.node_id, plan, settings.host_node_id)
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)

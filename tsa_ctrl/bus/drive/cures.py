@@ -30,6 +30,7 @@ _SETTINGS = {  # what an object's value comes from, in the controller's file
     objects.INTERPOLATION_PERIOD.key: "rate in [controller]",
     objects.INTERPOLATION_EXPONENT.key: "rate in [controller]",
     objects.MAX_TORQUE.key: "max_torque in [axis.drive]",
+    objects.POLARITY.key: "polarity in [axis.drive]",
     objects.MAX_MOTOR_SPEED.key: "max_speed in [axis.drive], or [units] max_speed in {profile}",
 }
 _SPECIAL = {  # objects for which `absent` alone is not enough

@@ -74,6 +74,7 @@ def drive_plan(
         ),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
+        *([] if drive.polarity is None else [Write(objects.POLARITY, drive.polarity)]),
         _torque_clamp(profile, scale, where),
         Write(objects.MAX_MOTOR_SPEED, scale.max_speed_digits),
         *(

@@ -10,11 +10,6 @@ from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.drive.probe import (
     CURRENT_LIMIT,
     CURRENT_NOMINAL,
-    ENCODER_INCREMENTS,
-    ENCODER_REVOLUTIONS,
-    GEAR_MOTOR,
-    GEAR_SHAFT,
-    POLARITY,
     RATED_CURRENT,
     Probe,
 )
@@ -249,11 +244,11 @@ def _for_the_controller(found: Probe) -> Iterator[str]:
         yield f"#   rated_torque = {rated * unit:g}  # N*m, if the unit above is right"
     elif current is not None:
         yield f"#   rated_torque = ...  # N*m: torque constant times the rated current, {current * 1e-3:g} A by 0x6075"
-    increments, turns = found.get(ENCODER_INCREMENTS), found.get(ENCODER_REVOLUTIONS)
+    increments, turns = found.get(objects.ENCODER_INCREMENTS), found.get(objects.ENCODER_REVOLUTIONS)
     if increments and turns:
         yield f"#   counts_per_revolution = {increments // turns}  # 0x608F"
-    motor, shaft = found.get(GEAR_MOTOR), found.get(GEAR_SHAFT)
+    motor, shaft = found.get(objects.GEAR_MOTOR), found.get(objects.GEAR_SHAFT)
     if motor and shaft and motor != shaft:
         yield f"#   its own gear 0x6091 is {motor}:{shaft}; this controller wants positions and torques of the motor"
-    if found.get(POLARITY):
-        yield f"#   its polarity 0x607E is 0x{found.get(POLARITY):02X}: some signs are turned in the drive"
+    if found.get(objects.POLARITY):
+        yield f"#   its polarity 0x607E is 0x{found.get(objects.POLARITY):02X}: some signs are turned in the drive"
