@@ -57,7 +57,7 @@ def pulls(result: Any, axis: int) -> float:
 def test_two_axes_of_one_device(tmp_path: Path) -> None:
     """One node, objects 0x800 apart, PDOs 64 apart, identifiers of the node's own second half."""
     device: Keys = {"node_id": 5}
-    result = simulate_loop(*files(tmp_path, (device, device), ({**device, "slot": 2}, {**device, "slot": 2})), 0.6)
+    result = simulate_loop(*files(tmp_path, (device, device), ({**device, "slot": 2}, {**device, "slot": 2})), 1.2)
     assert not result.summary.failed, result.summary.cause
     assert 0.1 < pulls(result, 0) < pulls(result, 1)
 
@@ -68,7 +68,7 @@ def test_three_axes_of_one_device_need_identifiers_for_the_third(tmp_path: Path)
     with pytest.raises(UsageError, match="slot 3 without pdo_node_id: a node has PDO identifiers for two axes"):
         load_configuration(files(tmp_path, *axes)[0])
     axes[2][0]["pdo_node_id"] = 9
-    result = simulate_loop(*files(tmp_path, *axes), 0.6)
+    result = simulate_loop(*files(tmp_path, *axes), 1.2)
     assert not result.summary.failed, result.summary.cause
     assert min(pulls(result, axis) for axis in range(3)) > 0.1
 
@@ -87,7 +87,7 @@ def test_a_fault_of_one_axis_of_a_device_stops_both(tmp_path: Path) -> None:
 
 def test_three_makes_on_one_bus(tmp_path: Path) -> None:
     kinds = ("generic", "epos4", "elmo_gold")
-    result = simulate_loop(*files(tmp_path, *(({"profile": kind}, {"kind": kind}) for kind in kinds)), 0.6)
+    result = simulate_loop(*files(tmp_path, *(({"profile": kind}, {"kind": kind}) for kind in kinds)), 1.2)
     assert not result.summary.failed, result.summary.cause
     assert min(pulls(result, axis) for axis in range(3)) > 0.1
 

@@ -271,9 +271,12 @@ class Law:
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
     def applied(self, tau_m: float) -> None:
-        """Tell the law what was sent; a term that was cut slews on from what was left of it."""
+        """Tell the law what was sent; a term that was cut slews on from what was left of it, and so is the stretch."""
         left = tau_m - self.ideal - self.planned
         term = self.friction_term
+        wanted = self.ideal + term
+        if wanted * wanted > (self.ideal + left) * wanted:
+            self._stretch *= max(0.0, (self.ideal + left) / wanted)
         if (term > 0.0 and left < term) or (term < 0.0 and left > term):
             self.friction_term = 0.0 if left * term < 0.0 else left
 

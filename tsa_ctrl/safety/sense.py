@@ -33,8 +33,8 @@ CLEAR = 0.8  # correlation from which it is said how much the joint gets
 EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
-LAST = 0.02  # s that either must be wrong
-# s that a sense that was shown must be wrong: friction on a limb that a hand moves looks so for 0.18
+LAST = 0.02  # s that either must be wrong, on a joint that nothing moved before the motor pulled
+# s that a sense must be wrong that was shown, or on a joint that something else moves: friction looks so for 0.18
 SURE = 0.25
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
 RESTS = 0.1  # s after which a torque that does not change may grow slowly, so that it shows its sense by that
@@ -66,6 +66,7 @@ class Sense:
         self._shown = False
         self._begun = math.inf
         self._moved = -math.inf
+        self._pulled = self._driven = False
         self._reversed.reset()
         self._turned.reset()
         self._excessive.reset()
@@ -86,6 +87,8 @@ class Sense:
         """
         if not abs(omega_j) < STILL:
             self._moved = now
+            if not self._pulled:
+                self._driven = True
         if self._shown and self.ceiling != math.inf:
             self.ceiling += self._limit * self._period / GROWTH
             if self.ceiling >= self._limit:
@@ -108,12 +111,14 @@ class Sense:
         self._jj += memory * (j * j - self._jj)
         if self._tt < self._least:
             return None
-        self._waited += self._period
+        self._pulled = True
         by_stretch, by_sensor = _correlation(self._ta, self._tt * self._aa), _correlation(self._tj, self._tt * self._jj)
         sense = by_stretch if apart == apart else by_sensor
+        if sense > -SHOWN:
+            self._waited += self._period
         if sense > SHOWN or self._waited > PATIENCE:
             self._shown = True
-        wrong = self._turned if self._shown else self._reversed
+        wrong = self._turned if self._shown or self._driven else self._reversed
         if wrong.update(now, sense < -SHOWN):
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
