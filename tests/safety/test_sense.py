@@ -50,6 +50,18 @@ def test_a_reversed_motor_is_found_and_the_torque_stays_small() -> None:
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
 
 
+def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a_while_stops_nothing() -> None:
+    """A quarter of a second must it look so there; the torque does not grow meanwhile."""
+    sense = Sense(2.0, GEARED, PERIOD)
+    assert isinstance(run(sense, sign=-1.0, seconds=0.2, omega_j=0.5), float)
+    assert sense.ceiling == pytest.approx(2.0 * SMALL)
+    sense.reset()
+    assert "the wrong way round" in str(run(sense, sign=-1.0, seconds=0.4, omega_j=0.5))
+    assert sense.ceiling == pytest.approx(2.0 * SMALL)
+    sense.reset()
+    assert "the wrong way round" in str(run(sense, sign=-1.0, seconds=0.1, omega_j=0.0))
+
+
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
     for gain, expected in ((0.5, float), (-0.5, str)):
         assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)

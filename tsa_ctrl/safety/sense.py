@@ -66,7 +66,7 @@ class Sense:
         self._shown = False
         self._begun = math.inf
         self._moved = -math.inf
-        self._pulled = self._driven = False
+        self._pulled = self._driven = self._suspect = False
         self._reversed.reset()
         self._turned.reset()
         self._excessive.reset()
@@ -95,7 +95,7 @@ class Sense:
                 self.ceiling = math.inf
         elif not self._shown:
             self._begun = min(self._begun, now)
-            if now - self._begun > RESTS:
+            if now - self._begun > RESTS and not self._suspect:
                 self.ceiling += self._limit * self._period / SLOWLY
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
@@ -114,12 +114,13 @@ class Sense:
         self._pulled = True
         by_stretch, by_sensor = _correlation(self._ta, self._tt * self._aa), _correlation(self._tj, self._tt * self._jj)
         sense = by_stretch if apart == apart else by_sensor
-        if sense > -SHOWN:
+        self._suspect = sense < -SHOWN
+        if not self._suspect:
             self._waited += self._period
         if sense > SHOWN or self._waited > PATIENCE:
             self._shown = True
         wrong = self._turned if self._shown or self._driven else self._reversed
-        if wrong.update(now, sense < -SHOWN):
+        if wrong.update(now, self._suspect):
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
                 "sign of a torque or of an encoder is reversed"
