@@ -1,0 +1,194 @@
+"""What the manual quotes: each figure with the command that prints it and how it is read from what that prints.
+
+A figure that is not `deterministic` depends on the machine; those that are `long` take minutes, and are measured when
+they are named or asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+TSA = str(Path(sys.executable).with_name("tsa"))
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure: what it is, the command that prints it, and how it is read from what that prints."""
+
+    name: str
+    words: str
+    line: tuple[str, ...]
+    read: Callable[[str], float]
+    unit: str
+    deterministic: bool = False  # in virtual time: the same command gives the same figure
+    long: bool = False  # takes minutes
+
+
+def _json(*path: str | int, factor: float = 1.0) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        found: Any = json.loads(text)
+        for key in path:
+            found = found[key]
+        return factor * float(found)
+
+    return read
+
+
+def _found(pattern: str, factor: float = 1.0) -> Callable[[str], float]:
+    def read(text: str) -> float:
+        match = re.search(pattern, text)
+        if match is None:
+            raise ValueError(f"'{pattern}' is not in what was printed")
+        return factor * float(match[1].replace(",", ""))
+
+    return read
+
+
+def _rms(joint: str, law: str) -> Callable[[str], float]:
+    """The error in mN*m of one joint under one law, from the rows of bench/control."""
+
+    def read(text: str) -> float:
+        for line in text.splitlines():
+            row = json.loads(line)
+            if (row.get("joint"), row["law"]) == (joint, law) and "rms" in row:
+                return 1e3 * float(row["rms"])
+        raise ValueError(f"no row of joint {joint} and law {law} is in what was printed")
+
+    return read
+
+
+def _of_floor(text: str) -> float:
+    """The median cycle of `tsa run` over that of the raw socket, from bench/cycle."""
+    ways = json.loads(text)["ways"]
+    return float(ways["ours"]["cycle_p50"]) / float(ways["raw socket"]["cycle_p50"])
+
+
+def _demo(load: str) -> tuple[str, ...]:
+    return (TSA, "demo", "--virtual", "--load", load, "--json", "--out", "{out}")
+
+
+CONTROL_LAWS = ("none", "(3.55)", "true")
+LOADS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
+MEASURES: tuple[Measure, ...] = (
+    *(
+        Measure(
+            f"demo-{load}",
+            f"demo, joint {load}: error of the joint torque less than without compensation",
+            _demo(load),
+            _json("reduction_percent"),
+            "%",
+            deterministic=True,
+        )
+        for load in LOADS
+    ),
+    *(
+        Measure(
+            f"first-{name}",
+            f"first ten minutes, a bare Python 3.11 and the wheel alone: {words}",
+            ("{root}/tools/run", "package/check", "--python", "python3.11"),
+            _found(rf"{pattern}\s+0\s+([0-9.]+) s"),
+            "s",
+        )
+        for name, words, pattern in (
+            ("install", "pip install", "pip install"),
+            ("picture", "first picture, functions compiled in it", r"tsa demo --virtual\b.*?"),
+            ("example", "an example log made and diagnosed", r"tsa diagnose --example\b.*?"),
+        )
+    ),
+    Measure(
+        "virtual-speed",
+        "virtual time of `tsa simulate-loop` with the example files, over real time",
+        (TSA, "simulate-loop", "{config}/controller.toml", "{config}/plant.toml", "--seconds", "20", "--json"),
+        lambda text: 20.0,
+        "times",
+    ),
+    Measure(
+        "demo-vcan",
+        "demo on a real vcan at 1 kHz: error less than without compensation",
+        ("{root}/tools/demo", "--json", "--out", "{out}"),
+        _json("reduction_percent"),
+        "%",
+    ),
+    *(
+        Measure(
+            f"control-{joint}-{name}",
+            f"evenly bent, joint {joint}, {words}: RMS error of the joint torque",
+            ("{root}/tools/run", "bench/control", "--shapes", "uniform", "--laws", *CONTROL_LAWS, "--json"),
+            _rms(joint, law),
+            "mN·m",
+            deterministic=True,
+            long=True,
+        )
+        for joint in LOADS
+        for law, name, words in (
+            ("none", "none", "no compensation"),
+            ("(3.55)", "nominal", "(3.55) with the nominal file"),
+            ("true", "true", "true parameters"),
+        )
+    ),
+    *(
+        Measure(
+            f"tendons-{name}",
+            words,
+            ("{root}/tools/run", "bench/tendons", "--out", "{out}"),
+            _found(pattern),
+            "mN·m",
+            deterministic=True,
+            long=True,
+        )
+        for name, words, pattern in (
+            (
+                "simplified",
+                "(3.55) against distributed tendons while sliding, of 761 mN·m",
+                r"simplified \(3\.55\)\s*│\s*[\d.]+\s*│\s*([\d.]+)",
+            ),
+            (
+                "full",
+                "(3.53) against distributed tendons while sliding",
+                r"full \(3\.53\), sliding\s*│\s*[\d.]+\s*│\s*([\d.]+)",
+            ),
+            ("elements-10", "distributed plant, 10 elements against 160", r"│ 10\s*│\s*([\d.]+)"),
+            ("elements-40", "the same, 40 elements", r"│ 40\s*│\s*([\d.]+)"),
+        )
+    ),
+    Measure(
+        "drives",
+        "variations of drives that are brought up, or refused with the reason",
+        ("{root}/tools/run", "campaign/drives"),
+        _found(r"variations, (\d+) as they must be"),
+        "as they must be",
+        deterministic=True,
+        long=True,
+    ),
+    Measure(
+        "runaway",
+        "combinations of joint, friction, pretension, shape and gain that swing nowhere or are stopped in time",
+        ("{root}/tools/run", "campaign/runaway"),
+        _found(r"runs, (\d+) as they must be"),
+        "as they must be",
+        deterministic=True,
+        long=True,
+    ),
+    Measure(
+        "diagnose-speed",
+        "60 s at 1 kHz diagnosed, from the command to the report",
+        ("{root}/tools/run", "bench/diagnose", "--speed"),
+        _found(r": ([\d.]+) s, of which"),
+        "s",
+        long=True,
+    ),
+    Measure(
+        "cycle",
+        "cycle of one axis to that of a raw socket, medians",
+        ("{root}/tools/vcan", "tools/run", "bench/cycle", "--json"),
+        _of_floor,
+        "of the floor",
+        long=True,
+    ),
+)
