@@ -251,6 +251,22 @@ class TestTheMotorsOwnMotion:
         assert speed[-1] == pytest.approx(0.0, abs=0.05 * np.abs(speed).max())
         assert angle[-1] == pytest.approx(way, rel=0.08)
 
+    def test_its_swing_is_known_while_the_term_turns(self) -> None:
+        """J_M/2 (omega_M - r_J/r_M omega_J)^2; not before and after, when nothing of the plan can be wrong."""
+        law = make(UNIFORM, fade_in=0.0, motor_inertia=self.INERTIA, damping=0.0)
+        joint = Joint(law, 1.0)
+        joint.settled()
+        assert law.swing(9.0) == 0.0
+        joint.speed = -1.0
+        found = []
+        for _ in range(60):
+            joint.step()
+            against = 9.0 - law.velocity / RATIO
+            found.append(law.swing(9.0) / (0.5 * self.INERTIA * against**2))
+        assert set(np.round(found, 12)) == {0.0, 1.0}
+        assert found[-1] == 0.0
+        assert sum(found) * PERIOD == pytest.approx(law.plan.turn, abs=2.0 * PERIOD)
+
     def accelerations(self) -> list[float]:
         """Of the joint as the law sees it: the same motion without a turn."""
         law = make(UNIFORM, fade_in=0.0, settle=0.0, compensation=0.0, motor_inertia=self.INERTIA, damping=0.0)

@@ -83,6 +83,38 @@ def test_what_the_term_did_not_give_does_not_count() -> None:
     assert passivity.energy <= 0.1 * 2.0 * 4.0
 
 
+def given(passivity: Passivity, swings: np.ndarray) -> float:
+    """J that 0.3 N*m too much give a joint at 0.5 rad/s until it is seen; `swings`: J of the motor in each cycle."""
+    for cycle, swing in enumerate(swings.tolist()):
+        if passivity.update(0.3, 0.0, 0.0, 0.5, HALF_LOOP, HALF_LOOP, swing):
+            return 0.3 * 0.5 * PERIOD * (cycle + 1)
+    return math.inf
+
+
+def test_what_a_swing_of_the_motor_had_is_left_out() -> None:
+    """4 mJ of it, at the begin alone, put off by as much what is seen at 3; what feeds itself is seen all the same."""
+    once, always = np.zeros(400), np.full(400, 4e-3)
+    without = given(observer(), once)
+    once[0] = 4e-3
+    assert without < 3e-3
+    assert given(observer(), once) == pytest.approx(without + 4e-3, abs=0.6e-3)
+    assert given(observer(), always) == pytest.approx(without + 4e-3, abs=0.6e-3)
+    assert given(observer(), np.full(400, math.nan)) == without
+
+
+def test_no_swing_excuses_what_makes_a_joint_fast() -> None:
+    """J/2 (1 rad/s)^2 of 0.02 kg*m^2 at most, however wild the motor."""
+    assert given(observer(), np.full(400, 5.0)) < 10e-3
+
+
+def test_a_swing_of_long_ago_excuses_nothing() -> None:
+    passivity = observer()
+    passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP, 4e-3)
+    for _ in range(300):
+        passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP, 0.0)
+    assert given(passivity, np.zeros(400)) == given(observer(), np.zeros(400))
+
+
 def test_one_wrong_value_is_no_motion() -> None:
     """A single value of a sensor that is wrong by 3 N*m."""
     nothing, speed = np.zeros(100), np.full(100, 2.0)

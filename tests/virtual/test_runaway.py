@@ -57,6 +57,25 @@ def test_lost_friction_moves_no_joint(
 
 
 @pytest.mark.slow
+def test_a_heavy_motors_swing_on_tendons_bent_elsewhere_is_none(tmp_path: Path) -> None:
+    """Bent at the joint, turned as if evenly bent: each turn leaves the motor a swing, which the joint then gets."""
+    result = play(
+        tmp_path,
+        "imposed",
+        GAIT,
+        2.0,
+        delay=3,
+        inertia=6e-4,
+        compensation=0.95,
+        curvature="joint_end",
+        axis={"model": "nominal.toml"},
+        plant={"perturbation": {"axial_stiffness": 0.9}},
+    )
+    assert not told(result)
+    assert not result.axes[0].faults
+
+
+@pytest.mark.slow
 def test_without_the_guard_the_weight_swings_for_ever(tmp_path: Path) -> None:
     """What the tests above would see: a set-point of 0, and the guard put to sleep."""
     asleep = {"passivity": {"energy": 100.0}}

@@ -238,6 +238,7 @@ class ControlAxis:
             gearing * law.half_loop,
             terms.tau_m_cmd - law.ideal,
             law.ideal,
+            law.swing(image.omega_m),
         )
         law.damping.share = guard.damping
         bound = self._bounded()

@@ -270,6 +270,12 @@ class Law:
             self._half_loop = self._inverse.half_loop()
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
+    def swing(self, omega_m: float) -> float:
+        """J that the motor at `omega_m` rad/s has by its motion against the joint, while the term turns; else 0."""
+        if not self.turn.turning or not self._has_encoder:
+            return 0.0
+        return 0.5 * self.plan.inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
+
     def applied(self, tau_m: float) -> None:
         """Tell the law what was sent; a term that was cut slews on from what was left of it, and so is the stretch."""
         left = tau_m - self.ideal - self.planned

@@ -73,14 +73,15 @@ class Guard:
         half_loop: float,
         added: float,
         ideal: float,
+        swing: float = 0.0,
     ) -> None:
-        """After a cycle with torque; N*m at the joint but for the last two, rad/s.
+        """After a cycle with torque; N*m at the joint but for `added` and `ideal`, rad/s, J.
 
         `tau_j`: delivered, nan where it is not known; `wanted`: set-point, `rate`: its slope; `term`: the friction term
         as sent; `half_loop`: the model's; `added`, `ideal`: at the motor, what the law added to the set-point's part,
-        and that.
+        and that; `swing`: what the motor has by its motion against the joint, 0 where its inertia is not known.
         """
-        if self._passivity.update(tau_j, wanted, rate, omega_j, term, half_loop):
+        if self._passivity.update(tau_j, wanted, rate, omega_j, term, half_loop, swing):
             self._energy()
         if self._buzz.update(added, ideal):
             self._buzzes()
