@@ -20,6 +20,7 @@ from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
+from tsa_ctrl.control.bare import why_not as beside
 from tsa_ctrl.control.bending import BendingSettings
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
@@ -250,6 +251,8 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
         )
     if estimator.kind == "stretch":
         _check_stretch(where, axis, model)
+    if estimator.kind in ("sensor", "motor") and estimator.use and (reason := beside(model)):
+        raise UsageError(f'{where}: estimator.kind "{estimator.kind}" with use = true: {reason}, or write use = false')
     if (estimator.kind == "map") != (bending.source != "fixed"):
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '

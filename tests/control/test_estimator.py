@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from tests.control.sliding import PERIOD, Sliding, actuator
+from tests.control.sliding import PERIOD, R_J, R_M, Sliding, actuator
 from tests.model.capstan import Pair
 from tests.model.test_curvature import S_BENT
 from tsa_ctrl.control.attribution import Attribution, Split
+from tsa_ctrl.control.bare import why_not
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, EstimatorSettings, Fixed
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.model.curvature import Points
+from tsa_ctrl.model.parameters import TendonSheath
 
 MODEL = actuator()
 X, PRETENSION = MODEL.friction_angle, MODEL.pretension
@@ -218,3 +221,59 @@ def test_split_says_when_the_bounds_do_not_reach(half_loop: float) -> None:
     assert not inside
     assert X / 1.3 - 1e-9 <= angle <= X * 1.3 + 1e-9
     assert pretension >= 0.0
+
+
+FRICTION, COULOMB, WEIGHT = 0.12, 0.05, 0.6  # N*m*s/rad, N*m, N*m
+
+
+def with_effects(*names: str) -> tuple[TendonSheath, list[tuple[float, float, float, float, float]]]:
+    """A model with these effects, and sigma, omega_j, tau_m, tau_j, q_j as measured where they are there as well."""
+    effects = {
+        "viscous_friction": {"coefficient": FRICTION},
+        "motor_side_friction": {"coulomb": COULOMB},
+        "gravity_load": {"amplitude": WEIGHT, "phase": 0.3},
+    }
+    model = dataclasses.replace(MODEL, effects={name: effects[name] for name in names})
+    samples, angle = [], 0.0
+    for sigma, omega, tau_m, tau_j in Sliding(1.2 * X, PRETENSION, seconds=14.0).samples():
+        angle += omega * PERIOD
+        if "motor_side_friction" in names:
+            tau_m += COULOMB * sigma
+        if "viscous_friction" in names:
+            tau_j -= FRICTION * omega
+        if "gravity_load" in names:
+            tau_j -= WEIGHT * math.sin(angle + 0.3)
+        samples.append((sigma, omega, tau_m, tau_j, angle))
+    return model, samples
+
+
+@pytest.mark.parametrize("names", [("viscous_friction",), ("motor_side_friction",), ("gravity_load",)])
+def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ...]) -> None:
+    """Joint torque sensor behind a joint with friction of its own, and a motor with its: the sheath's x comes back."""
+    model, samples = with_effects(*names)
+    estimator = Recursive(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
+    for sigma, omega, tau_m, tau_j, angle in samples:
+        estimator.update(sigma, omega, math.nan, tau_m, tau_j, True, angle)
+    assert estimator.state is EstimateState.ESTIMATED
+    assert estimator.friction_angle == pytest.approx(1.2 * X, rel=0.02)
+
+
+def test_kind_motor_knows_what_the_joint_takes() -> None:
+    """Its known load is what is behind the joint: viscous friction of the joint comes on top, through the tendons."""
+    model = dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": FRICTION}})
+    settings = EstimatorSettings(kind="motor", attribute=Attribution.FRICTION)
+    estimator = Recursive(model, settings, PERIOD)
+    for sigma, omega, tau_m, _ in Sliding(1.2 * X, PRETENSION, seconds=14.0, load=0.0).samples():
+        tau_m += R_M / R_J * FRICTION * omega / math.cosh(1.2 * X)
+        estimator.update(sigma, omega, math.nan, tau_m, math.nan, True)
+    assert estimator.state is EstimateState.ESTIMATED
+    assert estimator.friction_angle == pytest.approx(1.2 * X, rel=0.02)
+
+
+def test_effects_that_cannot_be_parted_are_named() -> None:
+    effects = {
+        "stribeck_friction": {"static_excess": 0.4, "stribeck_velocity": 0.1},
+        "viscous_friction": {"coefficient": 0.1},
+    }
+    assert "stribeck_friction changes what it estimates" in why_not(dataclasses.replace(MODEL, effects=effects))
+    assert why_not(dataclasses.replace(MODEL, effects={"viscous_friction": {"coefficient": 0.1}})) == ""

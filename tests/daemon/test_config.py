@@ -62,7 +62,7 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         default = re.match(r"# (\w+ = .+|\[bus\.supervision\])", line)
         keep = default is None or re.match(
             r"# (cpu|options|group|watch_group|eds|vendor_id|product_code|serial_number|pdo_node_id|boot_timeout"
-            r"|answer_timeout|distance|travel|offset = 2|gains|components|file"
+            r"|answer_timeout|polarity|distance|travel|offset = 2|gains|components|file"
             r"|zero_torque_within|torque|joint_torque|motor_inertia|delay|turn|lead|ringing|damping) ?=?",
             line,
         )

@@ -186,7 +186,9 @@ class ControlAxis:
             self.limiter.ceiling = self.sense.ceiling
             if wrong is not None:
                 self.supervisor.trip(wrong, now)
-        self.estimator.update(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh)
+        self.estimator.update(
+            terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh, terms.q_j, image.q_m
+        )
         self.adapt()
         self._watch()
         self.law.follow(self.set_point.rate, self.set_point.silent)

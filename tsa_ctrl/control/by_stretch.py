@@ -8,6 +8,8 @@ pretension, too. The observer goes on while the drive is off; this does not.
 
 from __future__ import annotations
 
+import math
+
 from tsa_ctrl.control.attribution import Split
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
 from tsa_ctrl.model.parameters import TendonSheath
@@ -45,7 +47,17 @@ class ByStretch:
         self.residual = 0.0  # (N*m)^2 at the joint
         self._until = _EVERY
 
-    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+    def update(
+        self,
+        sigma: float,
+        omega_j: float,
+        theta: float,
+        tau_m: float,
+        tau_j: float,
+        admit: bool,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+    ) -> None:
         """One cycle; the observer has already seen its measurements."""
         observer = self._observer
         if admit and observer.state is StretchState.TOLD:

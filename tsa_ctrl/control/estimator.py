@@ -8,6 +8,7 @@ rate.
 
 from __future__ import annotations
 
+import math
 from enum import Enum
 from typing import Annotated, Literal, Protocol
 
@@ -54,7 +55,17 @@ class Estimator(Protocol):
     state: EstimateState
     use: bool  # whether the law may use the two
 
-    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None: ...
+    def update(
+        self,
+        sigma: float,
+        omega_j: float,
+        theta: float,
+        tau_m: float,
+        tau_j: float,
+        admit: bool,
+        q_j: float = ...,
+        q_m: float = ...,
+    ) -> None: ...
 
     def reset(self) -> None: ...
 
@@ -69,7 +80,17 @@ class Fixed:
         self.friction_angle = model.friction_angle
         self.pretension = model.pretension
 
-    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+    def update(
+        self,
+        sigma: float,
+        omega_j: float,
+        theta: float,
+        tau_m: float,
+        tau_j: float,
+        admit: bool,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+    ) -> None:
         """Nothing changes."""
 
     def reset(self) -> None:
@@ -101,7 +122,17 @@ class ConfigurationMap:
         self.pretension = self._pretension
         self.state = EstimateState.UNESTIMATED
 
-    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+    def update(
+        self,
+        sigma: float,
+        omega_j: float,
+        theta: float,
+        tau_m: float,
+        tau_j: float,
+        admit: bool,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+    ) -> None:
         """Follow `theta` (rad) at no more than the rate."""
         if theta != theta:
             self.state = EstimateState.INVALID

@@ -6,7 +6,8 @@
 A Kalman filter for a random walk of (h, s, c): data enter as means over short blocks of steady sliding, the walk is the
 forgetting, and its covariance never grows beyond the prior, so that it neither winds up nor falls asleep. Nothing moves
 while nothing is admitted. s is a nuisance here: cosh x is too flat to tell x from it. With `elongation_coupling` in the
-model h, k and s follow from where its sheath bends.
+model h, k and s follow from where its sheath bends. Torques are those of the tendons alone: what the model's effects
+take beside them is taken off first (`bare`).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import math
 
 from tsa_ctrl.control.attribution import Split
+from tsa_ctrl.control.bare import Bare
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
@@ -32,6 +34,7 @@ class Recursive:
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         self.use = settings.use
         self._motor = settings.kind == "motor"
+        self._bare = Bare(model, period) if model.effects else None
         self._split = Split(model, settings.attribute, self._motor, settings.bounds)
         per_torque = 0.5 * (sliding(model, 1.0).slope + sliding(model, -1.0).slope)
         half, slope = self._split.nominal, 1.0 / per_torque if self._motor else per_torque
@@ -64,9 +67,24 @@ class Recursive:
         self._since = self._tau_m = self._tau_j = 0.0
         self._first_omega = 0.0
         self._count = 0
+        if self._bare is not None:
+            self._bare.reset()
 
-    def update(self, sigma: float, omega_j: float, theta: float, tau_m: float, tau_j: float, admit: bool) -> None:
+    def update(
+        self,
+        sigma: float,
+        omega_j: float,
+        theta: float,
+        tau_m: float,
+        tau_j: float,
+        admit: bool,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+    ) -> None:
         """One cycle's data; `admit` is false while the drive is off or a value is stale."""
+        bare = self._bare
+        if bare is not None:
+            bare.measure(sigma, omega_j, q_j, q_m)
         direction = 1 if sigma > SLIDING and omega_j > self._least_speed else 0
         if sigma < -SLIDING and omega_j < -self._least_speed:
             direction = -1
@@ -75,7 +93,10 @@ class Recursive:
         elif direction:
             self._since += self._period
             if self._since > self._settle and -self._most_torque < tau_m < self._most_torque:
-                self._admit(direction, omega_j, tau_m, tau_j)
+                known = self._load if self._motor else tau_j
+                if bare is not None:
+                    tau_m, known = bare.motor(tau_m), bare.joint(known)
+                self._admit(direction, omega_j, tau_m, known)
         steps, target = self._steps, self._target
         self.friction_angle = toward(self.friction_angle, target[0], steps[0])
         self.pretension = toward(self.pretension, target[1], steps[1])
@@ -94,7 +115,7 @@ class Recursive:
         if abs(omega_j - self._first_omega) > self._most_change:
             return
         if self._motor:
-            self._learn(float(direction), self._load, tau_m)
+            self._learn(float(direction), tau_j, tau_m)
         else:
             self._learn(-float(direction), tau_m, tau_j)
         forget = 1.0 - self._walk
