@@ -27,7 +27,8 @@ DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
 DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: a person is not thrown by it
 PREDICTION_SHARE = 0.4  # of what the model says without friction: calibration may be so far off
 FROZEN_SHARE = 0.05  # of rated torque that the command moves while nothing of the feedback does
-FROZEN_TIME = 0.03  # s that a drive may take to show it
+BEGUN = 0.5  # of that, from which on a drive owes something: a command that rests trembles by less
+FROZEN_TIME = 0.03  # s that a drive may take to show it, from then on
 SLIP_TIME = 0.01  # s
 
 
@@ -76,6 +77,7 @@ class Plausibility:
             clock.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
+        self._moved_at = math.inf  # s, since when the command is away from what it was
         self._low = self._high = 0.0
 
     def update(
@@ -96,11 +98,16 @@ class Plausibility:
         if feedback != self._last:
             self._last = feedback
             self._frozen_since = now
+            self._moved_at = math.inf
             self._low = self._high = command
         else:
             self._low, self._high = min(self._low, command), max(self._high, command)
-            if self._high - self._low > self._frozen and now - self._frozen_since > FROZEN_TIME:
-                moved = self._high - self._low
+            moved = self._high - self._low
+            if moved <= BEGUN * self._frozen:
+                self._moved_at = math.inf
+            elif self._moved_at == math.inf:  # what stood still before that had nothing to show
+                self._moved_at = now
+            if moved > self._frozen and now - self._moved_at > FROZEN_TIME:
                 return (
                     f"the drive's feedback is frozen: not a bit of it moved for {1e3 * (now - self._frozen_since):.0f} "
                     f"ms, while the command moved by {moved:.2f} N*m"
