@@ -22,6 +22,13 @@ CATALOGUE: Mapping[str, Specification] = MappingProxyType(
 )
 
 
+def twins_of(name: str) -> frozenset[str]:
+    """The effects that look like this one in some logs; a pair is written on one of the two."""
+    own = {other for twins in CATALOGUE[name].twins for other in twins.names} if name in CATALOGUE else set()
+    others = {spec.name for spec in CATALOGUE.values() for twins in spec.twins if name in twins.names}
+    return frozenset(own | others)
+
+
 def check_effects(effects: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Setting]]:
     """Validate `[effects.NAME]` tables and fill in constant defaults, in the order of composition.
 

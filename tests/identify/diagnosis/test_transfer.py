@@ -48,6 +48,7 @@ def test_gravity_is_named_from_many_short_logs() -> None:
     found = diagnose(logs(GRAVITY), DRIVE)
     named = [name for cause in found.causes for name in (cause.effect, *cause.alternatives)]
     assert "gravity_load" in named
+    assert not {"torque_offset", "direction_asymmetric_friction", "parameter_error"} & set(named)  # far worse
     assert found.rms.recalibrated is not None
     assert found.rms.extended is not None
     assert found.rms.extended < 0.6 * found.rms.recalibrated

@@ -29,7 +29,7 @@ from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
 from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
-from tsa_ctrl.identify.diagnosis.selection.forward import select
+from tsa_ctrl.identify.diagnosis.selection.forward import select, without_causes
 from tsa_ctrl.model.parameters import Model
 
 Progress = Callable[[str], None]
@@ -71,9 +71,14 @@ def diagnose(
         selection, groups = alternatives(selection, testable.catalogue, findings)
         say("parameters and gain")
         base = fit(selection.problem, base.hypothesis, base.point)
+        share = structure_share(findings)
+        errors = held_out(selection.problem, base, selection.fitted, data, share)
+        while (worthless := errors.worthless) is not None:  # no claim without a gain
+            selection = without_causes(selection, [worthless])
+            groups = (*groups[:worthless], *groups[worthless + 1 :])
+            errors = held_out(selection.problem, base, selection.fitted, data, share)
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
-        errors = held_out(selection.problem, base, selection.fitted, data, structure_share(findings))
-        refuse_unrelated(problem, data.held, errors, structure_share(findings))
+        refuse_unrelated(problem, data.held, errors, share)
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything

@@ -19,6 +19,8 @@ UNSUITED = (
     "the simulation is further off than the measured torque changes at all: are two columns swapped, is a unit wrong, "
     "or is the model another drive's?"
 )
+# Of its mean: a torque that rests on one level shows neither the slope nor, beside sensors' zeros, the half loop
+LEAST_CHANGE = 0.25
 UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
 LEAST_IMPROVEMENT = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
 STRANGE = (
@@ -41,7 +43,15 @@ def refuse_unsuited(problem: Problem, base: Fit) -> None:
     """A simulation that has nothing of the measured torque; and tendons whose friction does not show."""
     mask = problem.mask
     error = (problem.frame.target - problem.predicted(base.hypothesis.model(base.point)))[mask]
-    if not float(np.std(error)) <= MOST_ERROR * float(np.std(problem.frame.target[mask])):
+    target = problem.frame.target[mask]
+    change, level = float(np.std(target)), abs(float(np.mean(target)))
+    if not float(np.std(error)) <= MOST_ERROR * change:
+        if change < LEAST_CHANGE * level:
+            raise InsufficientError(
+                f"the measured torque rests on one level, {level:.3g} N·m, and changes by {change:.3g} N·m RMS, where "
+                f"{LEAST_CHANGE * level:.3g} N·m are needed: one load does not tell friction from a sensor's gain or "
+                "zero; record several loads and give the logs together"
+            )
         raise InsufficientError(UNSUITED)
     if problem.base.target != "tau_m":
         _refuse_unseen_friction(problem, base)

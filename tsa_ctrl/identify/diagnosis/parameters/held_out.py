@@ -35,6 +35,13 @@ class HeldOut:
         won = self.recalibrated**2 - self.extended**2
         return float(won / possible) if possible > 0.0 else 0.0
 
+    @property
+    def worthless(self) -> int | None:
+        """Number of a cause without which nothing is lost on data that no fit has seen; None where there is none."""
+        if len(self.lost) == 1:
+            return None if self.extended < self.recalibrated else 0
+        return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= 0.0 else None
+
 
 def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_share: float) -> HeldOut:
     """Fit on the fit samples, measure on the held ones. `leftover_share`: of the mean square that is no noise."""

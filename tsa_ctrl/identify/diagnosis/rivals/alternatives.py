@@ -14,10 +14,12 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.residual.changes import DRIFT
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion
-from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, compared, groups
+from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, with_fit, without_causes
+from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 
+MOST_CHANGES = 8  # of a name, by a rival that does better: each leaves less, so that they end, and few are ever needed
 CLEARLY_BETTER = 0.9  # of the mean square, below which another name simulates clearly better
 
 
@@ -31,13 +33,21 @@ def alternatives(
         chosen = dataclasses.replace(chosen, fitted=_by_simulation_error(problem, chosen.fitted, catalogue))
         structure = error_criterion(problem, chosen.fitted, findings)
     grouped = groups(problem, chosen.fitted, catalogue, structure)
-    while structure is not None and (found := _better(problem, chosen.fitted, grouped)) is not None:
+    for _ in range(MOST_CHANGES):
+        found = _winner(grouped)
+        if found is None and structure is not None:
+            found = _better(problem, chosen.fitted, grouped)
+        if found is None:
+            break
         chosen = with_fit(chosen, found)
         structure = error_criterion(problem, chosen.fitted, findings)
         grouped = groups(problem, chosen.fitted, catalogue, structure)
     guesses = _less_than_structure(problem, chosen.fitted, grouped, findings)
     if guesses:
         chosen = without_causes(chosen, guesses)
+        grouped = groups(problem, chosen.fitted, catalogue, structure)
+    while unfounded := meaningless(problem, chosen.fitted):  # another variant, or without a guess beside it
+        chosen = without_causes(chosen, unfounded)
         grouped = groups(problem, chosen.fitted, catalogue, structure)
     return chosen, tuple(grouped)
 
@@ -63,6 +73,20 @@ def _by_simulation_error(problem: Problem, fitted: Fit, catalogue: Catalogue) ->
     return best
 
 
+def _winner(grouped: Sequence[Group]) -> Fit | None:
+    """The causes with a rival in place of one that it beats on samples that no fit has seen; None where none does."""
+    for group in grouped:
+        for rival in group.alternatives:
+            if rival.wins_elsewhere and _takes_the_place(rival):
+                return rival.fitted
+    return None
+
+
+def _takes_the_place(rival: Rival) -> bool:
+    """Whether a rival is an effect that can be named: no wider recalibration, and nothing made up."""
+    return not rival.fitted.hypothesis.wide_prior and rival.fitted.names[-1] == rival.name != UNRECORDED
+
+
 def _better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | None:
     """The causes with an alternative in place of one, that simulates best and clearly better; None where none does.
 
@@ -72,7 +96,7 @@ def _better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | No
     best, least = None, CLEARLY_BETTER * simulation_error(problem, fitted, reversals)
     for group in grouped:
         for rival in group.alternatives:
-            if rival.fitted.hypothesis.wide_prior or rival.fitted.names[-1] != rival.name or rival.name == UNRECORDED:
+            if not _takes_the_place(rival) or meaningless(problem, rival.fitted):
                 continue
             error = simulation_error(problem, rival.fitted, reversals)
             if error < least:

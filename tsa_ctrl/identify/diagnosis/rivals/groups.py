@@ -20,14 +20,16 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
+from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
+from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
+from tsa_ctrl.model.catalogue import twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
 PARAMETER_ERROR = "parameter_error"
-EXCLUSION_THRESHOLD = 14.0  # increase of the sum of squares (white units) that noise alone does not explain
 MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
 INPUT_TOLERANCE = 0.02  # of what the cause explains: inputs and filters are no better known than that
 MOST_INPUT_TOLERANCE = 60.0  # white units, of that tolerance
@@ -35,7 +37,7 @@ STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an o
 UNRECORDED = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
 RISE = 10.0  # K, of the temperature that is made up
 REFERENCE = 25.0  # deg C
-FITTED = 6  # rivals that are fitted in full
+FITTED = 6  # rivals that are fitted in full, beside the cause's own twins
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,9 @@ class Rival:
     """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
 
     `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
-    vanished. `within_structure`: most of what is left is structure, and the simulation error does not tell them apart.
+    vanished, or its numbers mean nothing. `within_structure`: most of what is left is structure, and the simulation
+    error does not tell them apart. On samples that no fit has seen this one `fails_elsewhere`, as it leaves visibly
+    more than the named cause, or `wins_elsewhere`.
     """
 
     name: str
@@ -52,10 +56,15 @@ class Rival:
     tolerance: float  # of `worse`, that errors of the inputs explain
     limit: bool = False
     within_structure: bool = False
+    fails_elsewhere: bool = False
+    wins_elsewhere: bool = False
+    share: float | None = None  # of what the cause takes off the error there, that this one does; None: not compared
 
     @property
     def excluded(self) -> bool:
-        return self.limit or (self.worse > EXCLUSION_THRESHOLD + self.tolerance and not self.within_structure)
+        if self.limit or self.fails_elsewhere:
+            return True
+        return self.worse > BY_NOISE + self.tolerance and not self.within_structure
 
 
 @dataclass(frozen=True)
@@ -84,7 +93,8 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     smaller = backward_step(problem, fitted, index)
     name = fitted.names[index]
     fits: list[tuple[str, Fit | None]]
-    fits = [(rival.names[-1], rival) for rival in best_steps(problem, smaller, catalogue, fitted.names, FITTED)]
+    near = best_steps(problem, smaller, catalogue, fitted.names, FITTED, twins_of(name))
+    fits = [(rival.names[-1], rival) for rival in near]
     wide = dataclasses.replace(smaller.hypothesis, wide_prior=True)
     if not np.all(smaller.free[: len(wide.base.coordinates())]):
         fits.append((PARAMETER_ERROR, fit_or_none(problem, wide, smaller.point)))
@@ -97,12 +107,16 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     limits = _limits(problem, name)
     found = [
         dataclasses.replace(
-            rival, limit=_vanished(rival.fitted) or (rival.name in limits and rival.worse > -PER_COORDINATE)
+            rival,
+            limit=_vanished(rival.fitted)
+            or (rival.name in limits and rival.worse > -PER_COORDINATE)
+            or (not _made_up(problem, rival.name) and bool(meaningless(problem, rival.fitted))),
         )
         for rival in found
     ]
     if structure is not None:
         found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
+    found = _judged_elsewhere(problem, fitted, smaller, found, limits)
     best: dict[str, Rival] = {}  # of each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
@@ -116,12 +130,39 @@ def _by_simulation_error(
     judged = []
     without_any = simulation_error(problem, smaller, reversals)
     for rival in found:
-        # A warm-up that was not recorded is made up by `_temperature_confound`: no simulation of this log has it.
-        made_up = rival.name == UNRECORDED and not problem.frame.has("temperature")
-        covers = rival.excluded and not made_up
+        covers = rival.excluded and not _made_up(problem, rival.name)
         covers = covers and structure.covers(simulation_error(problem, rival.fitted, reversals), without_any)
         judged.append(dataclasses.replace(rival, within_structure=covers))
     return judged
+
+
+def _judged_elsewhere(
+    problem: Problem, fitted: Fit, smaller: Fit, found: Sequence[Rival], limits: set[str]
+) -> list[Rival]:
+    """The same, with what samples that no fit has seen say of those that are left, and of `limits` of the cause."""
+    judged = list(found)
+    reversals = models_reversals(fitted)
+    own = without = None
+    for number, rival in enumerate(found):
+        if _made_up(problem, rival.name) or (rival.excluded and not (rival.limit and rival.name in limits)):
+            continue
+        if own is None or without is None:
+            own, without = (elsewhere(problem, each, reversals) for each in (fitted, smaller))
+        other = elsewhere(problem, rival.fitted, reversals)
+        wins = other.clearly_beats(own) and not meaningless(problem, rival.fitted)
+        judged[number] = dataclasses.replace(
+            rival,
+            fails_elsewhere=own.clearly_beats(other),
+            wins_elsewhere=wins,
+            limit=rival.limit and not wins,
+            share=(without.error - other.error) / max(without.error - own.error, 1e-300),
+        )
+    return judged
+
+
+def _made_up(problem: Problem, name: str) -> bool:
+    """A warm-up that nobody recorded is made up by `_temperature_confound`: no simulation of these logs has it."""
+    return name == UNRECORDED and not problem.frame.has("temperature")
 
 
 def _vanished(rival: Fit) -> bool:

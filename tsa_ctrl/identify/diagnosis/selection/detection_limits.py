@@ -14,6 +14,7 @@ from tsa_ctrl.identify.diagnosis.fitting.score_test import scores
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import noise_rms
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, SMALLEST, SMALLEST_GAIN
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
+from tsa_ctrl.identify.diagnosis.selection.meaning import torque
 from tsa_ctrl.model.functions import Array
 
 POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9
@@ -23,10 +24,14 @@ INVISIBLE = 1e-6  # of the largest response: an effect that changes nothing here
 
 @dataclass(frozen=True)
 class DetectionLimits:
-    """`sizes` in N*m by effect, the median over its grid; `invisible`: effects that change nothing in these logs."""
+    """`sizes` in N*m by effect, the median over its grid; `invisible`: effects that change nothing in these logs.
+
+    `hidden`: effects that these logs show only where they are larger than the torque itself, and how large, N*m.
+    """
 
     sizes: Mapping[str, float]
     invisible: tuple[str, ...]
+    hidden: Mapping[str, float]
 
 
 def detection_limits(chosen: Selection) -> DetectionLimits:
@@ -48,7 +53,10 @@ def detection_limits(chosen: Selection) -> DetectionLimits:
         found[score.variant.effect].append(max(per_white * white_size, SMALLEST * noise))
     names = {score.variant.effect for score in scored}
     limits = {name: float(np.median(values)) for name, values in found.items()}
-    return DetectionLimits(limits, tuple(sorted(names - set(found))))
+    largest = torque(problem)
+    hidden = {name: size for name, size in limits.items() if size > largest}
+    seen = {name: size for name, size in limits.items() if name not in hidden}
+    return DetectionLimits(seen, tuple(sorted(names - set(found))), hidden)
 
 
 def _tangents(problem: Problem, fitted: Fit) -> Array:

@@ -23,6 +23,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     on_simulation_error,
 )
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
+from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 
 DRAWS = 300
@@ -35,8 +36,9 @@ TIMES_OUTSIDE = 2.0  # times the threshold, that the gain outside the best block
 SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
 LEAST_ERROR_REDUCTION = 0.4  # of the noise RMS at the score rate, that the simulation error must lose
 # Logs, each of which must lose more than half of its error by a cause fitted on the others alone: a cause that means
-# nothing makes a log better about as often as worse, and halves the error of four hardly ever
-FEWEST_LOGS, MOST_LEFT = 4, 0.5
+# nothing makes a log better about as often as worse, and halves the error of four hardly ever; fewer logs must lose so
+# much more of it that their shares multiply to no more than those of four
+ENOUGH_LOGS, FEWEST_LOGS, MOST_LEFT = 4, 2, 0.5
 SMALLEST_GAIN = 0.008  # of the number of samples
 
 
@@ -131,6 +133,8 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
 
     threshold: of the decrease of the sum of squares, for the family of candidates (white units).
     """
+    if meaningless(problem, found):
+        return False
     needed = max(threshold, SMALLEST_GAIN * problem.count)
     proof = evidence(problem, before, found)
     if not (proof.holds and proof.gain > needed):
@@ -159,6 +163,7 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
     plain = on_simulation_error(problem, reversals)
     if fit(plain, found.hypothesis, found.point).rss > MOST_LEFT * fit(plain, before.hypothesis, before.point).rss:
         return False  # cheap, and most candidates end here
+    share = 1.0
     for part in logs:
         inside = np.zeros(len(problem.frame), dtype=np.bool_)
         inside[part] = True
@@ -169,7 +174,8 @@ def transfers(problem: Problem, before: Fit, found: Fit) -> bool:
             errors.append(float(np.sum(np.square(left[problem.mask[part]]))))
         if errors[1] > MOST_LEFT * errors[0]:
             return False
-    return True
+        share *= errors[1] / errors[0]
+    return share <= MOST_LEFT**ENOUGH_LOGS
 
 
 def _is_broad_and_large(problem: Problem, before: Fit, found: Fit, proof: Evidence, needed: float) -> bool:

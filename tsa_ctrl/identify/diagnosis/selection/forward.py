@@ -24,6 +24,7 @@ from tsa_ctrl.identify.diagnosis.selection.entry import (
     entry_threshold,
     evidence,
 )
+from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, SIMPLER, meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import (
     FITTED,
     LATE_REVERSALS,
@@ -108,7 +109,19 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
             steps += [tried(problem, fitted, variant, start) for start in variant.full_strength]
     ranked = [found for found in steps if found is not None and found.rss < fitted.rss]
     ranked.sort(key=lambda found: found.rss + PER_COORDINATE * len(found.point))
-    return Round(fitted, tuple(ranked), tuple(best), tuple(found), entry_threshold(rng, scored))
+    return Round(fitted, tuple(_simpler_first(ranked)), tuple(best), tuple(found), entry_threshold(rng, scored))
+
+
+def _simpler_first(ranked: Sequence[Fit]) -> list[Fit]:
+    """The same, an effect behind the simpler one that it turns into, where noise alone may explain the difference."""
+    out: list[Fit] = []
+    for found in ranked:
+        name = SIMPLER.get(found.names[-1])
+        twin = next((other for other in ranked if other.names[-1] == name), None)
+        if twin is not None and twin.rss - found.rss < BY_NOISE:
+            out.append(twin)
+        out.append(found)
+    return list({id(found): found for found in out}.values())
 
 
 def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
@@ -130,6 +143,8 @@ def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> S
     plain = on_simulation_error(problem, models_reversals(fitted))
     present = fit(plain, fitted.hypothesis, fitted.point)
     for larger in best_steps(plain, present, catalogue, fitted.names, FITTED):
+        if meaningless(problem, larger):
+            continue
         proof = evidence(plain, present, larger)
         if proof.holds and proof.outside_best_block > LEAST_OUTSIDE and proof.gain > larger.rss:
             problem, fitted = _under_new_noise(problem, larger, catalogue)
@@ -176,10 +191,11 @@ def _pruned(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Proble
 
 
 def _backward(problem: Problem, fitted: Fit) -> Fit | None:
+    unfounded = meaningless(problem, fitted)
     for index in range(len(fitted.names)):
         smaller = backward_step(problem, fitted, index)
         proof = evidence(problem, smaller, fitted)
-        if proof.gain < SMALLEST_GAIN * problem.count or not proof.holds:
+        if index in unfounded or proof.gain < SMALLEST_GAIN * problem.count or not proof.holds:
             return smaller
     return None
 
@@ -188,6 +204,8 @@ def _swap(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Fit | None:
     for index in range(len(fitted.names) - 1):
         smaller = backward_step(problem, fitted, index)
         for other in best_steps(problem, smaller, catalogue, fitted.names, 3):
+            if meaningless(problem, other):
+                continue
             if other.rss + PER_COORDINATE * len(other.point) < fitted.rss + PER_COORDINATE * len(fitted.point) - 2.0:
                 return other
     return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -61,13 +61,23 @@ def forward_step(problem: Problem, fitted: Fit, score: Score) -> Fit | None:
     return found
 
 
-def best_steps(problem: Problem, smaller: Fit, catalogue: Catalogue, names: Sequence[str], most: int) -> list[Fit]:
-    """The best forward steps from `smaller` by effects but those of these names, best first, at most so many."""
+def best_steps(
+    problem: Problem,
+    smaller: Fit,
+    catalogue: Catalogue,
+    names: Sequence[str],
+    most: int,
+    always: Collection[str] = (),
+) -> list[Fit]:
+    """The best forward steps from `smaller` by effects but those of these names, best first, at most so many.
+
+    `always`: effects that are fitted however they score.
+    """
     variants = all_but(names, catalogue)
     found = responses(problem, smaller, variants)
     best = best_scores(problem, smaller, scores(problem, smaller, found), found)
     fits = []
-    for score in best[:most]:
+    for score in [*best[:most], *(score for score in best[most:] if score.variant.effect in always)]:
         step = forward_step(problem, smaller, score)
         if step is not None:
             fits.append(step)

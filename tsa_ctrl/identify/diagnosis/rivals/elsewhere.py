@@ -1,0 +1,77 @@
+"""Rivals on data that they were not fitted on: one that simulates visibly worse there than the cause is no rival.
+
+Whitened by the noise of short logs or slow drift, causes that leave four times the error of another fit about as well:
+what sets them apart is as slow as that noise. The error that a user sees, on samples that the fit has not seen, is
+compared without whitening; its scatter between blocks is its noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
+from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
+from tsa_ctrl.model.functions import Array
+
+# Of the cause's mean square elsewhere: a rival that leaves less than half as much again is no worse to a user, whatever
+# its scatter; and where noise is most of the error, whitened residuals are the sharper test
+VISIBLY = 1.5
+BEYOND = 3.0  # t of the difference over about 24 blocks: 0.3 % one-sided
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """Squares of the simulation error in each block, (blocks,) in (N*m)^2, by a fit that did not see the block."""
+
+    squares: Array
+
+    @property
+    def error(self) -> float:
+        """Sum of squares, (N*m)^2."""
+        return float(self.squares.sum())
+
+    def clearly_beats(self, other: Elsewhere) -> bool:
+        """Whether the other leaves visibly more than this, by more than blocks scatter."""
+        more = other.squares - self.squares
+        count = len(more)
+        spread = float(np.std(more, ddof=1)) * np.sqrt(count) if count > 1 else np.inf
+        return float(other.squares.sum()) > VISIBLY * float(self.squares.sum()) and float(more.sum()) > BEYOND * spread
+
+
+def elsewhere(problem: Problem, found: Fit, reversals: bool) -> Elsewhere:
+    """The simulation error of a hypothesis on blocks it was not fitted on: whole logs where there are enough of them.
+
+    One Gauss-Newton step from the fit on all of them, with each coordinate kept within its bounds.
+    """
+    learned = fit_on_simulation_error(problem, found, reversals)
+    blocks, folds = problem.blocks, _folds(problem)
+    jacobian, residual = learned.jacobian, learned.residual
+    low, high = learned.hypothesis.low[learned.free], learned.hypothesis.high[learned.free]
+    point = learned.point[learned.free]
+    gram = jacobian.T @ jacobian
+    gram[np.diag_indices(len(gram))] *= 1.0 + 1e-9
+    squares = np.zeros(int(blocks[-1]) + 1)
+    for fold in np.unique(folds):
+        inside = folds == fold
+        part, rest = jacobian[inside], residual[inside]
+        step = np.zeros(len(point))
+        if len(point):
+            left = gram - part.T @ part
+            known = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ (jacobian[~inside].T @ residual[~inside])
+            step = np.clip(point + known, low, high) - point
+        squares += np.bincount(blocks[inside], (rest - part @ step) ** 2, len(squares))
+    return Elsewhere(squares * problem.noise.rms**2)
+
+
+def _folds(problem: Problem) -> NDArray[np.int64]:
+    """Number of the part that each sample that counts is left out with, (m,)."""
+    log = np.concatenate([np.full(part.stop - part.start, k) for k, part in enumerate(problem.frame.slices)])
+    own = np.unique(log[problem.mask], return_inverse=True)[1]
+    if int(own[-1]) + 1 >= FOLDS:
+        return np.asarray(own % FOLDS, dtype=np.int64)
+    return np.asarray(problem.blocks % FOLDS, dtype=np.int64)
