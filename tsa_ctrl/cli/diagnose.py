@@ -151,10 +151,12 @@ def _show(result: Diagnosis, out: Path) -> None:
     from rich.table import Table
 
     from tsa_ctrl.identify.diagnosis.report.page import PAGE
-    from tsa_ctrl.identify.diagnosis.report.words import spoken
+    from tsa_ctrl.identify.diagnosis.report.words import remarks, spoken
 
     console = Console()
     console.print(result.sentence, soft_wrap=True, markup=False, highlight=False)
+    for remark in remarks(result):
+        console.print(remark, soft_wrap=True, markup=False, highlight=False)
     if result.causes:
         table = Table("cause", "or", "parameter", "value", "95 % interval")
         for cause in result.causes:
@@ -173,6 +175,8 @@ def _show(result: Diagnosis, out: Path) -> None:
 
 def _shown(value: Quantity) -> tuple[str, str]:
     """A number with its unit, and its interval where the logs told it."""
+    from tsa_ctrl.identify.quantity import spelled
+
     told = 0.0 < value.high - value.low < math.inf
-    unit = "" if value.unit == "1" else f" {value.unit}"
+    unit = "" if value.unit == "1" else f" {spelled(value.unit)}"
     return f"{value.value:.4g}{unit}", f"{value.low:.4g} to {value.high:.4g}" if told else ""

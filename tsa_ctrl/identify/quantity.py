@@ -25,8 +25,13 @@ class Quantity:
         }
 
     def __str__(self) -> str:
-        unit = "" if self.unit == "1" else f" {self.unit}"
+        unit = "" if self.unit == "1" else f" {spelled(self.unit)}"
         return f"{self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
+
+
+def spelled(unit: str) -> str:
+    """A unit string as people read it."""
+    return unit.replace("*", "·").replace("^2", "²")
 
 
 def _finite(x: float) -> float | None:

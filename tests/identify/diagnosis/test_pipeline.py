@@ -18,6 +18,7 @@ from tests.dashboard.chromium import chromium
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
+from tsa_ctrl.identify.diagnosis.report.words import told_torque
 from tsa_ctrl.model.parameters import TendonSheath, load_model, model_from
 
 T = np.arange(0.0, 20.0, 0.005)
@@ -232,10 +233,15 @@ def test_the_report_says_what_the_json_says(written: Path) -> None:
     page = (written / "report.html").read_text()
     text = text_of(page)
     assert data["summary"] in text
+    assert len(data["summary"].split()) <= 35
+    assert "Diagnosis of nominal.toml" in text
+    assert re.search(r"\d{4}-\d\d-\d\d", text)
+    assert "N*m" not in text
+    assert f"off by {told_torque(data['simulated']['rms'])}" in text
     assert data["experiment"] in text
     assert [cause["effect"] for cause in data["causes"]] == re.findall(r'data-effect="(\w+)"', page)
     for name in ("as_given", "recalibrated", "extended", "noise_floor"):
-        assert f"{1e3 * data['rms'][name]:.4g} mN·m" in text
+        assert told_torque(data["rms"][name]) in text
 
 
 def test_the_report_needs_no_network(written: Path) -> None:

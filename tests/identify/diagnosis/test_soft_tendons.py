@@ -18,5 +18,5 @@ def test_presliding_is_found_in_the_displacement_that_shows_it(compensated: bool
     assert cause.parameters["displacement"] == follows
     assert result.gain > 0.9
     assert result.details is not None
-    groups = {ranked.effect: ranked.group for ranked in result.details.ranking}
-    assert [groups[each.effect] for each in result.causes] == list(range(len(result.causes)))
+    first = {ranked.group: ranked.effect for ranked in reversed(result.details.ranking)}  # of each group
+    assert [first[number] for number in range(len(result.causes))] == [each.effect for each in result.causes]

@@ -133,5 +133,5 @@ def _suspicions(frame: Frame) -> tuple[str, ...]:
             top = np.max(np.abs(column))
             held = float(np.mean(np.abs(column) > 0.9999 * top))
             if held > 0.01 and held * len(column) > FEWEST_HELD:
-                out.append(f"{run.name}: {name} stays at its largest value {top:.3g} N*m for {held:.1%} of the time")
+                out.append(f"{run.name}: {name} stays at its largest value {top:.3g} N·m for {held:.1%} of the time")
     return tuple(out)

@@ -58,7 +58,7 @@ def _admit(log: Dataset, model: Model, target: str) -> None:
     if target not in log:
         raise UsageError(
             f"{log.label or log.name}: column {target} is missing; the diagnosis of a tendon-sheath needs the measured "
-            'joint torque (N*m): add it, or describe a drive without torque sensor as [actuator] kind = "rigid_drive"'
+            'joint torque (N·m): add it, or describe a drive without torque sensor as [actuator] kind = "rigid_drive"'
         )
     admit(log, model, target)
 

@@ -9,11 +9,12 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
 from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
 from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, what_is_left
+from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, told_torque, what_is_left
 from tsa_ctrl.model.parameters import Model, RigidDrive
 
 BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
@@ -23,7 +24,8 @@ PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     """The result on logs that show something. `model`: as given."""
     reported, errors = outcome.reported, outcome.errors
-    order = [int(i) for i in np.argsort([-proof.gain for proof in outcome.selection.evidence], kind="stable")]
+    proofs = outcome.selection.evidence
+    order = sorted(range(len(proofs)), key=lambda i: (-errors.lost[i], -proofs[i].gain))  # most important first
     grouped = [outcome.groups[i] for i in order]
     parameters = effect_quantities(reported)
     causes = tuple(
@@ -36,8 +38,15 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         )
         for index, group in zip(order, grouped, strict=True)
     )
-    nothing = dict.fromkeys(outcome.limits.invisible, "it would change nothing in the motion and load of these logs")
-    not_testable = {**outcome.testable.not_testable, **nothing}
+    compared = {name for group in grouped for name in (group.name, *(rival.name for rival in group.rivals))}
+    unseen = [name for name in outcome.limits.invisible if name not in compared]  # beside the causes it may well act
+    nothing = dict.fromkeys(unseen, "it would change nothing in the motion and load of these logs")
+    hidden = {
+        name: f"these logs would show it only from {told_torque(size)} on, which is more than the torque itself"
+        for name, size in outcome.limits.hidden.items()
+        if name not in compared
+    }
+    not_testable = {**outcome.testable.not_testable, **nothing, **hidden}
     left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
     verdict = _verdict(named=bool(causes), left=bool(left))
     result = Diagnosis(
@@ -49,10 +58,10 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         not_testable=dict(sorted(not_testable.items())),
         detection_limit=dict(sorted(outcome.limits.sizes.items())),
         experiment=advice(model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque),
-        rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor),
+        rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
         gain=min(errors.gain, 1.0) if causes else 0.0,
         model=reported.fitted.hypothesis.model(reported.fitted.point),
-        details=details(outcome, grouped),
+        details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
     return dataclasses.replace(result, sentence=sentence(result))
 
@@ -72,6 +81,12 @@ def insufficient(model: Model, found: Audit, reason: str, not_testable: Mapping[
         gain=0.0,
         model=model,
     )
+
+
+def _simulated(outcome: Outcome, model: Model) -> float:
+    """Error of the model as given over all samples of all logs, N*m: what `tsa simulate` prints, pooled."""
+    squares = [np.square(residual) for residual in full_residuals(outcome.data.frame, model)]
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
 
 
 def _verdict(named: bool, left: bool) -> Verdict:

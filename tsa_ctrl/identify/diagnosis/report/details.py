@@ -46,11 +46,17 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Ranked:
-    """One bar of the ranking: decrease of the mean square of the white residual that a candidate brings alone."""
+    """One bar of the ranking.
+
+    Where causes are named, in their order, each with the rivals compared: the share of the gain that is lost without
+    it, and as much of that as the rival brings in its place. Where none is: the decrease of the mean square of the
+    white residual that a candidate brings alone.
+    """
 
     effect: str
     gain: float
     group: int  # number of the cause that it is or stands for, -1 for none
+    excluded: bool = False  # a rival that these logs exclude
 
 
 @dataclass(frozen=True)
@@ -74,7 +80,7 @@ class Curves:
 
 @dataclass(frozen=True)
 class Details:
-    """What the pictures show. `noise`: RMS at the score rate, N*m; `autocorrelation` of the white residual."""
+    """What the pictures show. `noise`: the floor that the text tells, N*m; `autocorrelation` of the white residual."""
 
     target: str
     curves: tuple[Curves, ...]
@@ -91,8 +97,8 @@ class Details:
     notes: tuple[str, ...]
 
 
-def details(outcome: Outcome, grouped: Sequence[Group]) -> Details:
-    """The curves and tables behind an outcome; `grouped`: its groups in the order of the report."""
+def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -> Details:
+    """The curves and tables behind an outcome; `grouped`: its groups as reported, `lost`: what each gains."""
     data, found, reported = outcome.data, outcome.audit, outcome.reported
     base, selection, findings = outcome.base, outcome.selection, outcome.findings
     models = (
@@ -112,9 +118,9 @@ def details(outcome: Outcome, grouped: Sequence[Group]) -> Details:
     return Details(
         target=base.hypothesis.base.target,
         curves=tuple(_curves(run, models) for run in data.frame.runs),
-        noise=selection.problem.noise.rms,
+        noise=outcome.errors.noise_floor,
         period=data.frame.period,
-        ranking=_ranking(selection, grouped),
+        ranking=_causes(grouped, lost) if grouped else _ranking(selection),
         autocorrelation=correlation,
         band=1.96 / float(np.sqrt(len(residual))),
         audit=found,
@@ -154,16 +160,23 @@ def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
     )
 
 
-def _ranking(chosen: Selection, grouped: Sequence[Group]) -> tuple[Ranked, ...]:
-    """Candidates beside the recalibrated base, best first, with the group that each belongs to."""
+def _causes(grouped: Sequence[Group], lost: Sequence[float]) -> tuple[Ranked, ...]:
+    """The causes in the order of the report, each before the rivals that it was compared with on other data."""
+    out = []
+    for number, (group, share) in enumerate(zip(grouped, lost, strict=True)):
+        out.append(Ranked(group.name, share, number))
+        compared = [rival for rival in group.rivals if rival.share is not None]
+        for rival in sorted(compared, key=lambda rival: (rival.excluded, -(rival.share or 0.0))):
+            brought = share * min(max(rival.share or 0.0, 0.0), 1.0)
+            out.append(Ranked(rival.name, brought, number, rival.excluded))
+    return tuple(out)
+
+
+def _ranking(chosen: Selection) -> tuple[Ranked, ...]:
+    """Candidates beside the recalibrated base, best first."""
     first = chosen.rounds[0]
-    member = {
-        name: number
-        for number, group in enumerate(grouped)
-        for name in (group.name, *(r.name for r in group.alternatives))
-    }
     count = chosen.problem.count
     best: dict[str, float] = {score.variant.effect: score.gain for score in first.scores}
     best |= {found.names[-1]: first.fitted.rss - found.rss for found in first.steps}
     ordered = sorted(best.items(), key=lambda pair: -pair[1])
-    return tuple(Ranked(name, max(gain, 0.0) / count, member.get(name, -1)) for name, gain in ordered)
+    return tuple(Ranked(name, max(gain, 0.0) / count, -1) for name, gain in ordered)

@@ -24,6 +24,8 @@ FREQUENCIES = (0.1, 0.25, 0.6, 1.5)  # Hz, of the reversals
 LEVELS = (0.25, 0.5, 1.0)  # of the torque seen in the logs
 CYCLES = 3  # at each frequency and level
 LONGEST = 12.0  # s at one frequency and level
+REPEAT = "repeat the very same motion ten times, so that the noise floor is measured and not estimated"
+FEWEST_REVERSALS = 8  # each way four: fewer do not part the directions' scatter from a difference
 
 
 def advice(
@@ -34,21 +36,19 @@ def advice(
     not_testable: Mapping[str, str],
     torque: float,
 ) -> Experiment:
-    """What to record next, always with a set-point that excites what a torque can excite.
+    """The one thing to record next: what parts most names; with a set-point that excites what a torque can excite.
 
     torque: RMS of the measured torque's change, N*m.
     """
-    groups = [(cause.effect, *cause.alternatives) for cause in causes if cause.alternatives]
-    wanted = [text for group in groups for text in parted_by(group)]
-    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
-        wanted.append("repeat the very same motion ten times, so that the noise floor is measured and not estimated")
-    if not wanted:
-        wanted = _gaps(found, not_testable, rigid=isinstance(model, RigidDrive))
-    what = "; ".join(
-        text for text in dict.fromkeys(wanted) if not any(text in other for other in wanted if other != text)
-    )
-    told = " or ".join(dict.fromkeys(name.replace("_", " ") for group in groups for name in group))
-    text = f"{what}: this would tell {told}" if groups else what
+    pairs = [pair for cause in causes for pair in itertools.combinations((cause.effect, *cause.alternatives), 2)]
+    if pairs:
+        motion, parted = _parting_most(pairs)
+        told = " or ".join(dict.fromkeys(name.replace("_", " ") for pair in parted for name in pair))
+        text = f"{motion.value}: this would tell {told}"
+    elif verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+        text = REPEAT
+    else:
+        text = _gap(found, not_testable, rigid=isinstance(model, RigidDrive))
     return _playable(text, _setpoint(torque))
 
 
@@ -66,6 +66,12 @@ def _playable(text: str, torque: Array) -> Experiment:
     return Experiment(text, tuple(t.tolist()), tuple(torque.tolist()))
 
 
+def _parting_most(pairs: Sequence[tuple[str, str]]) -> tuple[Motion, list[tuple[str, str]]]:
+    """The motion that parts most of these pairs, of several the least costly, and the pairs that it parts."""
+    parted = {motion: [pair for pair in pairs if motion in _parting(*pair)] for motion in Motion}
+    return max(parted.items(), key=lambda entry: len(entry[1]))  # the members stand in the order of cost
+
+
 def parted_by(names: Sequence[str]) -> list[str]:
     """What parts each pair of a group."""
     pairs = itertools.combinations(names, 2)
@@ -80,19 +86,17 @@ def _parting(first: str, second: str) -> tuple[Motion, ...]:
     return Motion.SPEEDS, Motion.SIGNS
 
 
-def _gaps(found: Audit, not_testable: Mapping[str, str], rigid: bool) -> list[str]:
-    """What the logs do not excite."""
-    wanted = []
+def _gap(found: Audit, not_testable: Mapping[str, str], rigid: bool) -> str:
+    """What the logs excite least: a direction, reversals, a sign of the load, else what most effects ask for."""
     if not found.both_directions:
-        wanted.append("move in both directions")
-    if found.reversals < 8:
-        wanted.append(Motion.SPEEDS.value)
+        return "move in both directions"
+    if found.reversals < FEWEST_REVERSALS:
+        return Motion.SPEEDS.value
     if not rigid and not _both_signs(found):
-        wanted.append(Motion.SIGNS.value)
+        return Motion.SIGNS.value
     specs = [CATALOGUE[name] for name in not_testable]
-    asked = {spec.asks for spec in specs if spec.rigid_drive or not rigid}
-    wanted += [motion.value for motion in Motion if motion in asked]
-    return wanted or [Motion.SPEEDS.value]
+    asked = [spec.asks for spec in specs if spec.asks and (spec.rigid_drive or not rigid)]
+    return max(Motion, key=asked.count).value if asked else Motion.SPEEDS.value
 
 
 def _both_signs(found: Audit) -> bool:

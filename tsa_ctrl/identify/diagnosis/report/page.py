@@ -9,6 +9,7 @@ import base64
 import math
 import shutil
 import tempfile
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import listed, spoken, summary_of
+from tsa_ctrl.identify.diagnosis.report.words import listed, remarks, spoken, summary_of, told_torque
 from tsa_ctrl.identify.provenance import provenance
-from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.identify.quantity import Quantity, spelled
+from tsa_ctrl.model.parameters import RigidDrive, save_model
 from tsa_ctrl.version import __version__
 
 JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
@@ -54,12 +55,13 @@ def write(result: Diagnosis, folder: str | Path, template: str | Path | None = N
     save_model(result.model, folder / MODEL, template, _provenance(result, template))
     if result.experiment.t:
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
-    settings.write_text(folder / PAGE, page(result, pictures))
+    settings.write_text(folder / PAGE, page(result, pictures, template))
     settings.write_text(folder / JSON, result.to_json())
 
 
-def page(result: Diagnosis, pictures: dict[str, Path]) -> str:
-    """The text of report.html; `pictures` by caption are put into it."""
+def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = None) -> str:
+    """The text of report.html; `pictures` by caption are put into it, and the name of the model file on top."""
+    given = template or result.model.source
     environment = Environment(
         loader=PackageLoader("tsa_ctrl.identify.diagnosis.report"),
         autoescape=True,
@@ -67,7 +69,9 @@ def page(result: Diagnosis, pictures: dict[str, Path]) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(spoken=spoken, listed=listed, torque=_torque, percent=_percent, number=_number)
+    environment.filters.update(
+        spoken=spoken, listed=listed, torque=told_torque, percent=_percent, number=_number, spelled=spelled
+    )
     return environment.get_template("report.html.j2").render(
         result=result,
         data=result.to_dict(),
@@ -76,6 +80,10 @@ def page(result: Diagnosis, pictures: dict[str, Path]) -> str:
         pictures={caption: base64.b64encode(path.read_bytes()).decode("ascii") for caption, path in pictures.items()},
         details=result.details,
         experiment_file=EXPERIMENT if result.experiment.t else "",
+        remarks=remarks(result),
+        drive="plain drive" if isinstance(result.model, RigidDrive) else "tendon-sheath",
+        model=Path(given).name if given else "a model without a file",
+        date=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         version=__version__,
     )
 
@@ -89,7 +97,7 @@ def _cause(effect: str, parameters: Any) -> dict[str, Any]:
             else:
                 known = value.high > value.low
                 interval = f"{_number(value.low)} to {_number(value.high)}" if known else "given"
-            rows.append((name, _number(value.value), interval, "" if value.unit == "1" else value.unit))
+            rows.append((name, _number(value.value), interval, "" if value.unit == "1" else spelled(value.unit)))
         else:
             rows.append((name, value, "chosen", ""))
     return {"summary": summary_of(effect), "rows": rows}
@@ -105,10 +113,6 @@ def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
     found |= {name: error.found for name, error in result.parameter_errors.items()}
     logs = {} if result.details is None else dict(result.details.logs)
     return provenance("diagnose", logs, template or result.model.source, found, verdict=result.verdict.value)
-
-
-def _torque(value: float | None) -> str:
-    return "unknown" if value is None else f"{1e3 * value:.4g} mN·m"
 
 
 def _percent(value: float | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +12,11 @@ from matplotlib.figure import Figure
 
 from tsa_ctrl.identify.diagnosis.report.details import Curves, Details
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
-from tsa_ctrl.identify.diagnosis.report.words import spoken
+from tsa_ctrl.identify.diagnosis.report.words import spoken, torque_scale
 from tsa_ctrl.model.functions import Array
 
-DPI = 110
+DPI = 150
+WIDTH = 6.2  # inches: letters of 9 points stay readable where the page is 400 px wide
 SEGMENT = 4.0  # s of a picture of the worst moments
 SEGMENTS = 3
 BINS = 40  # of a residual against a signal
@@ -32,7 +34,7 @@ def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
     pictures: tuple[tuple[str, str, Draw], ...] = (
         ("worst.png", "Measured and simulated torque where the simulation is worst", _worst),
         ("staircase.png", "Error on held-out data, from the model as given to the noise floor", _staircase),
-        ("ranking.png", "What each effect of the catalogue would explain alone", _ranking),
+        ("ranking.png", _ranked(result), _ranking),
         ("residual.png", "What is left, against speed, load, angle, time and temperature", _residual),
         ("reversals.png", "What is left after reversals, against time and against displacement", _reversals),
         ("autocorrelation.png", "Autocorrelation of what is left after whitening", _autocorrelation),
@@ -47,7 +49,7 @@ def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
 
 
 def _figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(9.0, height), layout="constrained")
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False)
     axes = [axes for row in grid for axes in row]
     for each in axes:
@@ -72,7 +74,7 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
         each.set_ylabel(f"{details.target} (N·m)")
         each.set_title(curves.name, loc="left", fontsize=9)
     axes[-1].set_xlabel("t (s)")
-    axes[0].legend(fontsize=8, ncols=5, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="outside upper center")
     return figure
 
 
@@ -94,32 +96,47 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
     if result.causes:
         steps.append(("extended", result.rms.extended, EXTENDED))
     steps.append(("noise floor", result.rms.noise_floor, "grey"))
+    factor, unit = torque_scale(result.rms)
     figure, (axes,) = _figure(1, 1, 2.8)
     for place, (name, value, colour) in enumerate(steps):
         if value is not None:
-            axes.bar(place, 1e3 * value, color=colour, width=0.6)
-            axes.annotate(f"{1e3 * value:.3g}", (place, 1e3 * value), ha="center", va="bottom")
+            axes.bar(place, factor * value, color=colour, width=0.6)
+            axes.annotate(f"{factor * value:.3g}", (place, factor * value), ha="center", va="bottom")
         axes.text(place, 0.0, f"\n{name}", ha="center", va="top")
     axes.set_xticks([])
     axes.margins(y=0.15)
-    axes.set_ylabel("RMS error (mN·m)")
-    axes.set_title(f"held out: {details.held_out}", loc="left", fontsize=9)
+    axes.set_ylabel(f"RMS error ({unit})")
+    axes.set_title(fill(f"held out: {details.held_out}", 90), loc="left", fontsize=8)
     return figure
 
 
+def _ranked(result: Diagnosis) -> str:
+    """What the ranking shows."""
+    if result.causes:
+        return "What each cause explains, and what its rivals would in its place"
+    return "What each effect of the catalogue would explain alone"
+
+
 def _ranking(result: Diagnosis, details: Details) -> Figure:
-    ranked = details.ranking[:RANKED]
-    figure, (axes,) = _figure(1, 1, 0.32 * max(3, len(ranked)) + 1.0)
+    ranked = details.ranking if result.causes else details.ranking[:RANKED]
+    figure, (axes,) = _figure(1, 1, 0.3 * max(3, len(ranked)) + 1.0)
+    seen: set[int] = set()
     for place, entry in enumerate(ranked):
-        colour = "lightgrey" if entry.group < 0 else f"C{entry.group}"
-        axes.barh(place, entry.gain, color=colour, height=0.7)
+        named = entry.group >= 0 and entry.group not in seen
+        seen.add(entry.group)
+        colour = "lightgrey" if entry.group < 0 or entry.excluded else f"C{entry.group}"
+        axes.barh(place, entry.gain, color=colour, alpha=1.0 if named or entry.group < 0 else 0.5, height=0.7)
         if entry.group >= 0:
-            axes.text(entry.gain, place, f" cause {entry.group + 1} or a rival of it", va="center", fontsize=8)
-    axes.set_yticks(range(len(ranked)), [spoken(entry.effect) for entry in ranked], fontsize=9)
-    axes.margins(x=0.22)
+            role = "excluded" if entry.excluded else "not excluded"
+            told = f"cause {entry.group + 1}" if named else f"in place of cause {entry.group + 1}: {role}"
+            axes.text(entry.gain, place, f" {told}", va="center", fontsize=8)
+    axes.set_yticks(range(len(ranked)), [spoken(entry.effect) for entry in ranked], fontsize=8)
+    axes.margins(x=0.45 if result.causes else 0.1)
     axes.grid(visible=False, axis="y")
     axes.invert_yaxis()
-    axes.set_xlabel("decrease of the mean square of the whitened error by this effect alone")
+    shown = "share of the gain that is lost without it" if result.causes else "decrease of the whitened mean square"
+    axes.set_xlabel(shown)
+    axes.set_xlim(left=0.0)
     return figure
 
 
@@ -134,6 +151,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
     error = _joined(details, lambda c: c.measured - c.recalibrated)
     left = _joined(details, lambda c: c.measured - c.extended)
     direction = _joined(details, lambda c: c.sigma)
+    factor, unit = torque_scale(result.rms)
     signals = [
         ("joint velocity (rad/s)", _joined(details, lambda c: c.omega)),
         ("motor torque (N·m)", _joined(details, lambda c: c.tau_m)),
@@ -146,22 +164,24 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
     rows = (len(signals) + 1) // 2
     figure, axes = _figure(rows, 2, 2.7 * rows + 0.4)
     step = max(1, len(error) // DOTS)
-    span = _span(1e3 * error)
+    span = _span(factor * error)
     for each, (name, signal) in zip(axes, signals, strict=False):
-        each.plot(signal[::step], 1e3 * error[::step], ".", ms=1.5, color="lightgrey")
+        each.plot(signal[::step], factor * error[::step], ".", ms=1.5, color="lightgrey")
         for sign, colour in ((1.0, "tab:green"), (-1.0, "tab:purple")):
             there = direction == sign
             each.plot(
-                *_binned(signal[there], 1e3 * error[there]),
+                *_binned(signal[there], factor * error[there]),
                 color=colour,
                 lw=1.4,
                 label=f"recalibrated, σ = {sign:+.0f}",
             )
             if result.causes:
-                each.plot(*_binned(signal[there], 1e3 * left[there]), color=colour, lw=1.2, ls="--", label="extended")
+                each.plot(
+                    *_binned(signal[there], factor * left[there]), color=colour, lw=1.2, ls="--", label="extended"
+                )
         each.set_ylim(span)
         each.set_xlabel(name)
-        each.set_ylabel("error (mN·m)")
+        each.set_ylabel(f"error ({unit})")
     for each in axes[len(signals) :]:
         each.set_visible(False)
     axes[0].legend(fontsize=7)
@@ -172,17 +192,18 @@ def _reversals(result: Diagnosis, details: Details) -> Figure:
     figure, axes = _figure(1, 2, 3.2)
     error = _joined(details, lambda c: (c.measured - c.recalibrated) * c.sigma)
     left = _joined(details, lambda c: (c.measured - c.extended) * c.sigma)
+    factor, unit = torque_scale(result.rms)
     for each, signal, name in (
         (axes[0], _joined(details, lambda c: c.elapsed), "time since the reversal (s)"),
         (axes[1], _joined(details, lambda c: c.distance), "displacement since the reversal (rad)"),
     ):
         near = signal <= np.quantile(signal, 0.6)
-        each.plot(*_binned(signal[near], 1e3 * error[near]), color=CALIBRATED, label="recalibrated")
+        each.plot(*_binned(signal[near], factor * error[near]), color=CALIBRATED, label="recalibrated")
         if result.causes:
-            each.plot(*_binned(signal[near], 1e3 * left[near]), color=EXTENDED, label="extended")
+            each.plot(*_binned(signal[near], factor * left[near]), color=EXTENDED, label="extended")
         each.axhline(0.0, color="k", lw=0.5)
         each.set_xlabel(name)
-        each.set_ylabel("σ · error, mean (mN·m)")
+        each.set_ylabel(f"σ · error, mean ({unit})")
     axes[0].legend(fontsize=8)
     return figure
 

@@ -52,12 +52,16 @@ class ParameterError:
 
 @dataclass(frozen=True)
 class Rms:
-    """Errors of the simulation in N*m over all held-out samples; None where nothing could be said."""
+    """Errors of the simulation in N*m over all held-out samples; None where nothing could be said.
+
+    `simulated`: of the model as given over all samples, held out or not.
+    """
 
     as_given: float | None = None
     recalibrated: float | None = None
     extended: float | None = None
     noise_floor: float | None = None
+    simulated: float | None = None
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,7 @@ class Diagnosis:
                 "unit": "N*m",
                 "held_out": True,
             },
+            "simulated": {"rms": _rounded(self.rms.simulated), "unit": "N*m"},
             "gain": _rounded(self.gain),
             "summary": self.sentence,
         }

@@ -1,17 +1,19 @@
-"""Sentences for people: the first line of the report, and what it is made of."""
+"""Sentences for people: the first line of the report, what follows it, and what they are made of."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Verdict
+from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import CATALOGUE
 
+MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
-EXCLUDED = 3  # names in the sentence; the report has them all
+EXCLUDED = 3  # names in the remarks; the report has them all
+SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
 def spoken(name: str) -> str:
@@ -26,59 +28,97 @@ def listed(names: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(names[:-1])} {last} {names[-1]}"
 
 
+def told_torque(value: float | None) -> str:
+    """A torque in the unit that people read easily; text, tables and pictures have the same digits."""
+    if value is None:
+        return "unknown"
+    return f"{value * 1e3:.3g} mN·m" if abs(value) < SMALL else f"{value:.3g} N·m"
+
+
+def torque_scale(rms: Rms) -> tuple[float, str]:
+    """Factor and unit in which the pictures of a diagnosis draw errors."""
+    return (1e3, "mN·m") if (rms.recalibrated or 0.0) < SMALL else (1.0, "N·m")
+
+
 def sentence(result: Diagnosis) -> str:
-    """What is wrong by how much, the cause with its parameter and interval, what was excluded, what it gained."""
+    """The first line: what is wrong, by how much, the cause, what it gained; as full as MOST_WORDS leave room for."""
     rms = result.rms
-    assert rms.recalibrated is not None
-    assert rms.extended is not None
-    assert rms.noise_floor is not None
-    start = f"After recalibration the simulation is off by {_torque(rms.recalibrated)} RMS on held-out data"
+    off = f"the simulation is off by {told_torque(rms.recalibrated)} RMS on held-out data"
     if result.verdict is Verdict.CONSISTENT:
-        return f"{start}, which is noise: nothing is wrong with the model beyond its parameters{_visible(result)}."
+        return f"Nothing is wrong with the model beyond its parameters: recalibrated, {off}, which is noise."
     if result.verdict is Verdict.UNEXPLAINED:
-        return (
-            f"{start} where noise is {_torque(rms.noise_floor)}, and nothing in the catalogue explains it: "
-            f"{result.unexplained}."
-        )
-    causes = listed([cause_phrase(cause) for cause in result.causes])
-    noise = _torque(rms.noise_floor)
-    gained = f"the extended model is off by {_torque(rms.extended)} (noise {noise}, gain {result.gain:.0%})"
+        noise = f"Recalibrated, {off} where noise is {told_torque(rms.noise_floor)}, and no effect explains it"
+        return _short(f"{noise}: {result.unexplained.split(';')[0]}.", f"{noise}.")
+    factor, unit = torque_scale(rms)
+    before, after, floor = (factor * (each or 0.0) for each in (rms.recalibrated, rms.extended, rms.noise_floor))
+    gained = (
+        f"the error on held-out data falls from {before:.3g} to {after:.3g} {unit} RMS, noise is {floor:.3g} {unit}"
+    )
+    left = "; more is left" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
+    fullness = [listed([phrase(cause) for cause in result.causes]) for phrase in (cause_phrase, _named, _counted)]
+    first, more = result.causes[0], len(result.causes) - 1
+    fullness += [f"{phrase(first)}{f' with {more} more' if more else ''}" for phrase in (_named, _counted)]
+    return _short(*(f"{causes[0].upper()}{causes[1:]}: {gained}{left}." for causes in fullness))
+
+
+def remarks(result: Diagnosis) -> tuple[str, ...]:
+    """What follows the first line: what would have been seen, what is left, which names are excluded."""
+    out = []
+    if result.verdict is Verdict.CONSISTENT and result.detection_limit:
+        out.append(_visible(result))
+    if result.causes:
+        out.append(f"The causes gain {result.gain:.0%} of what could be explained.")
+    if result.unexplained:
+        out.append(f"{result.unexplained[0].upper()}{result.unexplained[1:]}.")
     ruled_out = [spoken(name) for name in result.details.excluded[:EXCLUDED]] if result.details else []
-    excluded = f" Excluded: {listed(ruled_out)}." if ruled_out else ""
-    end = f"; but {result.unexplained}" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
-    return f"{start}. Cause: {causes}; {gained}{end}.{excluded}"
+    if ruled_out:
+        out.append(f"Excluded: {listed(ruled_out)}.")
+    return tuple(out)
+
+
+def _short(*sentences: str) -> str:
+    """The first of them that is short enough, else the last."""
+    return next((each for each in sentences if len(each.split()) <= MOST_WORDS), sentences[-1])
 
 
 def _visible(result: Diagnosis) -> str:
     """The smallest effects that would have been seen: the smallest of all, and that of the effect that hides best."""
     limits = result.detection_limit
-    if not limits:
-        return ""
     least, most = min(limits, key=lambda name: limits[name]), max(limits, key=lambda name: limits[name])
     if limits[most] < ALIKE * limits[least]:
-        return f"; any effect of {_torque(limits[most])} or more would have been seen"
+        return f"Any effect of {told_torque(limits[most])} or more would have been seen."
     return (
-        f"; {spoken(least)} of {_torque(limits[least])} or more would have been seen, and any other effect from "
-        f"{_torque(limits[most])} on ({spoken(most)})"
+        f"An effect of {told_torque(limits[least])} ({spoken(least)}) to {told_torque(limits[most])} ({spoken(most)}) "
+        "or more would have been seen."
     )
 
 
 def cause_phrase(cause: Cause) -> str:
     """Name, alternatives and main parameter of a cause."""
-    name = spoken(cause.effect)
-    if cause.alternatives:
-        name += f" (or {listed([spoken(other) for other in cause.alternatives], 'or')}: this log cannot tell)"
     numbers = [
         f"{spoken(key)} {quantity}"
         for key, quantity in cause.parameters.items()
         if isinstance(quantity, Quantity) and 0.0 < quantity.high - quantity.low < math.inf
     ]
-    return f"{name}, {numbers[0]}" if numbers else name
+    return f"{_named(cause)}, {numbers[0]}" if numbers else _named(cause)
+
+
+def _named(cause: Cause) -> str:
+    """The name with its alternatives."""
+    return listed([spoken(name) for name in (cause.effect, *cause.alternatives)], "or")
+
+
+def _counted(cause: Cause) -> str:
+    """The name with the number of its alternatives."""
+    count = len(cause.alternatives)
+    return spoken(cause.effect) + (f" (or {count} other{'s' if count > 1 else ''})" if count else "")
 
 
 def insufficient_sentence(reason: str) -> str:
-    """The first sentence of a report that cannot say anything else."""
-    return f"These logs cannot tell: {reason}."
+    """The first sentences of a report that cannot say anything else; a long reason goes on in the next."""
+    text = f"These logs cannot tell: {reason.rstrip('.?')}{'?' if reason.endswith('?') else '.'}"
+    first, _, rest = text.partition("; ")
+    return f"{first}. {rest[0].upper()}{rest[1:]}" if rest and len(text.split()) > MOST_WORDS else text
 
 
 def summary_of(name: str) -> str:
@@ -102,15 +142,14 @@ def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
     depends = [finding.what for finding in others if _drives(finding)]
     are = [finding.what for finding in others if not _drives(finding)]
     told += [f"it also depends on {listed(depends)}"] if depends else []
-    told += [f"there is also {listed(are)}"] if are else []
+    told += (
+        [f"beside it there {'are' if len(are) > 1 or are[0].startswith('bursts') else 'is'} {listed(are)}"]
+        if are
+        else []
+    )
     return "; ".join([*told, *suspicions])
 
 
 def _drives(finding: Finding) -> bool:
     """Whether a finding names a signal on which the rest depends; else it names the rest itself."""
     return not finding.what.startswith(("a ", "bursts"))
-
-
-def _torque(value: float) -> str:
-    """A torque in the unit that people read easily."""
-    return f"{value * 1e3:.3g} mN*m" if value < 0.1 else f"{value:.3g} N*m"

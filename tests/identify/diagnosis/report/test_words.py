@@ -1,0 +1,67 @@
+"""The first sentence is short whatever was found, and the experiment is one."""
+
+from __future__ import annotations
+
+import pytest
+
+from tsa_ctrl.identify.diagnosis.report.experiment import _parting_most
+from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
+from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.effects.specification import Motion
+from tsa_ctrl.model.parameters import RigidDrive
+
+LONG = Cause(
+    "direction_asymmetric_friction",
+    ("load_dependent_friction", "configuration_dependent_bending", "tension_dependent_friction"),
+    0.4,
+    {"viscous_difference": Quantity(0.1, 0.05, 0.2, "N*m*s/rad")},
+    0.5,
+)
+PLAIN = Cause("torque_offset", (), 1.0, {"offset": Quantity(0.0003487, 0.00029, 0.000407, "N*m")}, 1.0)
+
+
+def told(verdict: Verdict, *causes: Cause, left: str = "") -> str:
+    rms = Rms(0.06, 0.05, 0.01, 0.009, 0.06)
+    nothing = Experiment("")
+    return sentence(Diagnosis(verdict, "", causes, {}, left, {}, {}, nothing, rms, 0.9, RigidDrive()))
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_first_sentence_has_at_most_35_words_and_names_the_first_cause(count: int) -> None:
+    found = told(Verdict.PARTLY_EXPLAINED, *[LONG] * count, left="what is left depends on the load")
+    assert found.startswith("Direction asymmetric friction")
+    assert "from 50 to 10 mN·m" in found
+    assert len(found.split()) <= 35
+
+
+def test_what_is_simple_is_told_whole() -> None:
+    assert "torque offset, offset 0.0003487 N·m (0.00029 to 0.000407)" in told(
+        Verdict.EXPLAINED, PLAIN
+    ).lower().replace("n·m", "N·m")
+
+
+def test_a_long_list_of_what_is_left_is_cut_from_the_first_sentence() -> None:
+    left = "what is left depends on several signals at once (44% of its mean square); it also depends on the load"
+    assert len(told(Verdict.UNEXPLAINED, left=left).split()) <= 35
+
+
+def test_a_long_reason_goes_on_in_a_second_sentence() -> None:
+    found = insufficient_sentence(
+        "friction does not show: " + "so much " * 10 + "is known; the " + "motion " * 12 + "is small"
+    )
+    first, second = found.split(". ", 1)
+    assert len(first.split()) <= 35
+    assert second.startswith("The motion")
+    assert insufficient_sentence("is it swapped?") == "These logs cannot tell: is it swapped?"
+
+
+def test_one_motion_parts_most_pairs() -> None:
+    pairs = [
+        ("thermal_friction_drift", "pretension_relaxation"),
+        ("transport_delay", "backlash"),
+        ("velocity_lag", "backlash"),
+    ]
+    motion, parted = _parting_most(pairs)
+    assert motion is Motion.SPEEDS
+    assert parted == pairs[1:]
