@@ -44,9 +44,6 @@ class Case:
 CASES: dict[str, Case] = {
     "gait": Case("imposed", GAIT, 5.0),
     "held": Case("held", sine(0.5, 0.5)),
-    "held, slow": Case("held", sine(0.5, 0.05), 21.0),
-    "held, fast": Case("held", sine(0.5, 2.0), 3.0),
-    "held, small": Case("held", sine(0.05, 0.5)),
     "spring": Case("spring", sine(0.5, 0.5)),
     "weight": Case("weight", sine(0.5, 0.5)),
     "free": Case("free", sine(0.5, 0.5)),

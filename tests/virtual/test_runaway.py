@@ -101,6 +101,7 @@ def test_the_stretch_sees_it_without_a_torque_sensor(tmp_path: Path) -> None:
     assert "latched" in told(result)[-1]
 
 
+@pytest.mark.slow
 def test_what_bounds_the_compensation_is_said_at_the_start(tmp_path: Path) -> None:
     """The range of the bending; keys of earlier versions are read, and said to be without effect."""
     axis = {"bending": {"range": 0.1}, "oscillation": {"speed": 0.5}}

@@ -186,6 +186,7 @@ def test_faults_and_changes_may_be_written_as_on_the_command_line(tmp_path: Path
     assert next(event.t for event in result.summary.events if event.fault) == pytest.approx(0.7, abs=0.01)
 
 
+@pytest.mark.slow
 def test_an_interface_that_goes_down_latches_and_a_recovery_brings_all_up_anew(tmp_path: Path) -> None:
     """What is on the bus is lost with it; the torque comes back only when it is asked for."""
     result = simulate_loop(*write(tmp_path), 5.0, faults=["interface_down duration=0.3@1"], changes=["recover=1@2"])

@@ -32,6 +32,7 @@ def play(folder: Path, fault: str, recovery: float, seconds: float = 2.5) -> Sim
     return simulate_loop(*files, seconds, faults=[f"{fault}@{FAULT}"], changes=[f"recover=1@{recovery}"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["emcy", "heartbeat_lost duration=0.4"], ids=["reset", "bring-up"])
 def test_a_recovery_waits_until_every_axis_has_ended_its_ramp(tmp_path: Path, fault: str) -> None:
     """The other drive is off, and said so, before anything is reset; then both have torque again."""
