@@ -9,7 +9,7 @@ import json
 import tomllib
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -38,17 +38,29 @@ def ask(hidden: Case) -> dict[str, Any]:
     return report
 
 
+class Answer(NamedTuple):
+    """A case with what was said of it."""
+
+    key: str
+    effects: dict[str, Any]  # that were hidden
+    report: dict[str, Any]
+    marks: Mark
+
+
 @cache
+def asked(family: str, name: str, seed: int) -> Answer:
+    """A case is drawn and asked once, whoever marks it; its logs are not kept."""
+    hidden = case(family, name, seed, short=True)
+    report = ask(hidden)
+    experiment = None if hidden.experiment is None else ask(hidden.experiment)
+    return Answer(hidden.key, hidden.truth.effects, report, mark(hidden, report, experiment))
+
+
 def answers(family: str, count: int) -> list[tuple[str, Mark, str]]:
     """Case, mark and verdict of `count` cases of a family, its names in turn."""
     names = FAMILIES[family]
-    out = []
-    for i in range(count):
-        hidden = case(family, names[i % len(names)], SEED + i // len(names), short=True)
-        report = ask(hidden)
-        experiment = None if hidden.experiment is None else ask(hidden.experiment)
-        out.append((hidden.key, mark(hidden, report, experiment), report["verdict"]))
-    return out
+    found = [asked(family, names[i % len(names)], SEED + i // len(names)) for i in range(count)]
+    return [(each.key, each.marks, each.report["verdict"]) for each in found]
 
 
 def likely(count: int, total: int, share: float) -> bool:

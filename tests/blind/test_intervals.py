@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from . import case
-from .score import mark
-from .test_gate import SEED, ask, likely
+from .test_gate import SEED, asked, likely
 
 none = pytest.mark.xdist_group("gate none")
 single = pytest.mark.xdist_group("gate single")
@@ -17,8 +15,7 @@ single = pytest.mark.xdist_group("gate single")
 def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_loop() -> None:
     inside = []
     for seed in range(SEED, SEED + 5):
-        hidden = case("none", "free", seed, short=True)
-        inside += list(mark(hidden, ask(hidden)).covered.values())
+        inside += list(asked("none", "free", seed).marks.covered.values())
     assert len(inside) >= 8
     assert likely(sum(inside), len(inside), 0.93), f"{sum(inside)} of {len(inside)}"
 
@@ -32,9 +29,9 @@ def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_lo
 def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str) -> None:
     inside = []
     for seed in range(SEED, SEED + 4):
-        hidden = case("single", effect, seed, short=True)
-        found = [cause for cause in ask(hidden)["causes"] if cause["effect"] == effect]
-        truth = hidden.truth.effects[effect][parameter]
+        answer = asked("single", effect, seed)
+        found = [cause for cause in answer.report["causes"] if cause["effect"] == effect]
+        truth = answer.effects[effect][parameter]
         for cause in found:
             quantity = cause["parameters"][parameter]
             assert 0.0 < quantity["high"] - quantity["low"] < 0.3 * truth
