@@ -26,11 +26,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
     signal.signal(signal.SIGINT, signal.default_int_handler)  # under nohup; what a test starts would ignore it, too
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests that talk on a bus share one worker of pytest-xdist: two at once would hear each other."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """What shares a worker of pytest-xdist, and its order.
+
+    Tests that talk on a bus share one: two at once would hear each other. So do those that share a fixture of their
+    module: it is made once. Groups come first, the largest one at once, then what is slow: no worker ends alone.
+    """
     for item in items:
         if item.get_closest_marker("hil"):
             item.add_marker(pytest.mark.xdist_group("bus"))
+        elif item.get_closest_marker("xdist_group") is None and _shares_a_fixture(item):
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    if hasattr(config, "workerinput"):
+        items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -84,6 +92,14 @@ def lack_of_vcan() -> str | None:
             return f"no vcan: TSA_VCAN={name}: {error.strerror}"
     up = struct.unpack_from("16xH", answer)[0] & IFF_UP
     return None if up else f"no vcan: TSA_VCAN={name} is down"
+
+
+def _shares_a_fixture(item: pytest.Item) -> bool:
+    """Whether it asks for a fixture that its module makes once."""
+    if not isinstance(item, pytest.Function):
+        return False
+    found = (each for made in item._fixtureinfo.name2fixturedefs.values() for each in made)
+    return any(each.scope == "module" for each in found)
 
 
 def _browser() -> str | None:

@@ -15,6 +15,7 @@ def test_the_friction_angle_follows_the_bending() -> None:
     assert angle[-1] == pytest.approx(1.4 * MU * THETA, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_torque_error_stays_small_with_the_estimate_and_grows_without() -> None:
     t, with_estimate, _ = run(CHANGE, SECONDS, use=True)
     _, without, _ = run(CHANGE, SECONDS, use=False)

@@ -7,6 +7,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+import pytest
 import tomlkit
 
 from tests.tune import rig as busy
@@ -54,6 +55,7 @@ def error(log: Path, axis: str, begin: float, end: float) -> float:
     return float(np.sqrt(np.mean(np.square((columns["tau_j"] - columns["tau_j_des"])[part]))))
 
 
+@pytest.mark.slow
 def test_the_estimator_follows_and_the_torque_error_stays_small(tmp_path: Path) -> None:
     """Before the change both are alike; after it the fixed parameters are far off, and the estimated ones are not."""
     write(tmp_path)

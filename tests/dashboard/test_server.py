@@ -194,6 +194,7 @@ def test_port_that_is_taken_is_one_line() -> None:
             serve("/nowhere", taken.getsockname()[1], print)
 
 
+@pytest.mark.slow
 def test_loop_and_command_do_not_need_the_extra() -> None:
     """The page's libraries are loaded by `tsa dashboard` alone."""
     code = "import sys, tsa_ctrl.daemon.run, tsa_ctrl.cli.dashboard; print({'starlette', 'uvicorn'} & set(sys.modules))"

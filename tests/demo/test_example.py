@@ -13,6 +13,7 @@ from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.parameters import load_model
 
 
+@pytest.mark.slow
 def test_the_log_is_read_and_the_model_does_not_know_what_is_hidden(tmp_path: Path) -> None:
     made = example.make(tmp_path, 1)
     log = load_log(made.log)

@@ -23,6 +23,7 @@ DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("run", "dose", "happened"), DOSES, ids=[run.__module__.split(".")[-1] for run, *_ in DOSES])
 def test_nonsense_does_no_harm(run: Callable[[int, int], Part], dose: int, happened: tuple[str, ...]) -> None:
     """No crash, no torque that may not be, no descriptor left open; and it was not idle."""

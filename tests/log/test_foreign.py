@@ -39,6 +39,7 @@ def test_a_german_table_becomes_a_log_in_si(tmp_path: Path) -> None:
     np.testing.assert_allclose(columns["tau_m"], 0.12 * 0.25 * (np.arange(20) % 3), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_mapping_that_is_written_does_the_same_again(tmp_path: Path) -> None:
     (tmp_path / "mess.txt").write_text(GERMAN, encoding="cp1252")
     first = ("--column", "tau_m=Strom Motor [A]|A*0.12", "--out", str(tmp_path / "a"))

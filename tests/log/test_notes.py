@@ -90,6 +90,7 @@ def test_a_ring_overrun_by_notes_keeps_the_newest(ring: RingWriter) -> None:
     assert reader.notes() == []
 
 
+@pytest.mark.slow
 @given(st.text(max_size=3000), st.text(max_size=32), st.floats(allow_nan=False, allow_infinity=False), st.booleans())
 def test_any_note_fits_the_ring_and_reads_as_one(text: str, axis: str, t: float, fault: bool) -> None:
     data = Note(t, axis, text, fault).encoded()

@@ -83,6 +83,7 @@ def test_a_closed_cycle_creates_no_energy(tmp_path: Path, kind: str, profile: st
             assert min(works[1:]) >= LEAST, (seed, friction, works)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("position", ["motor", "joint"])
 def test_a_series_element_changes_nothing_of_that(tmp_path: Path, position: str) -> None:
     for profile in PROFILES.values():

@@ -11,6 +11,7 @@ from tools.campaign.drive.variations import VARIATIONS, Variation
 from tsa_ctrl.plant.quirks import Quirks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variation", VARIATIONS, ids=lambda variation: variation.name)
 def test_variation(variation: Variation) -> None:
     outcome = run_trial(variation)

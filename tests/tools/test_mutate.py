@@ -84,6 +84,7 @@ def test_a_fixed_sample_is_killed_and_the_list_is_current() -> None:
     assert sum(row["mutants"] for row in found["modules"]) == SAMPLE
 
 
+@pytest.mark.slow
 def test_a_mutant_that_no_test_sees_is_found(tmp_path: Path) -> None:
     """With a list that is empty the equivalent mutants of a small module survive, and that is an error."""
     listed = EQUIVALENT.read_text(encoding="utf-8")

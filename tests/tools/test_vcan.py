@@ -43,6 +43,7 @@ def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], 
     assert done.stderr.count(b"\n") == 1
 
 
+@pytest.mark.slow
 def test_streams_and_exit_status_pass_through() -> None:
     """Input, output and errors arrive byte for byte, more of them than any buffer on the way holds."""
     data = random.Random(1).randbytes(300_000)

@@ -94,6 +94,7 @@ def test_a_dry_run_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert data["bounds"]["travel"] == [-1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -118,6 +119,7 @@ def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
     assert not list(folder.glob(".tune-*"))
 
 
+@pytest.mark.slow
 def test_undo_puts_the_file_before_back(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nominal = (folder / "actuator.toml").read_text()
     assert tsa(*FROM_LOG, "--yes") == 0
@@ -158,6 +160,7 @@ def test_what_was_measured_of_the_motor_goes_into_the_controllers_file_and_back_
     assert files(folder) == before
 
 
+@pytest.mark.slow
 def test_undo_goes_with_nothing_else(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tsa(*FROM_LOG, "--yes") == 0
     written = (folder / "actuator.toml").read_bytes()
@@ -167,6 +170,7 @@ def test_undo_goes_with_nothing_else(folder: Path, capsys: pytest.CaptureFixture
     assert (folder / "actuator.toml").read_bytes() == written
 
 
+@pytest.mark.slow
 def test_json_has_the_estimate_and_writes_only_with_yes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (folder / "actuator.toml").read_text()
     assert tsa(*FROM_LOG, "--json") == 0
@@ -180,6 +184,7 @@ def test_json_has_the_estimate_and_writes_only_with_yes(folder: Path, capsys: py
     assert json.loads(capsys.readouterr().out)["written"].endswith("actuator.toml.~1~")
 
 
+@pytest.mark.slow
 def test_from_logs_a_dry_run_shows_the_diff_and_leaves_nothing(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -189,6 +194,7 @@ def test_from_logs_a_dry_run_shows_the_diff_and_leaves_nothing(
     assert files(folder) == before
 
 
+@pytest.mark.slow
 def test_without_an_answer_nothing_is_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (folder / "actuator.toml").read_text()
     assert tsa(*FROM_LOG) == 0
@@ -197,6 +203,7 @@ def test_without_an_answer_nothing_is_written(folder: Path, capsys: pytest.Captu
     assert (folder / "actuator.toml").read_text() == before
 
 
+@pytest.mark.slow
 def test_a_file_that_fits_already_is_not_written_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The third tuning on the same log gains nothing on held-out data, or next to nothing."""
     assert tsa(*FROM_LOG, "--yes") == 0

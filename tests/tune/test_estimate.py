@@ -77,6 +77,7 @@ def viscous_log(coefficient: float, seed: int = 3) -> tuple[TendonSheath, Datase
     return model, Dataset.from_arrays(columns, "a.csv")
 
 
+@pytest.mark.slow
 def test_the_extension_brings_the_effect_with_its_interval_into_model_and_numbers() -> None:
     coefficient = 0.1
     model, log = viscous_log(coefficient)
@@ -101,6 +102,7 @@ def test_without_an_effect_nothing_is_added() -> None:
     assert "diagnosis: " in found.notes[-1]
 
 
+@pytest.mark.slow
 def test_a_name_with_rivals_is_told_and_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     model, log = viscous_log(0.1)
     without = estimate([log], model, certified_gain=False, forms=False)

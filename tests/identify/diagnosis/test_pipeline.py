@@ -49,6 +49,7 @@ def diagnosed(family: str, name: str, seed: int) -> Diagnosis:
     return diagnose({log.name: log.columns for log in hidden.logs}, model_from(tomllib.loads(hidden.model), "nominal"))
 
 
+@pytest.mark.slow
 def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -> None:
     """The nominal pretension is 19 % off: beside the recalibrated one the hidden effect changes nothing."""
     (cause,) = diagnosed("confounded", "elongation_or_gain", 8005).causes
@@ -59,6 +60,7 @@ def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "seed"), [("rich", 9101), ("plain", 9102), ("slow_sine", 9103), ("rich", 9104)])
 def test_nothing_is_named_where_nothing_is_hidden(name: str, seed: int) -> None:
     assert diagnosed("none", name, seed).causes == ()
