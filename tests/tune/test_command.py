@@ -101,14 +101,17 @@ def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
     nominal = (folder / "actuator.toml").read_text()
     assert tsa(*FROM_LOG, "--yes", "--out", "out") == 0
     out = capsys.readouterr().out
-    assert "+++ actuator.toml (new)" in out
-    assert "written: actuator.toml" in out
+    diff, table = out.index("+++ actuator.toml (new)"), out.index("95 % interval")
+    assert diff < table < out.index("written: actuator.toml")  # the table stands above the question
     text = (folder / "actuator.toml").read_text()
     assert COMMENT in text
     assert (
         load_tendon_sheath("actuator.toml").friction_angle != tomllib.loads(nominal)["sheath"]["friction_coefficient"]
     )
-    source = tomllib.loads(text)["provenance"]
+    data = tomllib.loads(text)
+    source = data["provenance"]
+    new = [data["sheath"]["friction_coefficient"], data["pretension"]["value"], *source["intervals"]["friction_angle"]]
+    assert max(len(str(number).replace(".", "").lstrip("0")) for number in new) <= 5  # as the interval is worth
     assert source["command"] == "tune --from-log"
     assert set(source["logs"]) == {"a.csv"}
     assert (folder / "actuator.toml.~1~").read_text() == nominal

@@ -163,14 +163,10 @@ def _tune(
 
 
 def _on_the_rig(session: Session) -> Outcome:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from tsa_ctrl.cli.tuning import shown
 
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("tune", total=1.0)
-        return session.run(lambda what, share: progress.update(task, description=what, completed=share))
+    with shown(session.axis.name, session.socket) as say:
+        return session.run(say)
 
 
 def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> bool:

@@ -30,8 +30,13 @@ def provenance(
         "nominal": Path(nominal).name,
         "logs": dict(logs) if isinstance(logs, Mapping) else _hashes(logs),
         **more,
-        "intervals": {name: [quantity.low, quantity.high] for name, quantity in found.items()},
+        "intervals": {name: [_digits(quantity.low), _digits(quantity.high)] for name, quantity in found.items()},
     }
+
+
+def _digits(end: float) -> float:
+    """An end of an interval, with more digits than any of them is worth and not seventeen."""
+    return float(f"{end:.5g}")
 
 
 def _hashes(logs: Sequence[Dataset]) -> dict[str, str]:

@@ -15,6 +15,11 @@ class Quantity:
     high: float
     unit: str
 
+    @property
+    def share(self) -> float:
+        """Half the interval over the value."""
+        return 0.5 * (self.high - self.low) / self.value
+
     def to_dict(self) -> dict[str, float | str | None]:
         """As in the public JSON: null for what is not known."""
         return {
@@ -36,3 +41,9 @@ def spelled(unit: str) -> str:
 
 def _finite(x: float) -> float | None:
     return x if math.isfinite(x) else None
+
+
+def rounded(value: float, share: float) -> float:
+    """With as many digits as an interval of this relative half width is worth: a tenth of it."""
+    digits = max(2, 1 + math.ceil(-math.log10(max(share, 1e-6))))
+    return float(f"{value:.{digits}g}")

@@ -22,7 +22,7 @@ from tsa_ctrl.config import AxisSettings, Configuration, plan_for
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import zero_phase_derivative
 from tsa_ctrl.model.sliding import motor_stiffness, sliding_stiffness
@@ -123,7 +123,7 @@ def law_tuning(
     if swing is not None:
         known |= {"motor_inertia": swing.inertia, "ringing": swing.ringing}
     keys = {
-        name: Key(rounded(q.value, _share(q)), f"measured, {q.low:.3g} to {q.high:.3g} {q.unit}")
+        name: Key(rounded(q.value, q.share), f"measured, {q.low:.3g} to {q.high:.3g} {q.unit}")
         for name, q in known.items()
     }
     if swing is None:
@@ -169,16 +169,6 @@ def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
     if not share >= LEAST_COMPENSATION or given == 0.0:
         return {}
     return {"compensation": Key(share, f"half loop at least {100.0 * share:.3g} % of the model's")}
-
-
-def rounded(value: float, share: float) -> float:
-    """With as many digits as an interval of this relative half width is worth: a tenth of it."""
-    digits = max(2, 1 + math.ceil(-math.log10(max(share, 1e-6))))
-    return float(f"{value:.{digits}g}")
-
-
-def _share(found: Quantity) -> float:
-    return 0.5 * (found.high - found.low) / found.value
 
 
 def _floored(value: float) -> float:

@@ -33,6 +33,7 @@ STIFFNESS = "axial_stiffness"
 BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without what moves or damps the motor by itself
 LawOf = Callable[[Estimate, Mechanics], LawTuning | None]
 Progress = Callable[[str, float], None]  # what is being done, share of the whole that is done
+PHASES = ("probe", "shake", "excitation", "estimate", "without", "before", "after")
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ class Procedure:
         designed = self._design()
         mechanics = self._shake(designed.shake)
         excited = self._play("excitation", self._path, 0.0, designed.excitation, BARE)
-        self._say("estimate", self._done / self._total)
+        self._say(phase("estimate"), self._done / self._total)
         logs = excited.learnable()
         if mechanics.swing is not None:
             logs = tuple(pulling(log, mechanics.swing.inertia.value) for log in logs)
@@ -168,12 +169,18 @@ class Procedure:
         seconds, begin = waveform.seconds, self._done
 
         def tick(share: float) -> None:
-            self._say(name, min(1.0, (begin + share * seconds) / self._total))
+            self._say(phase(name), min(1.0, (begin + share * seconds) / self._total))
 
         tick(0.0)
         played = self._runner.play(name, model, compensation, waveform, tick, law, rate)
         self._done += seconds
         return played
+
+
+def phase(name: str) -> str:
+    """Of a run, with its place among all of them: "phase 3 of 7: excitation"."""
+    number = 1 + PHASES.index(name.split("-")[0])
+    return f"phase {number} of {len(PHASES)}: {name}"
 
 
 def from_logs(path: Path, model: TendonSheath, logs: Sequence[Dataset], settings: Settings) -> Outcome:
@@ -208,4 +215,4 @@ def new_file(path: Path, found: Estimate, logs: Sequence[Dataset], command: str,
     how = {"split": result.split, "form": found.form.value, "effects": list(found.effects)}
     motor = {} if law is None else law.quantities
     source = provenance(command, logs, path, {**result.quantities, **found.parameters, **motor}, **how)
-    return dump_model(found.model, template=path, provenance=source)
+    return dump_model(result.written(found.model), template=path, provenance=source)

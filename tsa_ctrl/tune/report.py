@@ -13,8 +13,9 @@ from tsa_ctrl.tune.procedure import Outcome
 
 
 def show(outcome: Outcome, difference: str, page: Path | None) -> None:
-    """Print tables, notes and the diff."""
+    """Print the diff, and below it tables and notes: what a person reads before the question."""
     console = Console()
+    console.print(difference or "the file would not change", markup=False, highlight=False, soft_wrap=True)
     table = Table("quantity", "given", "new", "95 % interval", "unit", title="estimated", title_justify="left")
     for row in parameter_rows(outcome):
         table.add_row(*row)
@@ -29,7 +30,6 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
     console.print(headline(outcome), soft_wrap=True, markup=False)
     if page is not None:
         console.print(f"page: {page}", soft_wrap=True, markup=False, highlight=False)
-    console.print(difference or "the file would not change", markup=False, highlight=False, soft_wrap=True)
 
 
 def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None) -> dict[str, Any]:

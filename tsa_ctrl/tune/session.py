@@ -16,6 +16,7 @@ from tsa_ctrl.doctor import can_interface
 from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_logs
+from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.processes import daemon
@@ -78,6 +79,11 @@ class Session:
         self._folder = Path()
         self._final: Path | None = None
         self.page: Path | None = None
+
+    @property
+    def socket(self) -> str | None:
+        """Where the daemon of each run answers; None where there is none: in virtual time."""
+        return None if self._plant is not None else self._configuration.file.socket.path or default_path()
 
     def _chosen(self, controller: Path, name: str | None) -> AxisSettings:
         axes = {axis.name: axis for axis in self._configuration.file.axes}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
 
 # Of the mean square, that a held-out error may rise by chance: two parameters learned from about 18 independent blocks
@@ -60,6 +60,15 @@ class Calibration:
         """What was estimated, by its public name."""
         names = ("friction_angle", "pretension", "half_loop_torque", "slope")
         return {name: getattr(self, name) for name in names}
+
+    def written(self, model: TendonSheath) -> TendonSheath:
+        """The model with as many digits of what was estimated as the narrowest interval is worth: the half loop's."""
+        share = min(found.share for found in self.quantities.values() if found.share >= 0.0)
+        return replace(
+            model,
+            friction_coefficient=rounded(model.friction_coefficient, share),
+            pretension=rounded(model.pretension, share),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object of `tsa calibrate --json`."""

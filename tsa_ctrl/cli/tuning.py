@@ -1,0 +1,69 @@
+"""What is shown while `tsa tune` moves a rig: the phase, how far it is, torque and angle, and that Ctrl-C is safe."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.ipc.client import AxisMeasured, Client
+
+PATIENCE = 0.05  # s for an answer: it is asked between two looks at the run
+
+
+@contextlib.contextmanager
+def shown(axis: str, socket: str | None) -> Iterator[Callable[[str, float], None]]:
+    """A progress line on a terminal's standard error; yields what takes the phase and the share that is done.
+
+    `socket`: of the daemons that the runs are; None where there are none, as in virtual time.
+    """
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(20), TimeElapsedColumn(), TextColumn("{task.fields[live]}"))
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("tune", total=1.0, live="")
+        live = None if socket is None or not console.is_terminal else Live(axis, socket)
+
+        def say(what: str, share: float) -> None:
+            words = "" if live is None else live.words()
+            progress.update(task, description=what, completed=share, live=f"{words}Ctrl-C stops safely")
+
+        try:
+            yield say
+        finally:
+            if live is not None:
+                live.close()
+
+
+class Live:
+    """Torque and angle of one axis from whichever daemon answers at a socket; nothing while none does."""
+
+    def __init__(self, axis: str, path: str) -> None:
+        self._axis = axis
+        self._path = path
+        self._client: Client | None = None
+
+    def words(self) -> str:
+        """As "0.31 N*m, 0.12 rad; "; empty while nobody answers."""
+        try:
+            if self._client is None:
+                self._client = Client(self._path, timeout=PATIENCE)
+            return told(self._client.measure()[self._axis])
+        except (BusError, KeyError, OSError):
+            self.close()
+            return ""
+
+    def close(self) -> None:
+        """Leave the daemon, which ends with each run."""
+        if self._client is not None:
+            self._client.close()
+            self._client = None
+
+
+def told(axis: AxisMeasured) -> str:
+    """Torque at the joint, at the motor where no sensor measures it, and the joint's angle."""
+    torque, where = (axis.tau_m, "motor") if axis.tau_j is None else (axis.tau_j, "joint")
+    shown = "no torque yet" if torque is None else f"{torque:+.2f} N*m at the {where}"
+    return f"{shown}, {axis.q_j:+.2f} rad; "
