@@ -113,7 +113,7 @@ def command(
         kept = outputs.keep(out)
         quantities = {**({} if fit is None else fit.quantities), **result.quantities}
         source = provenance("calibrate", datasets, model, quantities, split=result.split)
-        save_model(result.written(result.model), out, template=model, provenance=source)
+        save_model(result.model, out, template=model, provenance=source)
     if as_json:
         more = {} if fit is None else {"stretch": fit.to_dict()}
         click.echo(json.dumps({**result.to_dict(), **more}, allow_nan=False))

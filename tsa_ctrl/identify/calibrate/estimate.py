@@ -61,12 +61,14 @@ def calibrate(
     result = _fit(prepared, model, certified_gain, split)
     train, test = _held_out(prepared, hold_out)
     after = _fit(train, model, certified_gain, split).model
+    found = result.written(result.model)
     return dataclasses.replace(
         result,
         rms_before=_rms(test, model),
         rms_after=_rms(test, after),
         rms_given=_rms(prepared, model),
-        rms_written=_rms(prepared, result.model),
+        rms_written=_rms(prepared, found),
+        model=found,
         notes=(*notes_of(logs), *result.notes),
     )
 
