@@ -42,7 +42,7 @@ class Motion:
     def derived(self) -> dict[str, Array]:
         """Velocities that were not recorded, by name."""
         return {
-            velocity: _directed(self.smoothed(angle))
+            velocity: directed(self.smoothed(angle))
             for angle, velocity, _ in SHAFTS
             if angle in self.columns and velocity not in self.columns
         }
@@ -111,7 +111,7 @@ def _span(values: Sequence[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _directed(found: Smoothed) -> Array:
+def directed(found: Smoothed) -> Array:
     """The velocity of a smoothed angle, its sign that of the motion around wherever it is not sure by itself.
 
     Within SURE errors of 0, or slower than a count in STANDING, a sign is noise or the filter's ringing. Between two

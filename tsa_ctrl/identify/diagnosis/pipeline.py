@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import audit
+from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
 from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
 from tsa_ctrl.identify.diagnosis.fitting.fit import fit
@@ -52,7 +53,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
     runs = prepare(logs, model)
     say("audit")
-    data = split(runs, hold_out)
+    data = along_gross_motion(split(runs, hold_out), model)
     audited = audit(data.frame)
     testable = Candidates({}, {})
     try:

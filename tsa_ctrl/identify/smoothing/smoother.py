@@ -8,7 +8,7 @@ low-pass that follows is the one that it began with. What the highest frequencie
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -71,6 +71,22 @@ class Smoothed:
     def _both(self) -> list[Array]:
         assert self.smooth is not None
         return filtered(self.raw, self.period, self.smooth, (0, 1) if self.kind == "angle" else (0,))
+
+    def within(self, cutoff: float) -> Smoothed:
+        """The same angle with no motion above `cutoff` Hz in value and rate; the acceleration stays.
+
+        White noise passes a low-pass as its cut-off to the order of the derivative and a half. What the lower cut-off
+        takes of the motion is not in `errors`: who asks for it does not want that motion.
+        """
+        if self.smooth is None or self.smooth.cutoff <= cutoff:
+            return self
+        lower = cutoff / self.smooth.cutoff
+        noises = tuple(n * lower ** (r + 0.5) if r < 2 else n for r, n in enumerate(self.noises))
+        errors = tuple(
+            float(np.sqrt(max(0.0, e**2 - old**2) + new**2))
+            for e, old, new in zip(self.errors, self.noises, noises, strict=True)
+        )
+        return replace(self, smooth=LowPass(self.smooth.order, cutoff), errors=errors, noises=noises)
 
     def _steep(self, order: int) -> Array:
         if self.steep is not None:

@@ -66,9 +66,20 @@ def audit(frame: Frame) -> Audit:
         occupancy=occupancy,
         speed_edges=speed_edges,
         load_edges=load_edges,
-        notes=notes_of([run.raw for run in frame.runs]),
+        notes=(*notes_of([run.raw for run in frame.runs]), *_narrowed(frame)),
         suspicions=_suspicions(frame),
         insufficient=_insufficient(float(np.mean(moving)), fast, clear, frame),
+    )
+
+
+def _narrowed(frame: Frame) -> tuple[str, ...]:
+    """To what band friction's path was narrowed."""
+    band = min(run.band for run in frame.runs)
+    if not np.isfinite(band):
+        return ()
+    return (
+        f"friction follows the motion up to {band:.2g} Hz: angles and velocities derived from them are narrowed to "
+        "that, as the joint's torque does not answer to what is faster",
     )
 
 

@@ -8,11 +8,13 @@ little else.
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.motion import directed
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass
@@ -28,8 +30,12 @@ JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
 
 
-def denoised(log: Dataset) -> tuple[Signals, float, Array]:
-    """The log's signals denoised, the noise left in the velocity, and its error (n)."""
+def denoised(log: Dataset, band: float = math.inf) -> tuple[Signals, float, Array]:
+    """The log's signals denoised, the noise left in the velocity, and its error (n).
+
+    `band` in Hz: the upper edge of angles, and of velocities derived from them, where it is below the data's own. An
+    acceleration keeps its own.
+    """
     signals = log.signals()
     clean: dict[str, Array] = {}
     noise, error = 0.0, np.zeros(len(log))
@@ -37,8 +43,10 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
         clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)
     for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
         if velocity in log.derived:  # with the angle under the same low-pass: the two turn at the same moment
-            found = log.motion.smoothed(angle)
+            found = log.motion.smoothed(angle).within(band)
             clean[angle] = found.value
+            if found is not log.motion.smoothed(angle):
+                clean[velocity] = directed(found)
             if velocity == "omega_j" or "omega_j" not in log:
                 noise = found.errors[1]
                 bent = 0.0 if found.smooth is None else _distortion(found.rate, log.period, found.smooth.cutoff)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -33,6 +34,7 @@ class Run:
     full: Signals
     full_target: Array
     full_bin: int
+    band: float = math.inf  # Hz, to which derived motion was narrowed because friction follows no more of it
 
     @property
     def count(self) -> int:

@@ -7,6 +7,7 @@ but resolution: a pulse shorter than one average keeps its area.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -69,16 +70,19 @@ def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
     rate = min(slowest, COMPUTE_RATE, COMPUTE_SAMPLES / total)
     factor = max(1, round(slowest / rate)) if slowest / rate > 1.3 else 1
     bin_ = max(1, round(slowest / factor / min(SCORE_RATE, SCORE_SAMPLES / total)))
-    runs = []
-    for log in logs:
-        full, noise, error = denoised(log)
-        own = factor * max(1, round(log.rate / slowest))
-        measured = log[target]
-        small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
-        signals = Signals(**{name: _means(y, own) for name, y in small.items() if y is not None})
-        averages = _means(measured, own), bin_, noise, _means(error, own)
-        runs.append(Run(log.name, signals, *averages, log, full, measured, own * bin_))
-    return runs
+    return [run_of(log, log[target], factor * max(1, round(log.rate / slowest)), bin_) for log in logs]
+
+
+def run_of(log: Dataset, measured: Array, factor: int, bin_: int, band: float = math.inf) -> Run:
+    """One log with `factor` of its samples to one at the compute rate, `bin_` of those to a score sample.
+
+    `measured` (n): what the model predicts, N*m. `band` in Hz: of derived motion, as of `denoised`.
+    """
+    full, noise, error = denoised(log, band)
+    small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
+    signals = Signals(**{name: _means(y, factor) for name, y in small.items() if y is not None})
+    averages = _means(measured, factor), bin_, noise, _means(error, factor)
+    return Run(log.name, signals, *averages, log, full, measured, factor * bin_)
 
 
 def _means(y: Array, factor: int) -> Array:

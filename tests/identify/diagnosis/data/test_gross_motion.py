@@ -1,0 +1,76 @@
+"""In which band friction's path is taken: where the torque follows less than the encoder shows, and where it does not.
+
+The torque is made here, from a friction state of its own along a motion that is known exactly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.blind import memory
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.data.audit import audit
+from tsa_ctrl.identify.diagnosis.data.denoise import denoised
+from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
+from tsa_ctrl.identify.diagnosis.data.prepare import prepare
+from tsa_ctrl.identify.diagnosis.data.split import Split, split
+
+RATE = 500.0  # Hz
+SHAKE = 0.006  # rad, of 15 to 25 Hz, beside a presliding distance of 0.02 rad
+COUNT = 2.0 * np.pi / 8192
+
+
+def _logs(friction_follows_all: bool, logs: int = 4, seconds: float = 12.0) -> list[Dataset]:
+    """A motor that shakes while it moves; friction follows all that the encoder shows, or what is left without it."""
+    out = []
+    for number in range(logs):
+        rng = np.random.default_rng(number)
+        t = np.arange(round(seconds * RATE)) / RATE
+        gross = 0.3 * np.sin(2.0 * np.pi * (0.3 + 0.1 * number) * t) + 0.1 * np.sin(2.0 * np.pi * 0.77 * t)
+        shaken = np.zeros_like(t)
+        for frequency in rng.uniform(15.0, 25.0, 5):
+            shaken += SHAKE / np.sqrt(5.0) * np.sin(2.0 * np.pi * frequency * t + rng.uniform(0.0, 2.0 * np.pi))
+        whole = gross + shaken
+        z = memory.bristle(whole if friction_follows_all else gross, 0.02, 1.0)
+        tau_m = 0.3 * np.sin(2.0 * np.pi * 0.21 * t + number)
+        tau_j = 1.4 * tau_m - 0.1 * z + 0.002 * rng.standard_normal(len(t))
+        counted = np.round(whole / COUNT) * COUNT
+        out.append(Dataset.from_arrays({"t": t, "tau_m": tau_m, "tau_j": tau_j, "q_j": counted}, f"log_{number}"))
+    return out
+
+
+def _narrowed(logs: list[Dataset]) -> Split:
+    return along_gross_motion(split(prepare(logs, ACTUATOR), None), ACTUATOR)
+
+
+def test_friction_that_does_not_follow_a_shaking_motor_gets_the_motion_below_it() -> None:
+    data = _narrowed(_logs(friction_follows_all=False))
+    assert 1.0 < data.frame.runs[0].band < 15.0
+    assert f"friction follows the motion up to {data.frame.runs[0].band:.2g} Hz" in audit(data.frame).notes[-1]
+    turns = np.count_nonzero(np.diff(np.sign(data.frame.runs[0].signals.omega_j)))
+    assert turns < 40  # 12 s with a reversal about every second; the shaking alone has 480
+
+
+def test_friction_that_follows_all_that_the_encoder_shows_keeps_all_of_it() -> None:
+    logs = _logs(friction_follows_all=True)
+    before = split(prepare(logs, ACTUATOR), None)
+    after = _narrowed(logs)
+    assert after is before or after.frame.runs[0].band == np.inf
+    assert np.array_equal(after.frame.runs[0].signals.omega_j, before.frame.runs[0].signals.omega_j)
+
+
+def test_logs_that_are_held_out_have_no_say() -> None:
+    """The one log whose friction follows the gross motion alone is held out: nothing is narrowed."""
+    logs = [*_logs(friction_follows_all=True, logs=3), _logs(friction_follows_all=False)[3]]
+    data = along_gross_motion(split(prepare(logs, ACTUATOR), "log_3"), ACTUATOR)
+    assert data.frame.runs[0].band == np.inf
+
+
+@pytest.mark.parametrize("band", [5.0, 12.0])
+def test_the_acceleration_keeps_its_own_band(band: float) -> None:
+    log = _logs(friction_follows_all=True, logs=1)[0]
+    own, narrowed = denoised(log)[0], denoised(log, band)[0]
+    assert np.array_equal(own.acceleration, narrowed.acceleration)
+    assert float(np.std(narrowed.omega_j)) < 0.9 * float(np.std(own.omega_j))
