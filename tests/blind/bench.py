@@ -38,6 +38,7 @@ class Recipe:
     rate: int = 0
     x: tuple[float, float] = (0.12, 0.9)
     sign_noise: float = 2.0  # how far errors in the sign of the velocity may exceed the torque noise
+    velocity_noise: float | None = None  # rad/s RMS of a tachometer; None: a share of the peak speed
     blind: bool = False  # the temperature moves but is not recorded
     bare: bool = False  # no columns but those that the recipe names
     short: bool = False  # the quick gate: 12 to 20 s, one run

@@ -99,6 +99,8 @@ TWIN_ROWS = (
     {"elongation_coupling", "tension_dependent_friction"},
 )
 
+HIDDEN_DIRECTION = ("slow_gait", "slow_multisine", "slow_walk", "plateaus")
+TACHOMETER_NOISE = 0.012  # rad/s, at which 4 of 24 logs of slow motion without an effect were called structure
 POOR = ("slow_sine", "one_way", "constant_speed", "free", "small", "one_load")
 
 
@@ -123,6 +125,24 @@ def none_case(name: str, seed: int, short: bool = False, like: Bench | None = No
     bench = draw_bench(rng, replace(recipe, short=short), like)
     noise = bench.reading * log_uniform(rng, 0.004, 0.04)
     return finish(rng, "none", name, seed, bench, {}, noise, name)
+
+
+def hidden_direction_case(name: str, seed: int, short: bool = False) -> Case:
+    """No effect, and a motion so slow that a noisy tachometer hides its direction for long."""
+    rng = generator("hidden_direction", name, seed)
+    fast = log_uniform(rng, 0.05, 0.25)
+    recipe = Recipe(
+        motion=name.removeprefix("slow_"),
+        speed=fast,
+        amplitude=fast * rng.uniform(0.8, 2.0),
+        velocity="tachometer",
+        velocity_noise=TACHOMETER_NOISE,
+        sign_noise=np.inf,
+        short=short,
+    )
+    bench = draw_bench(rng, recipe)
+    noise = bench.reading * log_uniform(rng, 0.004, 0.04)
+    return finish(rng, "hidden_direction", name, seed, bench, {}, noise, name)
 
 
 def single_case(name: str, seed: int, short: bool = False, like: Bench | None = None) -> Case:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from .cases import POOR, Case, none_case, outside_case, pair_case, single_case, timing_case
+from .cases import HIDDEN_DIRECTION, POOR, Case, hidden_direction_case, none_case, outside_case, pair_case, single_case, timing_case
 from .confounded import ROWS, confounded_case
 from .outside import STRANGERS
 from .rigid import NAMES as RIGID_NAMES
@@ -14,6 +14,7 @@ from .strength import NAMES
 # Names of each family, to be drawn in turn.
 FAMILIES: dict[str, tuple[str, ...]] = {
     "none": ("rich", "rich_again", "rich_once_more", "plain", *POOR),
+    "hidden_direction": HIDDEN_DIRECTION,
     "single": NAMES,
     "pair": ("any",),
     "outside": tuple(STRANGERS),
@@ -23,6 +24,7 @@ FAMILIES: dict[str, tuple[str, ...]] = {
 
 _MAKERS: dict[str, Callable[[str, int, bool], Case]] = {
     "none": none_case,
+    "hidden_direction": hidden_direction_case,
     "single": single_case,
     "pair": pair_case,
     "outside": outside_case,

@@ -9,6 +9,7 @@ from scipy.ndimage import uniform_filter1d
 
 Array = np.ndarray
 
+# What is drawn from; "walk" and "plateaus" are asked for by name.
 KINDS = ("sine", "multisine", "trapezoid", "chirp", "gait", "triangle")
 
 
@@ -119,6 +120,11 @@ def _shape(rng: np.random.Generator, kind: str, t: Array, amplitude: float, spee
             forward = np.clip(cycle * (travel + hold) / travel, 0.0, 1.0)
             back = np.clip((cycle - 1.0) * (travel + hold) / travel, 0.0, 1.0)
             return amplitude * (2.0 * _soft(forward, 0.2) - 2.0 * _soft(back, 0.2) - 1.0)
+        case "walk":  # as a person moves a joint: to and fro without a period, now fast, now hardly
+            return amplitude * wander(rng, t, 2.0 * np.pi * amplitude / speed)
+        case "plateaus":  # from one angle to another, and rest there
+            travel = 2.0 * amplitude / speed
+            return amplitude * smoothed(_levels(rng, t, 1.5 * travel), 0.15 * travel / (t[1] - t[0]))
     raise ValueError(f"unknown kind of motion: {kind}")
 
 

@@ -36,6 +36,7 @@ def record(
     motor_noise = noise * np.sqrt(motor_share) / gain
     per_mille = min(per_mille, 2.0 * motor_noise)  # a drive whose steps are not the noise itself
     velocity_noise = bench.speed * np.exp(rng.uniform(np.log(3e-4), np.log(6e-3)))
+    velocity_noise = bench.recipe.velocity_noise or velocity_noise
     smooth = int(rng.choice([1, 3, 5]))
     logs: list[HiddenLog] = []
     torque_errors, sign_errors = [], []

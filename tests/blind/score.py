@@ -164,6 +164,14 @@ FURTHER = (
     Target(
         "no effect: a verdict but consistent or insufficient", "none", lambda r: r["verdict"] not in QUIET, 0.05, True
     ),
+    Target("direction hidden, no effect: something named", "hidden_direction", _key("named"), 0.01, at_most=True),
+    Target(
+        "direction hidden, no effect: structure claimed",
+        "hidden_direction",
+        lambda r: r["verdict"] not in QUIET,
+        0.02,
+        True,
+    ),
     Target("two effects: both within two alternatives", "pair", _key("both_within"), 0.90),
     Target("outside the catalogue: a confident name", "outside", _key("wrong"), 0.05, at_most=True),
     Target("exactly confounded: a confident name", "confounded", _key("wrong"), 0.0, at_most=True),

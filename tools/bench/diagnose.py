@@ -38,7 +38,7 @@ from tsa_ctrl.model.parameters import model_from
 from tsa_ctrl.system.processes import tsa
 
 # Cases per name of a family; of none and pair: all together.
-FULL = {"none": 400, "single": 30, "pair": 60, "outside": 8, "confounded": 6, "rigid": 10}
+FULL = {"none": 400, "hidden_direction": 25, "single": 30, "pair": 60, "outside": 8, "confounded": 6, "rigid": 10}
 Job = tuple[str, str, int, bool]  # family, name, seed, short
 QUICK = {"none": 40, "single": 2}
 
