@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from .cases import HIDDEN_DIRECTION, POOR, Case, hidden_direction_case, none_case, outside_case, pair_case, single_case, timing_case
+from .cases import (
+    HIDDEN_DIRECTION,
+    POOR,
+    Case,
+    hidden_direction_case,
+    none_case,
+    outside_case,
+    pair_case,
+    single_case,
+    timing_case,
+)
 from .confounded import ROWS, confounded_case
 from .outside import STRANGERS
 from .rigid import NAMES as RIGID_NAMES

@@ -22,6 +22,7 @@ from tsa_ctrl.identify.diagnosis.refusals import (
     refuse_unexciting,
     refuse_unrelated,
     refuse_unsuited,
+    refuse_useless,
     refuse_without_friction,
 )
 from tsa_ctrl.identify.diagnosis.report.conclude import conclude, insufficient
@@ -80,6 +81,7 @@ def diagnose(
             errors = held_out(selection.problem, base, selection.fitted, data, share)
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
         refuse_unrelated(problem, data.held, errors, share)
+        refuse_useless(problem, bool(selection.fitted.names), errors)
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything

@@ -23,6 +23,12 @@ UNSUITED = (
 LEAST_CHANGE = 0.25
 UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
 LEAST_IMPROVEMENT = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
+SIMPLER = {
+    "recalibrated": "the recalibrated model",
+    "as_given": "the model as given",
+    "constant": "a constant torque",
+    "line": "a straight line in the {driver}",
+}
 STRANGE = (
     "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, a unit wrong, "
     "or is one column of another log?"
@@ -73,6 +79,18 @@ def refuse_unrelated(problem: Problem, held: NDArray[np.bool_], errors: HeldOut,
     torque = float(np.sqrt(np.mean(np.square(problem.frame.target[held]))))
     if errors.extended > UNRELATED * torque and errors.extended > LEAST_IMPROVEMENT * errors.recalibrated:
         raise InsufficientError(STRANGE)
+
+
+def refuse_useless(problem: Problem, named: bool, errors: HeldOut) -> None:
+    """Causes with which the held-out torque is predicted no better than by what needs none of them."""
+    best, error = errors.simplest
+    if named and errors.extended >= error:
+        driver = "velocity" if problem.base.target == "tau_m" else "motor torque"
+        raise InsufficientError(
+            f"on held-out data the best explanation is off by {errors.extended:.3g} N·m RMS, "
+            f"{SIMPLER[best].format(driver=driver)} by {error:.3g} N·m: are the torque columns torques, of these logs? "
+            "If so, give longer logs with more speeds and loads"
+        )
 
 
 def _refuse_unseen_friction(problem: Problem, base: Fit) -> None:

@@ -1,7 +1,12 @@
-"""Errors on data that no fit has seen: as given, recalibrated, extended, and the floor that noise sets."""
+"""Errors on data that no fit has seen: as given, recalibrated, extended, the floor, and of what knows no drive at all.
+
+A constant and a straight line know nothing of the drive. What does not do better than they do, or than the model did
+as given, is no explanation: logs of another quantity (PWM for torque) leave most of the torque to any model.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +18,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, full_residuals
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
+from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
 MOST_STRUCTURE = 0.95  # of the mean square: some of what is left is noise
@@ -27,12 +33,22 @@ class HeldOut:
     extended: float
     noise_floor: float
     lost: tuple[float, ...]
+    constant: float  # the mean of the samples that were fitted on
+    line: float  # a straight line in the motor torque; of a plain drive in the velocity
+
+    @property
+    def simplest(self) -> tuple[str, float]:
+        """The best of what needs no cause, and its error: as given, recalibrated, a constant, a straight line."""
+        names = ("recalibrated", "as_given", "constant", "line")
+        best = min(names, key=lambda name: float(getattr(self, name)))
+        return best, float(getattr(self, best))
 
     @property
     def gain(self) -> float:
-        """(recalibrated^2 - extended^2) / (recalibrated^2 - floor^2); 0 where there is nothing to gain."""
-        possible = self.recalibrated**2 - self.noise_floor**2
-        won = self.recalibrated**2 - self.extended**2
+        """(simplest^2 - extended^2) / (simplest^2 - floor^2); 0 where there is nothing to gain."""
+        simplest = self.simplest[1]
+        possible = simplest**2 - self.noise_floor**2
+        won = simplest**2 - self.extended**2
         return float(won / possible) if possible > 0.0 else 0.0
 
     @property
@@ -66,13 +82,38 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
         smaller = fit_on_simulation_error(problem, backward_step(problem, extended, index), mask=split.fit)
         error = _rms(frame, smaller.hypothesis.model(smaller.point), split.held)
         lost.append(float(np.clip((error**2 - rms["extended"] ** 2) / won, 0.0, 1.0)))
-    return HeldOut(**rms, noise_floor=float(min(floor, rms["extended"])), lost=tuple(lost))
+    driver = "omega_j" if problem.base.target == "tau_m" else "tau_m"
+    return HeldOut(
+        **rms,
+        noise_floor=float(min(floor, rms["extended"])),
+        lost=tuple(lost),
+        constant=_linear(split, ()),
+        line=_linear(split, (driver,)),
+    )
+
+
+def _linear(split: Split, drivers: Sequence[str]) -> float:
+    """Error over the held samples of a constant and multiples of these signals, fitted on the fit samples."""
+    frame = split.frame
+    columns = np.column_stack([np.ones(len(frame)), *(frame.column(name) for name in drivers)])
+    factors = np.linalg.lstsq(columns[split.fit], frame.target[split.fit], rcond=None)[0]
+    residuals = []
+    for run in frame.runs:
+        level = np.full(len(run.full), factors[0])
+        for factor, name in zip(factors[1:], drivers, strict=True):
+            level = level + factor * getattr(run.full, name)
+        residuals.append(run.full_target - level)
+    return _over(frame, residuals, split.held)
 
 
 def _rms(frame: Frame, model: Model, mask: NDArray[np.bool_]) -> float:
-    """Over the full-rate samples behind the masked score samples."""
+    return _over(frame, full_residuals(frame, model), mask)
+
+
+def _over(frame: Frame, residuals: Sequence[Array], mask: NDArray[np.bool_]) -> float:
+    """RMS over the full-rate samples behind the masked score samples."""
     total, count = 0.0, 0
-    for part, run, residual in zip(frame.slices, frame.runs, full_residuals(frame, model), strict=True):
+    for part, run, residual in zip(frame.slices, frame.runs, residuals, strict=True):
         inside = np.repeat(mask[part], run.full_bin)
         inside = np.concatenate([inside, np.full(len(residual) - len(inside), bool(mask[part][-1]))])
         total += float(np.sum(residual[inside] ** 2))

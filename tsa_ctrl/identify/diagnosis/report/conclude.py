@@ -49,6 +49,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     not_testable = {**outcome.testable.not_testable, **nothing, **hidden}
     left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
     verdict = _verdict(named=bool(causes), left=bool(left))
+    worse = not causes and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
     result = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -60,7 +61,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         experiment=advice(model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque),
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
         gain=min(errors.gain, 1.0) if causes else 0.0,
-        model=reported.fitted.hypothesis.model(reported.fitted.point),
+        model=model if worse else reported.fitted.hypothesis.model(reported.fitted.point),
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
     return dataclasses.replace(result, sentence=sentence(result))

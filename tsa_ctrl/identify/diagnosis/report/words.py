@@ -40,17 +40,24 @@ def torque_scale(rms: Rms) -> tuple[float, str]:
     return (1e3, "mN·m") if (rms.recalibrated or 0.0) < SMALL else (1.0, "N·m")
 
 
+def recalibration_is_worse(rms: Rms) -> bool:
+    """Whether the model as given does better than recalibrated on data that nothing was fitted on."""
+    return rms.as_given is not None and rms.recalibrated is not None and rms.recalibrated > rms.as_given
+
+
 def sentence(result: Diagnosis) -> str:
     """The first line: what is wrong, by how much, the cause, what it gained; as full as MOST_WORDS leave room for."""
     rms = result.rms
-    off = f"the simulation is off by {told_torque(rms.recalibrated)} RMS on held-out data"
+    best = rms.as_given if recalibration_is_worse(rms) else rms.recalibrated
+    how = "as given" if recalibration_is_worse(rms) else "recalibrated"
+    off = f"the simulation is off by {told_torque(best)} RMS on held-out data"
     if result.verdict is Verdict.CONSISTENT:
-        return f"Nothing is wrong with the model beyond its parameters: recalibrated, {off}, which is noise."
+        return f"Nothing is wrong with the model beyond its parameters: {how}, {off}, which is noise."
     if result.verdict is Verdict.UNEXPLAINED:
-        noise = f"Recalibrated, {off} where noise is {told_torque(rms.noise_floor)}, and no effect explains it"
+        noise = f"{how.capitalize()}, {off} where noise is {told_torque(rms.noise_floor)}, and no effect explains it"
         return _short(f"{noise}: {result.unexplained.split(';')[0]}.", f"{noise}.")
     factor, unit = torque_scale(rms)
-    before, after, floor = (factor * (each or 0.0) for each in (rms.recalibrated, rms.extended, rms.noise_floor))
+    before, after, floor = (factor * (each or 0.0) for each in (best, rms.extended, rms.noise_floor))
     gained = (
         f"the error on held-out data falls from {before:.3g} to {after:.3g} {unit} RMS, noise is {floor:.3g} {unit}"
     )
@@ -64,6 +71,10 @@ def sentence(result: Diagnosis) -> str:
 def remarks(result: Diagnosis) -> tuple[str, ...]:
     """What follows the first line: what would have been seen, what is left, which names are excluded."""
     out = []
+    if recalibration_is_worse(result.rms):
+        kept = "" if result.causes else ": the file's parameters are kept"
+        figures = f"{told_torque(result.rms.recalibrated)} RMS instead of {told_torque(result.rms.as_given)}"
+        out.append(f"Recalibration alone makes it worse on held-out data, {figures}{kept}.")
     if result.verdict is Verdict.CONSISTENT and result.detection_limit:
         out.append(_visible(result))
     if result.causes:
