@@ -22,6 +22,7 @@ from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bare import why_not as beside
 from tsa_ctrl.control.bending import BendingSettings
+from tsa_ctrl.control.choice import chosen
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
@@ -115,6 +116,7 @@ class Configuration:
     models: tuple[TendonSheath, ...]  # one per axis
     profiles: tuple[DriveProfile, ...]  # one per axis
     load: Load
+    estimators: tuple[str, ...]  # one per axis: why the estimator is not the one by the stretch; empty where it is
 
     @cached_property
     def plans(self) -> tuple[Plan, ...]:
@@ -155,6 +157,7 @@ def load_configuration(path: str | Path) -> Configuration:
     folder = path.parent
     models = tuple(load_tendon_sheath(folder / axis.model) for axis in file.axes)
     profiles = tuple(load_profile(axis.drive.profile, folder) for axis in file.axes)
+    file, estimators = _with_estimators(file, models)
     for axis, model in zip(file.axes, models, strict=True):
         _check_axis(f"{path}: axis '{axis.name}'", axis, model, file)
         SetPoint(axis.setpoint, 1.0 / file.controller.rate, folder)
@@ -162,9 +165,20 @@ def load_configuration(path: str | Path) -> Configuration:
         load = budget.check(file.bus, file.axes, file.controller.rate)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
-    configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load)
+    configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load, estimators)
     assert len(configuration.plans) == len(file.axes)  # or it has raised
     return configuration
+
+
+def _with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:
+    """The file with an estimator for each axis, and why it is not the one by the stretch."""
+    axes, notes = [], []
+    for axis, model in zip(file.axes, models, strict=True):
+        follows = axis.bending.source != "fixed"
+        estimator, note = chosen(axis.estimator, model, axis.encoder is not None, follows)
+        axes.append(msgspec.structs.replace(axis, estimator=estimator))
+        notes.append(note)
+    return msgspec.structs.replace(file, axes=tuple(axes)), tuple(notes)
 
 
 def check_drives(configuration: Configuration) -> None:

@@ -28,6 +28,7 @@ class Seen:
     pretension: float = TENSION
     friction_deviation: float = 0.02
     innovation: float = 0.0
+    at_bound: bool = False
     state: StretchState = StretchState.TOLD
 
 
@@ -70,13 +71,31 @@ def test_what_is_not_known_moves_nothing(seen: Seen) -> None:
     assert chosen.friction_angle == X
 
 
-@pytest.mark.parametrize("seen", [Seen(3.5 * X), Seen(1.2 * X, innovation=1e-3)], ids=["bounds", "residual"])
+@pytest.mark.parametrize(
+    "seen",
+    [Seen(3.5 * X), Seen(1.2 * X, innovation=1e-3), Seen(1.2 * X, at_bound=True)],
+    ids=["bounds", "residual", "stiffness"],
+)
 def test_beyond_its_bounds_or_unlike_the_model_is_invalid(seen: Seen) -> None:
     """The outputs go back to the model file's."""
     chosen = estimator(Seen(1.2 * X))
     run(chosen, 2.0)
     assert chosen.friction_angle > 1.05 * X
     chosen._observer = cast(StretchObserver, seen)
+    run(chosen, 3.0)
+    assert chosen.state is EstimateState.INVALID
+    assert chosen.friction_angle == pytest.approx(X)
+
+
+def test_a_torque_sensor_that_contradicts_makes_it_invalid() -> None:
+    """Which of the two is wrong cannot be said: the model file counts again."""
+    wrong = [False]
+    settings = EstimatorSettings(kind="stretch", use=True)
+    seen = cast(StretchObserver, Seen(1.2 * X))
+    chosen = ByStretch(actuator(), settings, seen, PERIOD, lambda: wrong[0])
+    run(chosen, 2.0)
+    assert chosen.state is EstimateState.ESTIMATED
+    wrong[0] = True
     run(chosen, 3.0)
     assert chosen.state is EstimateState.INVALID
     assert chosen.friction_angle == pytest.approx(X)

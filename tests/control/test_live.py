@@ -18,7 +18,7 @@ KINDS = ("fixed", "sensor", "map", "motor", "stretch")
 def parameters(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Parameter, ...]]:
     """Those of an axis with each kind of estimator."""
     bending = [('# source = "fixed"  ', 'source = "command"  ')] if request.param == "map" else []
-    machine = Machine(tmp_path, ('# kind = "fixed"  ', f'kind = "{request.param}"  '), *bending)
+    machine = Machine(tmp_path, ('# kind = "stretch"  ', f'kind = "{request.param}"  '), *bending)
     yield parameters_of(machine.axis)
     machine.close()
 

@@ -39,6 +39,7 @@ def write(folder: Path) -> None:
     for node, number in (("drive", 2), ("encoder", 33), ("torque_sensor", 65)):
         second[node]["node_id"] = number
     controller["axis"][0]["drive"]["serial_number"] = 1
+    controller["axis"][0]["estimator"] = {"kind": "fixed"}
     second["drive"]["serial_number"] = 2
     controller["axis"].append(second)
     rig_files = ((folder / "plant.toml", tables), (folder / busy.CONTROLLER, controller))

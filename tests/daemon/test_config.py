@@ -99,7 +99,7 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
             "motor_over_speed 90 rad/s is above drive.max_speed",
         ),
         (r"^# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.001 ", "rpdo_timeout 0.001 s is less than two periods"),
-        (r'^# kind = "fixed" ', 'kind = "map" ', 'kind "map" needs the source'),
+        (r'^# kind = "stretch" ', 'kind = "map" ', 'kind "map" needs the source'),
         (r"^\[axis.bending\]", '[axis.bending]\nsource = "joints"', "gains .* belong to"),
         (r"^\[realtime\]", "[realtime]\npriority = 100", "realtime.priority"),
         (r"^rated_torque = 1.0", "rated_torque = 0.0", "drive.rated_torque"),
@@ -169,7 +169,7 @@ def test_four_axes_fit_a_bus_at_a_lower_rate(folder: Path) -> None:
 
 def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
     """The recursive estimator of kind "sensor" is refused on an axis without a torque sensor."""
-    edit(folder, r'^# kind = "fixed" ', 'kind = "sensor" ')
+    edit(folder, r'^# kind = "stretch" ', 'kind = "sensor" ')
     path = edit(folder, r"^\[axis.torque_sensor\][^\n]*\nnode_id = 64", "")
     with pytest.raises(UsageError, match=r"without \[axis.torque_sensor\]"):
         load_configuration(path)
@@ -177,7 +177,7 @@ def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
 
 def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
     """The estimator of kind "stretch" is refused where nothing is stretched, and where the stretch tells nothing."""
-    edit(folder, r'^# kind = "fixed" ', 'kind = "stretch" ')
+    edit(folder, r'^# kind = "stretch" ', 'kind = "stretch" ')
     model = folder / "actuator.toml"
     text = model.read_text()
     model.write_text(text + '\n[effects.elongation_coupling]\ncurvature_profile = "joint_end"\n')

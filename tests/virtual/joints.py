@@ -88,6 +88,7 @@ def play(
                     "torque_sensor": {"node_id": 64},
                     "setpoint": dict(setpoint),
                     "law": law,
+                    "estimator": {"kind": "fixed"},
                     "limits": {"torque": 2.5, "rate": 400.0},
                 },
                 axis or {},

@@ -35,7 +35,7 @@ class Drawn:
     def nominal(self) -> TendonSheath:
         """What the controller's file says."""
         model = NOMINAL.recalibrated(NOMINAL.friction_angle, NOMINAL.pretension)
-        return _with_stiffness(model, self.stiffness)
+        return dataclasses.replace(_with_stiffness(model, self.stiffness), bending_centre=None)
 
     @property
     def truth(self) -> TendonSheath:

@@ -253,7 +253,7 @@ class ControlAxis:
         if not self.delivered.known:
             return bound.unseen
         estimated = estimator.use and estimator.state is EstimateState.ESTIMATED
-        return 1.0 if estimated and not isinstance(estimator, ConfigurationMap) else bound.seen
+        return estimator.sure if estimated and not isinstance(estimator, ConfigurationMap) else bound.seen
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

@@ -3,12 +3,14 @@
 The observer of the joint torque (`tsa_ctrl.observer.stretch`) learns ln x beside it, at a pretension that it is given:
 what it knows is their product, the half loop h = 2 T_p0 r_J f(x). That is parted here as every estimate is
 (`attribution`), gated, bounded and rate-limited as every estimate is; where the law uses it, the observer is given the
-pretension, too. The observer goes on while the drive is off; this does not.
+pretension, too. The observer goes on while the drive is off; this does not. A joint torque sensor that contradicts the
+stretch (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid: it cannot be said which of them is wrong.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from tsa_ctrl.control.attribution import Split
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
@@ -26,10 +28,18 @@ class ByStretch:
     """The outputs hold while the observer tells nothing; while invalid they return to the model file's."""
 
     def __init__(
-        self, model: TendonSheath, settings: EstimatorSettings, observer: StretchObserver, period: float
+        self,
+        model: TendonSheath,
+        settings: EstimatorSettings,
+        observer: StretchObserver,
+        period: float,
+        contradicted: Callable[[], bool] = lambda: False,
+        sure: float = 1.0,
     ) -> None:
-        """`period` in s."""
-        self.use = settings.use
+        """`period` in s; `sure`: 1, of the half loop found, that is there at least, whatever the shape's bound."""
+        self.use = bool(settings.use)
+        self.sure = sure
+        self._contradicted = contradicted
         self._model = model
         self._observer = observer
         self._split = Split(model, settings.attribute, False, settings.bounds)
@@ -73,10 +83,10 @@ class ByStretch:
 
     def _judge(self) -> None:
         """A state holds until certain data say otherwise."""
-        if self.residual > self._worst:
+        observer = self._observer
+        if self.residual > self._worst or observer.at_bound or self._contradicted():
             self.state, self._target = EstimateState.INVALID, self._nominal
             return
-        observer = self._observer
         if not observer.friction_deviation < CERTAIN:
             return
         half_loop = sliding(self._model, 1.0, observer.friction_angle, observer.pretension).half_loop

@@ -33,8 +33,10 @@ class EstimateState(Enum):
 class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[axis.estimator]."""
 
-    kind: Literal["fixed", "map", "sensor", "motor", "stretch"] = "fixed"
-    use: bool = False  # whether the law uses the estimate; it is logged in any case ("map" is always used)
+    # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`choice`)
+    kind: Literal["fixed", "map", "sensor", "motor", "stretch"] | None = None
+    # Whether the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
+    use: bool | None = None
     attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
     bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
     # of kind "map": how much more the sheath may be bent than in the model file
@@ -54,6 +56,7 @@ class Estimator(Protocol):
     pretension: float  # N
     state: EstimateState
     use: bool  # whether the law may use the two
+    sure: float  # 1, of the half loop estimated, that is there at least
 
     def update(
         self,
@@ -75,6 +78,7 @@ class Fixed:
 
     state = EstimateState.FIXED
     use = False
+    sure = 1.0
 
     def __init__(self, model: TendonSheath) -> None:
         self.friction_angle = model.friction_angle
@@ -105,6 +109,7 @@ class ConfigurationMap:
     """
 
     use = True
+    sure = 1.0
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         self._mu = model.friction_coefficient

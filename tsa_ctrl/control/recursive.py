@@ -31,8 +31,10 @@ PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
 class Recursive:
     """The estimator kinds "sensor" and "motor"; while invalid the outputs return to the model file's."""
 
+    sure = 1.0
+
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
-        self.use = settings.use
+        self.use = bool(settings.use)
         self._motor = settings.kind == "motor"
         self._bare = Bare(model, period) if model.effects else None
         self._split = Split(model, settings.attribute, self._motor, settings.bounds)

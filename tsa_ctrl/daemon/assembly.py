@@ -14,6 +14,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound, bound_of
 from tsa_ctrl.control.by_stretch import ByStretch
+from tsa_ctrl.control.choice import shape_share
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Inverse, Law
@@ -49,8 +50,14 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
     supervision = file.bus.supervision
     most_age = (supervision.tolerated_misses + 1.5) * period
     axes = []
-    for settings, io, model, profile, plan in zip(
-        file.axes, rig.axes, configuration.models, configuration.profiles, configuration.plans, strict=True
+    for settings, io, model, profile, plan, why_fixed in zip(
+        file.axes,
+        rig.axes,
+        configuration.models,
+        configuration.profiles,
+        configuration.plans,
+        configuration.estimators,
+        strict=True,
     ):
         law = law_of(settings, model, plan, period)
         joint_torque = joint_torque_of(settings, model, plan.inertia, period)
@@ -65,7 +72,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     settings.setpoint, period, configuration.folder, plan.delay, plan.lead, plan.turn + plan.delay
                 ),
                 bending=Bending(settings.bending, model.bending_angle),
-                estimator=estimator_of(settings, model, joint_torque.stretch, period),
+                estimator=estimator_of(settings, model, joint_torque, period),
                 law=law,
                 limiter=Limiter(settings.limits, period),
                 guard=Guard(settings.passivity, period, by_stretch=not has_torque_sensor(settings)),
@@ -80,7 +87,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 period=period,
                 most_age=most_age,
                 stop_time=file.controller.stop_time,
-                bound=bound_for(settings, model, joint_torque),
+                bound=bound_for(settings, model, joint_torque, why_fixed),
                 has_torque_sensor=has_torque_sensor(settings),
             )
         )
@@ -127,20 +134,24 @@ def has_torque_sensor(settings: AxisSettings) -> bool:
     return settings.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in settings.serial)
 
 
-def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque) -> Bound:
-    """How much of the friction this axis may compensate."""
+def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, why_fixed: str) -> Bound:
+    """How much of the friction this axis may compensate; `why_fixed`: why no estimate is the default's."""
     estimator = settings.estimator
     bound = bound_of(
         model,
         bending_range=settings.bending.range,
-        bending_known=estimator.kind == "map" or (estimator.kind != "fixed" and estimator.use),
+        bending_known=estimator.kind == "map" or (estimator.kind != "fixed" and bool(estimator.use)),
         sees=has_torque_sensor(settings) or joint_torque.stretch is not None,
         compensation=settings.law.compensation,
     )
-    if settings.oscillation is None:
-        return bound
-    note = "[axis.oscillation] has no effect any longer: the guard of [axis.passivity] stands in its place; remove it"
-    return Bound(bound.seen, bound.unseen, (*bound.notes, note))
+    notes = list(bound.notes)
+    if why_fixed and not joint_torque.why_not:  # which says the same
+        notes.append(why_fixed)
+    if settings.oscillation is not None:
+        notes.append(
+            "[axis.oscillation] has no effect any longer: the guard of [axis.passivity] stands in its place; remove it"
+        )
+    return Bound(bound.seen, bound.unseen, tuple(notes))
 
 
 def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:
@@ -156,9 +167,7 @@ def _measured_bending(axis: ControlAxis) -> Callable[[], float]:
     return lambda: axis.instruments.theta
 
 
-def estimator_of(
-    settings: AxisSettings, model: TendonSheath, stretch: StretchObserver | None, period: float
-) -> Estimator:
+def estimator_of(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, period: float) -> Estimator:
     """The estimator that the configuration chooses."""
     chosen = settings.estimator
     if chosen.kind == "fixed":
@@ -166,8 +175,10 @@ def estimator_of(
     if chosen.kind == "map":
         return ConfigurationMap(model, chosen, period)
     if chosen.kind == "stretch":
-        assert stretch is not None  # the configuration was checked
-        return ByStretch(model, chosen, stretch, period)
+        assert joint_torque.stretch is not None  # the configuration was checked
+        # A joint torque sensor sees what the joint is given, whatever the shape is; the stretch itself does not.
+        sure = 1.0 if has_torque_sensor(settings) else 1.0 / (1.0 + shape_share(model))
+        return ByStretch(model, chosen, joint_torque.stretch, period, lambda: joint_torque.contradicted, sure)
     return Recursive(model, chosen, period)
 
 
@@ -198,6 +209,10 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
         ],
         set_point_timeout=[axis.setpoint.timeout for axis in file.axes],
         watch_group=file.socket.watch_group,
+        estimators=[
+            f"{axis.estimator.kind}{', in use' if axis.estimator.use else ''}{f' ({note})' if note else ''}"
+            for axis, note in zip(file.axes, configuration.estimators, strict=True)
+        ],
         figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
         cures=dict(CURES),
     )

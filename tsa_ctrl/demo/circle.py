@@ -26,6 +26,7 @@ from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.tune.run import Run, read_run
 
 STAGES = ("none", "nominal", "calibrated", "extended", "true")
+MODEL_ALONE = {"kind": "fixed"}  # each stage shows its model: no estimate makes up for what it lacks
 COMPENSATION = 1.0  # of the friction term: the motion is imposed, nothing can begin to oscillate
 
 Progress = Callable[[str, float], None]
@@ -77,8 +78,8 @@ def circle(folder: Path, bus: BusChoice, hidden: Hidden, seconds: float, rate: f
     Raises BusError when plant or daemon fail, UsageError when the log of the nominal run shows too little.
     """
     nominal = rig.NOMINAL
-    controllers = {name: rig.controller(bus, name, rate, f"{name}.toml", COMPENSATION) for name in STAGES}
-    controllers["none"] = rig.controller(bus, "none", rate, "nominal.toml", 0.0)
+    controllers = {name: rig.controller(bus, name, rate, f"{name}.toml", COMPENSATION, MODEL_ALONE) for name in STAGES}
+    controllers["none"] = rig.controller(bus, "none", rate, "nominal.toml", 0.0, MODEL_ALONE)
     rig.write(folder, motion(), rig.plant(bus, "full", hidden.axis()), controllers)
     save_model(hidden.truth(nominal), folder / "true.toml")
     runs: dict[str, Run] = {}

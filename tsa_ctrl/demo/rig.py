@@ -26,6 +26,7 @@ NOMINAL = TendonSheath(
     friction_coefficient=0.10,
     bending_angle=2.6,
     pretension=45.0,
+    bending_centre=0.5,
     source="nominal.toml",
 )
 TRUTH = {"friction_coefficient": 1.08, "pretension": 0.95, "axial_stiffness": 0.9}  # factors: the truth is not nominal
@@ -55,8 +56,13 @@ def plant(
     }
 
 
-def controller(bus: BusChoice, name: str, rate: float, model: str, compensation: float) -> Tables:
-    """A controller's configuration that bears a busy machine: stalls of 10 ms and more, no real-time rights."""
+def controller(
+    bus: BusChoice, name: str, rate: float, model: str, compensation: float, estimator: Mapping[str, Any] | None = None
+) -> Tables:
+    """A controller's configuration that bears a busy machine: stalls of 10 ms and more, no real-time rights.
+
+    `estimator`: its [axis.estimator]; what is left out is the loop's default.
+    """
     law: Tables = {"compensation": compensation, "fade_in": FADE_IN}
     if compensation > 0.0:  # without compensation is tau_J* r_M/r_J, and nothing for the motor's own motion
         law["motor_inertia"] = MOTOR_INERTIA
@@ -85,6 +91,7 @@ def controller(bus: BusChoice, name: str, rate: float, model: str, compensation:
                 "torque_sensor": {"node_id": 64, "heartbeat_timeout": 1.0},
                 "setpoint": {"kind": "file", "file": "setpoint.csv", "loop": True},
                 "law": law,
+                "estimator": dict(estimator or {}),
                 "limits": {"torque": 2.5},
             }
         ],

@@ -116,7 +116,10 @@ class Page:
         return Group(*parts)
 
     def _axis(self, axis: dict[str, Any]) -> Table:
-        title = f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}"
+        kind = f" ({axis['estimator'].partition(' (')[0]})" if axis.get("estimator") else ""
+        title = (
+            f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}{kind}"
+        )
         columns = shutil.get_terminal_size().columns
         past, bands = columns >= WIDE, columns >= BANDS
         table = Table(title=title, title_justify="left")

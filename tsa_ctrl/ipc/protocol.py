@@ -112,6 +112,7 @@ class Description(msgspec.Struct, frozen=True):
     cures: dict[str, str] = {}  # what to do about a fault, by words in its message; the first that is found counts
     set_point_timeout: list[float] = []  # s per axis
     watch_group: str | None = None
+    estimators: list[str] = []  # per axis: which it has, and why not the one by the stretch
 
 
 def default_path() -> str:

@@ -90,6 +90,7 @@ def _axis(description: Description, index: int, axis: AxisStatus, live: Paramete
     values: dict[str, Any] = {name: _known(value) for name, value in axis._asdict().items()}
     values["state"] = description.states[int(axis.state)]
     values["estimate_state"] = description.estimate_states[int(axis.estimate_state)]
+    values["estimator"] = description.estimators[index] if description.estimators else None
     values["limit_reason"] = description.reasons[int(axis.limit_reason)]
     values |= {name: int(getattr(axis, name)) for name in COUNTS}
     for name in BANDS:

@@ -33,6 +33,7 @@ PASSING, PASSING_TIME = 0.015, 0.05  # 1 and s: friction that comes and goes, of
 ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
 FACTOR = 4.0  # of x either way
 STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in an hour
+NEARLY = 0.99  # 1, of a bound, that counts as reached
 STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
 COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
@@ -143,6 +144,14 @@ class StretchObserver:
         """Standard deviation of its logarithm."""
         place = tendons.COVARIANCE + (tendons.STATES + 1) * tendons.K
         return math.sqrt(max(0.0, float(self._memory[place])))
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether stiffness or friction would have to be more, or less, than they may: these are other tendons."""
+        memory, told = self._memory, self._settings
+        stiff, x, most = memory[tendons.STIFF], memory[tendons.ANGLE], told[tendons.MOST_STIFF]
+        inside = 1.0 / most < NEARLY * stiff and stiff < NEARLY * most
+        return not (inside and told[tendons.LOW] < NEARLY * x and x < NEARLY * told[tendons.HIGH])
 
     @property
     def zero(self) -> float:

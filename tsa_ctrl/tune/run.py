@@ -135,8 +135,9 @@ class RigRunner:
         folder, drive = self._configuration.folder, axis["drive"]
         if str(drive.get("profile", "")).endswith(".toml"):
             drive["profile"] = str((folder / drive["profile"]).resolve())
-        if axis.get("estimator", {}).get("kind") in {"sensor", "motor"}:
-            axis["estimator"]["use"] = False  # what the file says is what is verified
+        estimator = axis.get("estimator", {})
+        if estimator.get("kind") != "map":  # what the file says is what is verified
+            axis["estimator"] = {**estimator, "use": False}
         if axis["name"] != self._axis.name:
             return
         limits = axis["limits"]

@@ -14,6 +14,7 @@ from tools.command import CONFIG
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Event, Events
@@ -162,6 +163,7 @@ def _configuration(variation: Variation) -> Configuration:
         axis,
         drive=drive,
         encoder=None,
+        estimator=EstimatorSettings(kind="fixed", use=False),
         torque_sensor=None,
         setpoint=SetPointSettings(kind="constant", offset=WANTED),
         law=replace(axis.law, fade_in=0.05),
@@ -170,7 +172,7 @@ def _configuration(variation: Variation) -> Configuration:
     supervision = msgspec.convert(variation.supervision, type(file.bus.supervision))
     bus = replace(file.bus, supervision=supervision)
     file = replace(file, axes=(axis,), controller=controller, bus=bus, log=replace(file.log, enabled=False))
-    return Configuration(base.path, file, base.text, base.models, (profile,), base.load)
+    return Configuration(base.path, file, base.text, base.models, (profile,), base.load, base.estimators)
 
 
 def _plant(variation: Variation) -> PlantSettings:

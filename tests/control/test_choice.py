@@ -1,0 +1,55 @@
+"""Which estimator an axis has that names none: by the stretch, in use, and what stands against it in words."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+
+import pytest
+
+from tests.control.sliding import actuator
+from tsa_ctrl.control.choice import chosen, why_fixed
+from tsa_ctrl.control.estimator import EstimatorSettings
+from tsa_ctrl.model.parameters import TendonSheath
+
+KNOWN = dataclasses.replace(actuator(), bending_centre=0.5)
+
+
+def test_two_encoders_and_a_known_shape_make_it_the_stretch() -> None:
+    settings, why = chosen(EstimatorSettings(), KNOWN, True, False)
+    assert (settings.kind, settings.use, why) == ("stretch", True, "")
+
+
+def test_what_the_file_says_counts() -> None:
+    """A kind that is named is kept, and is not used unless that is said; use = false alone is heard, too."""
+    named, _ = chosen(EstimatorSettings(kind="stretch"), KNOWN, True, False)
+    assert named.use is False
+    unused, _ = chosen(EstimatorSettings(use=False), KNOWN, True, False)
+    assert (unused.kind, unused.use) == ("stretch", False)
+    fixed, why = chosen(EstimatorSettings(kind="fixed"), KNOWN, True, False)
+    assert (fixed.kind, why) == ("fixed", "")
+
+
+@pytest.mark.parametrize(
+    ("model", "has_encoder", "words"),
+    [
+        (KNOWN, False, r"no \[axis.encoder\]"),
+        (actuator(), True, "does not say where the sheath bends"),
+        (dataclasses.replace(KNOWN, bending_centre=0.8), True, "the centre of the bends is at 0.80"),
+        (dataclasses.replace(KNOWN, bending_centre=0.69), True, r"bending_centre 0.05 leaves 16 % of the half loop"),
+        (dataclasses.replace(KNOWN, axial_stiffness_uncertainty=0.5), True, "axial_stiffness 0.5 is above 0.25"),
+        (KNOWN.recalibrated(0.0), True, "no friction or no pretension"),
+        (KNOWN.with_effects({"motor_side_friction": {"coulomb": 0.02}}), True, "effects.motor_side_friction"),
+        (KNOWN.with_effects({"custom": {"expression": "0.1*sigma", "stage": "motor"}}), True, "effects.custom"),
+    ],
+)
+def test_what_stands_against_it_is_said_in_one_line(model: TendonSheath, has_encoder: bool, words: str) -> None:
+    settings, why = chosen(EstimatorSettings(), model, has_encoder, False)
+    assert (settings.kind, settings.use) == ("fixed", False)
+    assert "\n" not in why
+    assert re.search(words, why)
+
+
+def test_what_acts_on_the_joint_alone_does_not_matter() -> None:
+    model = KNOWN.with_effects({"gravity_load": {"amplitude": 0.2}})
+    assert why_fixed(model, True) == ""

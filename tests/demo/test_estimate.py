@@ -1,0 +1,26 @@
+"""What the default estimator is worth on the demo's rig, whose file is wrong in friction, pretension and stiffness."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.motion import play_for
+from tsa_ctrl.demo.run import compare
+
+SECONDS = 6.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["imposed", "weight"])
+def test_measured_torque_and_stretch_make_a_better_command_than_the_file(tmp_path: Path, load: str) -> None:
+    controllers = {
+        name: rig.controller(VIRTUAL, name, 1000.0, "nominal.toml", 0.95, estimator)
+        for name, estimator in (("default", None), ("fixed", {"kind": "fixed"}))
+    }
+    tables = rig.plant(VIRTUAL, "distributed", load=load)
+    courses = compare(tmp_path, VIRTUAL, play_for(load), tables, controllers, SECONDS, lambda what, share: None)
+    assert courses["default"].rms < 0.9 * courses["fixed"].rms

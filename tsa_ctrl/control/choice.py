@@ -1,0 +1,74 @@
+"""The estimator of an axis that names none: "stretch", in use, where two encoders and the model allow it, else "fixed".
+
+By the stretch the half loop goes with 1/(1 - s_c), so where the sheath bends must be said, and well enough; stiffness,
+friction angle and pretension are learned. An effect that changes the motor's torque or the tendons' friction would be
+found in the stretch as friction, and then be compensated twice.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+from tsa_ctrl.control.estimator import EstimatorSettings
+from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.effects.specification import Stage
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.stretch import compliance_centre, why_not
+
+LOOSEST = 0.25  # 1, bound of a stiffness that is still learned within seconds: a fifth off was, on simulated rigs
+SHAPE = (
+    0.11  # 1, of the half loop, that the place of the bends may leave open; evenly bent and its bound of 0.05 leave 0.1
+)
+# Where an effect leaves motor torque and tendons as they are.
+_APART = frozenset({Stage.VELOCITY, Stage.DIRECTION, Stage.JOINT, Stage.DELAY})
+_KNOWN = frozenset({"elongation_coupling"})  # the observer's tendons have it
+
+
+def chosen(
+    settings: EstimatorSettings, model: TendonSheath, has_encoder: bool, follows_bending: bool
+) -> tuple[EstimatorSettings, str]:
+    """The settings with a kind and a use, and in one line why the stretch is not used, where it would be the default.
+
+    `follows_bending`: the bending angle is measured or commanded, which only kind "map" uses.
+    """
+    if settings.kind is not None:
+        return (settings if settings.use is not None else msgspec.structs.replace(settings, use=False)), ""
+    reason = why_fixed(model, has_encoder)
+    if reason or follows_bending:
+        note = f"friction and pretension are the model file's (estimator fixed): {reason}" if reason else ""
+        return msgspec.structs.replace(settings, kind="fixed", use=False), note
+    return msgspec.structs.replace(settings, kind="stretch", use=settings.use is not False), ""
+
+
+def why_fixed(model: TendonSheath, has_encoder: bool) -> str:
+    """What stands against an estimate from the tendons' stretch; empty where nothing does."""
+    if not has_encoder:
+        return "stretch is what the angles of motor and joint differ by, and there is no [axis.encoder]"
+    if not (model.friction_angle > 0.0 and model.pretension > 0.0 and model.bending_angle > 0.0):
+        return "the model has no friction or no pretension that could be estimated"
+    reason = why_not(model)
+    if reason:
+        return reason
+    if model.bending_centre is None and "elongation_coupling" not in model.effects:
+        return "the model file does not say where the sheath bends; give [sheath] bending_centre, or run tsa tune"
+    if shape_share(model) > SHAPE:
+        return (
+            f"[uncertainty] bending_centre {model.bending_centre_uncertainty:g} leaves "
+            f"{100.0 * shape_share(model):.0f} % of the half loop open, allowed are {100.0 * SHAPE:.0f}; tsa calibrate "
+            "--stretch measures it"
+        )
+    if model.axial_stiffness_uncertainty > LOOSEST:
+        return (
+            f"[uncertainty] axial_stiffness {model.axial_stiffness_uncertainty:g} is above {LOOSEST:g}; "
+            "tsa calibrate --stretch measures the stiffness"
+        )
+    for name, parameters in model.effects.items():
+        apart = CATALOGUE[name].stage in _APART and parameters.get("stage") != "motor"
+        if name not in _KNOWN and not apart:
+            return f"[effects.{name}] would be taken for friction of the tendons by their stretch"
+    return ""
+
+
+def shape_share(model: TendonSheath) -> float:
+    """1, of the half loop by the stretch, that the place of the bends leaves open (95 %)."""
+    return model.bending_centre_uncertainty / (1.0 - compliance_centre(model))
