@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import re
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,6 +18,7 @@ from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
+from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.plant.drive import Drive
@@ -26,11 +31,31 @@ from tsa_ctrl.virtual.lockstep import End, Wire
 
 PERIOD = 0.002  # s
 MOST_CYCLES = 5000
+STILL = "motion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"  # of an axis of a plant
+_channels = itertools.count()
 
 
 def refused(*parts: str) -> pytest.RaisesContext[TsaError]:
     """A refusal whose one line has these parts in this order."""
     return pytest.raises(TsaError, match=".*".join(re.escape(part) for part in parts))
+
+
+@contextlib.contextmanager
+def served(folder: Path, text: str) -> Iterator[str]:
+    """A plant of these axes in a thread; yields its channel of python-can's virtual bus in this process."""
+    name = f"drives-{next(_channels)}"
+    bus = PythonCan("virtual", name, 1_000_000)
+    machine = Machine(load_plant(plant_file(folder, text)), bus)
+    machine.start()
+    stop = threading.Event()
+    thread = threading.Thread(target=machine.run, args=(stop.is_set,))
+    thread.start()
+    try:
+        yield name
+    finally:
+        stop.set()
+        thread.join()
+        bus.close()
 
 
 class Recording(Wire):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,17 +10,13 @@ import pytest
 from click.testing import CliRunner
 
 from tests.conftest import ROOT
-from tests.drives.rig import Foreign, refused
-from tests.plant.bench import plant_file
+from tests.drives.rig import STILL, Foreign, refused, served
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.probe import Probe, probe
 from tsa_ctrl.bus.drive.probe_text import profile_text
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.session import Session
-from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.cli import cli
-from tsa_ctrl.plant.machine import Machine
-from tsa_ctrl.plant.settings import load_plant
 
 KINDS = ("generic", "epos4", "elmo_gold", "technosoft_ipos", "kinco", "nanotec", "copley")
 FINISH = {  # what the one who knows the drive writes into the profile: line before, line after
@@ -39,7 +33,6 @@ FINISH = {  # what the one who knows the drive writes into the profile: line bef
     },
     "copley": {'velocity = "counts/s"': 'velocity = "0.1 counts/s"'},
 }
-_channels = itertools.count()
 
 
 def looked_at(foreign: Foreign, slot: int = 1) -> Probe:
@@ -158,19 +151,9 @@ def test_beside_a_master_nothing_is_asked(tmp_path: Path) -> None:
 
 @pytest.fixture
 def channel(tmp_path: Path) -> Iterator[str]:
-    """A plant with one drive, node 1, on a bus of python-can in this process."""
-    name = f"probe-{next(_channels)}"
-    text = "[[axis]]\nname = 'joint'\nmotion.kind = 'still'\nencoder.present = false\ntorque_sensor.present = false\n"
-    bus = PythonCan("virtual", name, 1_000_000)
-    machine = Machine(load_plant(plant_file(tmp_path, text)), bus)
-    machine.start()
-    stop = threading.Event()
-    thread = threading.Thread(target=machine.run, args=(stop.is_set,))
-    thread.start()
-    yield name
-    stop.set()
-    thread.join()
-    bus.close()
+    """A plant with one drive, node 1."""
+    with served(tmp_path, "[[axis]]\nname = 'joint'\n" + STILL) as name:
+        yield name
 
 
 def test_from_the_bus_to_a_checked_configuration(tmp_path: Path, channel: str) -> None:
@@ -204,7 +187,7 @@ def test_what_a_profile_does_not_know_is_told_by_the_check(tmp_path: Path) -> No
 
 
 def test_nobody_there_is_one_line() -> None:
-    where = ["--interface", "virtual", "--channel", f"probe-{next(_channels)}"]
+    where = ["--interface", "virtual", "--channel", "probe-nobody"]
     done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "7"])
     assert done.exception is not None
     assert "node 7 does not answer to SDO requests" in str(done.exception)

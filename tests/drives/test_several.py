@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import shutil
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,18 +12,14 @@ import tomlkit
 from click.testing import CliRunner
 
 from tests.conftest import ROOT
-from tests.drives.rig import refused
-from tests.plant.bench import ACTUATOR, plant_file
+from tests.drives.rig import STILL, refused, served
+from tests.plant.bench import ACTUATOR
 from tsa_ctrl import simulate_loop
-from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.cli import cli
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.plant.machine import Machine
-from tsa_ctrl.plant.settings import load_plant
 
 Keys = dict[str, Any]
-_channels = itertools.count()
 NONE = {"present": False}
 QUIET: Keys = {"fade_in": 0.05, "compensation": 0.0}  # which way a held motor last moved is another matter
 
@@ -131,24 +125,12 @@ def test_one_encoder_for_two_axes(tmp_path: Path) -> None:
 
 @pytest.fixture
 def channel(tmp_path: Path) -> Iterator[str]:
-    """Two equal drives, serial numbers 41 and 42, on a bus of python-can in this process."""
-    name = f"several-{next(_channels)}"
+    """Two equal drives, serial numbers 41 and 42."""
     (tmp_path / "plant").mkdir()
-    text = "".join(
-        f"[[axis]]\nname = '{axis}'\nmotion.kind = 'still'\ndrive.serial_number = {serial}\nencoder.present = false\n"
-        "torque_sensor.present = false\n"
-        for axis, serial in (("a", 41), ("b", 42))
-    )
-    bus = PythonCan("virtual", name, 1_000_000)
-    machine = Machine(load_plant(plant_file(tmp_path / "plant", text)), bus)
-    machine.start()
-    stop = threading.Event()
-    thread = threading.Thread(target=machine.run, args=(stop.is_set,))
-    thread.start()
-    yield name
-    stop.set()
-    thread.join()
-    bus.close()
+    axes = (("a", 41), ("b", 42))
+    text = "".join(f"[[axis]]\nname = '{axis}'\ndrive.serial_number = {serial}\n{STILL}" for axis, serial in axes)
+    with served(tmp_path / "plant", text) as name:
+        yield name
 
 
 def test_doctor_writes_the_serial_numbers_into_the_file(tmp_path: Path, channel: str) -> None:
