@@ -25,10 +25,19 @@ class Page:
         self._write = write
         self._number = 0
         self._received = b""
-        self._session = ""
+        self._session = self._context = ""
         self.errors: list[str] = []
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self.renew()
+
+    def renew(self) -> None:
+        """A blank page that has nothing of the one before: no storage, no requests, no errors."""
+        self._session = ""
+        if self._context:
+            self.call("Target.disposeBrowserContext", browserContextId=self._context)
+        self._context = self.call("Target.createBrowserContext")["browserContextId"]
+        target = self.call("Target.createTarget", url="about:blank", browserContextId=self._context)["targetId"]
         self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self.errors = []
         for domain in ("Page", "Runtime", "Log"):
             self.call(f"{domain}.enable")
 
@@ -58,6 +67,8 @@ class Page:
         return dict(json.loads(line))
 
     def _look(self, event: dict[str, Any]) -> None:
+        if event.get("sessionId", "") != self._session:
+            return  # of a page before
         if event.get("method") == "Runtime.exceptionThrown":
             self.errors.append(str(event["params"]["exceptionDetails"]))
         elif event.get("method") == "Log.entryAdded" and event["params"]["entry"]["level"] == "error":

@@ -45,13 +45,20 @@ def address(daemon: Played) -> Iterator[str]:
     assert "Traceback" not in process.communicate(timeout=30)[1]
 
 
-@pytest.fixture
-def page(browser: str, address: str, tmp_path: Path) -> Iterator[Page]:
-    with chromium(browser, tmp_path) as made:
-        made.open(address)
-        made.until(f"!!{ROW}")
+@pytest.fixture(scope="module")
+def started(browser: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with chromium(browser, tmp_path_factory.mktemp("chromium")) as made:
         yield made
-        assert made.errors == []
+
+
+@pytest.fixture
+def page(started: Page, address: str) -> Iterator[Page]:
+    started.renew()
+    started.open(address)
+    started.until(f"!!{ROW}")
+    yield started
+    assert started.errors == []
+    started.renew()
 
 
 def test_shows_what_the_daemon_says(page: Page, tmp_path: Path) -> None:
@@ -132,11 +139,11 @@ def test_a_number_is_typed_with_round_steps(page: Page, daemon: Played) -> None:
     assert until(lambda: daemon.taken == [Command(0, 0, 0.7)])
 
 
-@pytest.mark.parametrize("width", [360, 400, 768, 1100])
-def test_nothing_is_wider_than_the_screen(page: Page, width: int) -> None:
-    page.resize(width)
-    page.until(f"innerWidth === {width} && document.documentElement.scrollWidth <= {width}")
-    assert page.evaluate("document.getElementById('stop').getBoundingClientRect().height") >= 44.0
+def test_nothing_is_wider_than_the_screen(page: Page) -> None:
+    for width in (360, 400, 768, 1100):
+        page.resize(width)
+        page.until(f"innerWidth === {width} && document.documentElement.scrollWidth <= {width}")
+        assert page.evaluate("document.getElementById('stop').getBoundingClientRect().height") >= 44.0, width
 
 
 def test_every_plot_has_one_unit(page: Page) -> None:
