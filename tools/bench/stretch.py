@@ -1,11 +1,12 @@
 """Joint torque from the tendons' stretch on rigs drawn at random: stiffness and shape identified first, then verified.
 
-Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--json]
+Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--results FILE] [--write] [--json]
 Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness, bends anywhere up to
 s_c = 0.7, and has an inertia and a delay of its own. A gait of 6 s is its log, in which `tsa calibrate --stretch` finds
 stiffness and shape, with the joint torque sensor or without (then the shape is told). Then the observer follows a joint
 that is held, one on a weight, and the gait with other noise, against the truth of the distributed plant. Errors are
-RMS, of the torque's RMS, from 1.5 s on; the band should hold 95 %.
+RMS, of the torque's RMS, from 1.5 s on; the band should hold 95 %. With --results each rig is kept in a file as it ends,
+so that a long list is done in slices; --write takes the errors over into the manual's figures.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from rich.table import Table
 from tests.virtual.joints import GAIT, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
+from tools.bench.results import Results
+from tools.manual.measure import note
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.identify.calibrate.stretch import StretchFit, fit_stretch
 from tsa_ctrl.identify.dataset import Dataset
@@ -161,15 +164,32 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="number of the first rig")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--without-sensor", action="store_true", help="of the joint torque; the shape is told then")
+    parser.add_argument("--results", type=Path, help="a JSON object per rig; those that it holds are not run again")
+    parser.add_argument("--write", action="store_true", help="the errors, as figures of the manual")
     parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
     rows = []
+    known = Results(arguments.results, lambda row: row["rig"])
     for number in range(arguments.first, arguments.first + arguments.rigs):
-        rows.append(trial(arguments.seed, number, not arguments.without_sensor))
+        if number not in known:
+            known.add(trial(arguments.seed, number, not arguments.without_sensor))
+        rows.append(known[number])
         if arguments.json:
             print(json.dumps(rows[-1]), flush=True)
     if not arguments.json:
         report(rows)
+    if arguments.write:
+        line = f"tools/run bench/stretch --rigs {arguments.rigs}" + " --without-sensor" * arguments.without_sensor
+        for label in RUNS:
+            for key, words in (("sliding", "while sliding"), ("all", "all samples")):
+                values = [100.0 * row[f"{label}_{key}"] for row in rows if math.isfinite(row[f"{label}_{key}"])]
+                note(
+                    f"stretch-{label}-{key}",
+                    f"torque from stretch, {label}, {words}: error of its RMS",
+                    values,
+                    "%",
+                    line,
+                )
     return 0
 
 

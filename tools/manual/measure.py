@@ -48,6 +48,28 @@ def measured(measure: Measure, runs: int, out: Path) -> Row:
         "runs": len(values),
         "command": _spoken(measure.line),
         "words": measure.words,
+        **_here(),
+    }
+
+
+def note(name: str, words: str, values: list[float], unit: str, line: str) -> None:
+    """Keep a figure that a tool found by itself: median, lowest and highest of its values; `line`: what prints it."""
+    row = {
+        "value": statistics.median(values),
+        "low": min(values),
+        "high": max(values),
+        "unit": unit,
+        "runs": len(values),
+        "command": line,
+        "words": words,
+        **_here(),
+    }
+    settings.write_text(FILE, json.dumps(dict(sorted({**load(), name: row}.items())), indent=1) + "\n")
+
+
+def _here() -> Row:
+    """When, of what and where a figure is."""
+    return {
         "date": datetime.date.today().isoformat(),
         "commit": _commit(),
         "machine": f"{os.cpu_count()} processors, {platform.machine()}, Python {platform.python_version()}",
