@@ -5,8 +5,8 @@ Each rig differs from its nominal file by up to 20 % in friction, pretension and
 s_c = 0.7, and has an inertia and a delay of its own. A gait of 6 s is its log, in which `tsa calibrate --stretch` finds
 stiffness and shape, with the joint torque sensor or without (then the shape is told). Then the observer follows a joint
 that is held, one on a weight, and the gait with other noise, against the truth of the distributed plant. Errors are
-RMS, of the torque's RMS, from 1.5 s on; the band should hold 95 %. With --results each rig is kept in a file as it ends,
-so that a long list is done in slices; --write takes the errors over into the manual's figures.
+RMS, of the torque's RMS, from 1.5 s on; the band should hold 95 %. With --results each rig is kept in a file as it
+ends, so that a long list is done in slices; --write takes the errors over into the manual's figures.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ def play(
         "torque_sensor": {"node_id": 64},
         "setpoint": setpoint,
         "law": {"fade_in": 0.5, "compensation": 0.8},
+        "estimator": {"kind": "fixed"},
         "limits": {"torque": 2.5, "rate": 400.0},
     }
     plant = {
@@ -183,13 +184,8 @@ def main() -> int:
         for label in RUNS:
             for key, words in (("sliding", "while sliding"), ("all", "all samples")):
                 values = [100.0 * row[f"{label}_{key}"] for row in rows if math.isfinite(row[f"{label}_{key}"])]
-                note(
-                    f"stretch-{label}-{key}",
-                    f"torque from stretch, {label}, {words}: error of its RMS",
-                    values,
-                    "%",
-                    line,
-                )
+                said = f"torque from stretch, {label}, {words}: error, of the torque's RMS"
+                note(f"stretch-{label}-{key}", said, values, "%", line)
     return 0
 
 

@@ -73,6 +73,48 @@ def convert(log: str, out: Path) -> None:
             click.echo(f"note: {note}", err=True)
 
 
+@command.command(epilog="Example: tsa log trend logs --model actuator.toml --picture trend.png")
+@click.argument("folder", type=click.Path(path_type=Path))
+@click.option("--model", required=True, type=click.Path(path_type=Path), help="Actuator model file.")
+@click.option("--picture", type=click.Path(path_type=Path), help="Draw it here, as PNG.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
+def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> None:
+    """Half loop, stiffness and zero of every log in FOLDER, a run each, over time; changes are told.
+
+    The logs are of one axis. Half loop by the joint torque sensor or by the tendons' stretch; stiffness and zero by the
+    stretch, for which q_m and q_j are needed. A change is told from six runs on.
+    """
+    from tsa_ctrl.identify.trend import ALARM
+    from tsa_ctrl.identify.trend import trend as trend_of
+    from tsa_ctrl.model.parameters import load_tendon_sheath
+
+    nominal = load_tendon_sheath(model)
+    with click.progressbar(length=100, label="reading", file=sys.stderr, hidden=not sys.stderr.isatty()) as bar:
+        found = trend_of(folder, nominal, lambda share: bar.update(int(100 * share) - bar.pos))
+    if picture is not None:
+        from tsa_ctrl.identify.trend_picture import draw
+
+        draw(picture, found)
+    if as_json:
+        click.echo(json.dumps(found.to_dict(), allow_nan=False))
+        return
+    for run in found.runs:
+        values = "; ".join(f"{name.replace('_', ' ')} {quantity}" for name, quantity in run.quantities.items())
+        warm = f", {run.temperature:.1f} °C" if run.temperature == run.temperature else ""
+        click.echo(f"{run.started}  {run.name}{warm}: {values or 'nothing'}")
+        for note in run.notes:
+            click.echo(f"  note: {note}")
+    if found.by_temperature is not None:
+        click.echo(
+            f"half loop against temperature: {found.by_temperature:.3g} N·m/K, taken off before changes are sought"
+        )
+    for change in found.changes:
+        click.echo(str(change))
+    if not found.changes:
+        click.echo("no change is told")
+    click.echo(f"false alarms: {100.0 * ALARM:g} % for each quantity of a folder; a change needs six runs")
+
+
 @command.command("import", epilog="Example: tsa log import measured.txt --column 'tau_m=Strom|A*0.12' --out mine")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Mapping file, as an import writes it.")

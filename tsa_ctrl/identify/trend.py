@@ -1,0 +1,228 @@
+"""A rig's health over its runs: half loop, stiffness, inertia and zero of each log with intervals, and what changed.
+
+A change is told by the largest two-sample t statistic over all places at which the runs, in their order, may be cut in
+two. How large it gets by chance alone, whatever the scatter from run to run is, follows from runs of plain noise drawn
+here; so the rate of false alarms is the one that is stated, `ALARM` for each quantity of a folder. What is less than
+the runs' own intervals leave open, or than `LEAST` of the value, is none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate import calibrate
+from tsa_ctrl.identify.calibrate.stretch import fit_stretch
+from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.log.info import inspect
+from tsa_ctrl.log.table import ENDINGS
+from tsa_ctrl.model.parameters import TendonSheath
+
+ALARM = 0.01  # 1, chance of a false alarm for each quantity of a folder whose rig does not change
+FEWEST = 6  # runs from which a change is looked for, two on either side of it at least
+LEAST = 0.02  # 1, of the value: less matters to nobody
+WARMTH = 2.0  # K that the runs' temperatures must span for the friction to be taken against them
+DRAWS = 20_000  # of plain noise; the quantile is then known to a thirtieth
+SIDE = 2  # runs on either side of a change
+WORDS = {  # of a change up and down
+    "half_loop_torque": (
+        "more friction: a liner wears or is dirty, the sheath is bent more, or the tensioner is tighter",
+        "less friction: a tendon has stretched, the tensioner gave way, or the sheath is bent less",
+    ),
+    "axial_stiffness": ("stiffer tendons: another tendon, or a series spring is blocked", "softer tendons: one frays"),
+    "zero": ("a pulley slipped, a tendon crept, or an encoder begins anew at every start",) * 2,
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One log: when, how warm (°C, nan where it was not measured), what was found, and why something was not."""
+
+    name: str
+    started: str  # ISO 8601, of the log, else of the file
+    temperature: float
+    quantities: dict[str, Quantity]
+    notes: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "log": self.name,
+            "started": self.started,
+            "temperature": self.temperature if math.isfinite(self.temperature) else None,
+            "quantities": {name: quantity.to_dict() for name, quantity in self.quantities.items()},
+            "notes": list(self.notes),
+        }
+
+
+@dataclass(frozen=True)
+class Change:
+    """A quantity (`unit`) that was `before` and is `after` from the run `since` on."""
+
+    quantity: str
+    since: str
+    before: float
+    after: float
+    unit: str
+
+    def __str__(self) -> str:
+        up, down = WORDS[self.quantity]
+        name = "zero of the stretch" if self.quantity == "zero" else self.quantity.replace("_", " ")
+        words = up if self.after > self.before else down
+        return f"{name} changed with {self.since}: {self.before:.4g} -> {self.after:.4g} {self.unit}: {words}"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "quantity": self.quantity,
+            "since": self.since,
+            "before": self.before,
+            "after": self.after,
+            "unit": self.unit,
+            "words": str(self),
+        }
+
+
+@dataclass(frozen=True)
+class Trend:
+    """All runs in their order, and the changes; `by_temperature`: of the half loop, N*m/K, None where not known."""
+
+    runs: tuple[Run, ...]
+    changes: tuple[Change, ...]
+    by_temperature: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The public JSON object of `tsa log trend`."""
+        return {
+            "schema": 1,
+            "runs": [run.to_dict() for run in self.runs],
+            "changes": [change.to_dict() for change in self.changes],
+            "false_alarm_rate": ALARM,
+            "half_loop_by_temperature": {"value": self.by_temperature, "unit": "N*m/K"},
+        }
+
+
+def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lambda share: None) -> Trend:
+    """Measure every log of a folder and look for changes. Raises UsageError where there is no log that tells anything.
+
+    A log that cannot be read, or that says too little, stays in the list with the reason.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder}: no such folder; give the one that holds the logs of one axis, a run each")
+    paths = sorted(path for path in folder.iterdir() if path.name.lower().endswith(ENDINGS))
+    if not paths:
+        raise UsageError(f"{folder}: holds no log; wanted are files that end with {', '.join(ENDINGS)}")
+    runs = []
+    for number, path in enumerate(paths):
+        tick(number / len(paths))
+        runs.append(measured(path, model))
+    if not any(run.quantities for run in runs):
+        raise UsageError(f"{folder}: none of {len(runs)} logs tells half loop or stiffness; {runs[0].notes[0]}")
+    return judged(sorted(runs, key=lambda run: (run.started, run.name)))
+
+
+def measured(path: Path, model: TendonSheath) -> Run:
+    """What one log says by itself."""
+    started = datetime.fromtimestamp(path.stat().st_mtime, UTC).isoformat(timespec="seconds")
+    try:
+        started = str(inspect(path).about.get("started") or started)
+        log = load_log(path)
+    except UsageError as error:
+        return Run(path.name, started, math.nan, {}, (str(error),))
+    quantities: dict[str, Quantity] = {}
+    notes = []
+    for find in (_by_sensor, _by_stretch):
+        try:
+            for name, quantity in find(log, model):
+                quantities.setdefault(name, quantity)
+        except UsageError as error:
+            notes.append(str(error))
+    warmth = log.columns.get("temperature")
+    return Run(path.name, started, math.nan if warmth is None else float(np.mean(warmth)), quantities, tuple(notes))
+
+
+def _by_sensor(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
+    if "tau_j" in log:
+        yield "half_loop_torque", calibrate([log], model).half_loop_torque
+
+
+def _by_stretch(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
+    if "q_m" not in log or "q_j" not in log:
+        return
+    fit = fit_stretch([log], model)
+    yield "half_loop_torque", fit.half_loop_torque
+    yield "axial_stiffness", fit.axial_stiffness
+    yield "zero", next(iter(fit.zeros.values()))
+
+
+def judged(runs: Sequence[Run]) -> Trend:
+    """Look for a change in each quantity of runs in their order."""
+    found = []
+    slope = None
+    for name in WORDS:
+        having = [run for run in runs if name in run.quantities]
+        if len(having) < FEWEST:
+            continue
+        quantities = [run.quantities[name] for run in having]
+        values = np.array([quantity.value for quantity in quantities])
+        if name == "half_loop_torque":
+            values, slope = _at_one_temperature(values, np.array([run.temperature for run in having]))
+        place, statistic = step(values)
+        if statistic <= by_chance(len(values)):
+            continue
+        before, after = float(np.mean(values[:place])), float(np.mean(values[place:]))
+        half = np.array([0.5 * (quantity.high - quantity.low) for quantity in quantities])
+        left_open = math.hypot(*(float(np.sqrt(np.mean(part**2) / part.size)) for part in (half[:place], half[place:])))
+        least = 0.0 if name == "zero" else LEAST * abs(before)
+        if abs(after - before) > max(least, left_open):
+            found.append(Change(name, having[place].name, before, after, quantities[0].unit))
+    return Trend(tuple(runs), tuple(found), slope)
+
+
+def _at_one_temperature(
+    values: NDArray[np.float64], warmth: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float | None]:
+    """Values at the mean temperature, and their slope; as they are where the runs were alike, or it was not measured.
+
+    The slope is that of neighbours: a lasting change between two runs is in one of the differences alone.
+    """
+    if not np.isfinite(warmth).all() or np.ptp(warmth) < WARMTH:
+        return values, None
+    steps = np.diff(warmth)
+    slope = float(np.sum(steps * np.diff(values)) / np.sum(steps**2))
+    return values - slope * (warmth - np.mean(warmth)), slope
+
+
+def step(values: NDArray[np.float64]) -> tuple[int, float]:
+    """Where a series (n,) is best cut in two, and the t statistic of the two means there."""
+    places, statistics = _statistics(values[None, :])
+    best = int(np.argmax(statistics[0]))
+    return places[best], float(statistics[0, best])
+
+
+def _statistics(series: NDArray[np.float64]) -> tuple[list[int], NDArray[np.float64]]:
+    """Places of the cut, and the statistic of every series (m, n) there, (m, places)."""
+    n = series.shape[1]
+    places = list(range(SIDE, n - SIDE + 1))
+    found = []
+    for place in places:
+        a, b = series[:, :place], series[:, place:]
+        inside = a.var(axis=1) * place + b.var(axis=1) * (n - place)
+        scatter = np.sqrt(inside / (n - 2) * (1.0 / place + 1.0 / (n - place)))
+        found.append(np.abs(a.mean(axis=1) - b.mean(axis=1)) / np.maximum(scatter, 1e-300))
+    return places, np.stack(found, axis=1)
+
+
+@cache
+def by_chance(count: int) -> float:
+    """What the statistic of `count` runs of plain noise exceeds with a chance of `ALARM`."""
+    noise = np.random.default_rng(count).standard_normal((DRAWS, count))
+    return float(np.quantile(_statistics(noise)[1].max(axis=1), 1.0 - ALARM))
