@@ -13,6 +13,7 @@ from tsa_ctrl.identify.diagnosis.data.split import split
 from tsa_ctrl.identify.diagnosis.fitting.fit import fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
+from tsa_ctrl.identify.diagnosis.parameters.formula import formula_of_what_is_left
 from tsa_ctrl.identify.diagnosis.parameters.held_out import held_out
 from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
 from tsa_ctrl.identify.diagnosis.parameters.refit import refit
@@ -82,11 +83,13 @@ def diagnose(
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
         refuse_unrelated(problem, data.held, errors, share)
         refuse_useless(problem, bool(selection.fitted.names), errors)
+        formula = formula_of_what_is_left(selection.problem, selection.fitted, data) if share > 0.0 else None
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything
         return insufficient(model, audited, UNSUITED, testable.not_testable)
     limits = detection_limits(selection)
     return conclude(
-        model, Outcome(data, audited, scales, testable, base, selection, findings, groups, reported, errors, limits)
+        model,
+        Outcome(data, audited, scales, testable, base, selection, findings, groups, reported, errors, formula, limits),
     )

@@ -62,6 +62,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
         gain=min(errors.gain, 1.0) if causes else 0.0,
         model=model if worse else reported.fitted.hypothesis.model(reported.fitted.point),
+        formula=None if worse else outcome.formula,  # which stands beside recalibrated numbers
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
     return dataclasses.replace(result, sentence=sentence(result))

@@ -12,6 +12,7 @@ from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates
+from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
@@ -41,6 +42,7 @@ class Outcome:
     groups: tuple[Group, ...]  # one for each cause
     reported: Refit
     errors: HeldOut
+    formula: Formula | None  # of what is left
     limits: DetectionLimits
 
 

@@ -25,6 +25,7 @@ from tsa_ctrl.model.parameters import RigidDrive, save_model
 from tsa_ctrl.version import __version__
 
 JSON, MODEL, PAGE, EXPERIMENT = "diagnosis.json", "extended.toml", "report.html", "experiment.csv"
+FORMULA = "formula.toml"  # the extended model with what is left as [effects.custom]
 WORDS = {
     Verdict.CONSISTENT: "consistent: after recalibration nothing is left beyond noise",
     Verdict.EXPLAINED: "explained: causes are named and nothing significant is left",
@@ -36,6 +37,8 @@ WORDS = {
 
 def write(result: Diagnosis, folder: str | Path, template: str | Path | None = None) -> None:
     """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
+
+    Where what is left follows a formula, also formula.toml.
 
     Each file beside and renamed, so that a crash leaves whole files. `template`: the model file whose comments
     extended.toml keeps. Raises UsageError when the folder cannot be written.
@@ -53,6 +56,8 @@ def write(result: Diagnosis, folder: str | Path, template: str | Path | None = N
     except OSError as error:
         raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
     save_model(result.model, folder / MODEL, template, _provenance(result, template))
+    if result.formula is not None:
+        save_model(result.formula.model, folder / FORMULA, template, _provenance(result, template))
     if result.experiment.t:
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
     settings.write_text(folder / PAGE, page(result, pictures, template))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
+from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.details import Details
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import Model
@@ -83,7 +84,8 @@ class Diagnosis:
     """Result of `diagnose`; `to_json` is the contents of diagnosis.json; `report.page.write` makes the whole report.
 
     `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
-    named, or the given one when the logs say nothing. `details` holds the curves that `report.pictures.plot` draws.
+    named, or the given one when the logs say nothing. `formula`: what it leaves, where that follows one. `details`
+    holds the curves that `report.pictures.plot` draws.
     """
 
     verdict: Verdict
@@ -97,6 +99,7 @@ class Diagnosis:
     rms: Rms
     gain: float
     model: Model
+    formula: Formula | None = None
     details: Details | None = field(default=None, compare=False, repr=False)
 
     def to_dict(self) -> dict[str, Any]:
@@ -130,6 +133,7 @@ class Diagnosis:
                 "unit": "N*m",
                 "held_out": True,
             },
+            "formula": None if self.formula is None else _formula(self.formula),
             "simulated": {"rms": _rounded(self.rms.simulated), "unit": "N*m"},
             "gain": _rounded(self.gain),
             "summary": self.sentence,
@@ -144,6 +148,16 @@ def _rounded(x: float | None) -> float | None:
     if x is None or not math.isfinite(x):
         return None
     return float(f"{x:.{DIGITS}g}")
+
+
+def _formula(found: Formula) -> dict[str, Any]:
+    return {
+        "expression": found.expression,
+        "constants": {name: _plain(value) for name, value in found.constants.items()},
+        "gain": _rounded(found.gain),
+        "rms": {"before": _rounded(found.rms[0]), "after": _rounded(found.rms[1]), "unit": "N*m", "held_out": True},
+        "logs": {"better": found.better, "of": found.logs},
+    }
 
 
 def _plain(value: Quantity | str) -> Any:

@@ -81,6 +81,12 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         out.append(f"The causes gain {result.gain:.0%} of what could be explained.")
     if result.unexplained:
         out.append(f"{result.unexplained[0].upper()}{result.unexplained[1:]}.")
+    if result.formula:
+        found = result.formula
+        out.append(
+            f"As a formula, what is left follows {found.expression}, which takes {found.gain:.0%} of it on held-out "
+            f"data ({found.better} of {found.logs} log{'s' if found.logs > 1 else ''} better)."
+        )
     ruled_out = [spoken(name) for name in result.details.excluded[:EXCLUDED]] if result.details else []
     if ruled_out:
         out.append(f"Excluded: {listed(ruled_out)}.")

@@ -1,0 +1,82 @@
+"""A law outside the catalogue is told as a formula that a model file takes; noise is not. Data written by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.parameters.formula import _selected
+from tsa_ctrl.model.parameters import RigidDrive, load_model, save_model
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import Signals
+
+DRIVE = RigidDrive(inertia=0.004, coulomb_friction=0.05, viscous_friction=0.01, torque_offset=0.0)
+DRAG, NOISE = 0.03, 0.01  # N*m*s^2/rad^2, N*m
+Columns = dict[str, NDArray[np.float64]]
+
+
+def log(seed: int) -> Columns:
+    """20 s at 100 Hz of a drive with a drag that grows with the square of its speed, which no effect has."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(2000) * 1e-2
+    w, v = rng.uniform(1.0, 1.6), rng.uniform(3.0, 4.5)
+    q = 1.2 * np.sin(w * t) + 0.4 * np.sin(v * t)
+    omega = 1.2 * w * np.cos(w * t) + 0.4 * v * np.cos(v * t)
+    acceleration = -1.2 * w**2 * np.sin(w * t) - 0.4 * v**2 * np.sin(v * t)
+    tau = 0.004 * acceleration + 0.05 * np.sign(omega) + 0.01 * omega + DRAG * omega * np.abs(omega)
+    return {
+        "t": t,
+        "tau_m": tau + rng.normal(0.0, NOISE, len(t)),
+        "q_m": q,
+        "omega_m": omega,
+        "acceleration_m": acceleration,
+    }
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    return diagnose({f"{k}.csv": log(k) for k in range(6)}, DRIVE)
+
+
+@pytest.mark.slow
+def test_what_is_left_is_told_as_a_formula_with_its_gain_on_other_logs(found: Diagnosis) -> None:
+    assert found.unexplained
+    assert found.formula is not None
+    assert found.formula.gain > 0.7
+    assert (found.formula.better, found.formula.logs) == (2, 2)
+    assert found.to_dict()["formula"]["expression"] == found.formula.expression
+    assert all(value.low < value.value < value.high for value in found.formula.constants.values())
+
+
+@pytest.mark.slow
+def test_the_formula_is_a_table_that_a_model_file_takes_and_that_mends_the_simulation(
+    found: Diagnosis, tmp_path: Path
+) -> None:
+    assert found.formula is not None
+    save_model(found.formula.model, tmp_path / "formula.toml")
+    mended = load_model(tmp_path / "formula.toml")
+    assert mended.effects["custom"]["expression"] == found.formula.expression
+    columns = log(99)
+    signals = Signals(
+        t=columns["t"],
+        tau_m=columns["tau_m"],
+        omega_j=columns["omega_m"],
+        omega_m=columns["omega_m"],
+        q_m=columns["q_m"],
+        acceleration_m=columns["acceleration_m"],
+    )
+    before, after = (float(np.std(columns["tau_m"] - predict(each, signals))) for each in (found.model, mended))
+    assert after < 0.6 * before
+
+
+def test_noise_has_no_formula() -> None:
+    rng = np.random.default_rng(3)
+    columns, noise = rng.normal(size=(4000, 60)), rng.normal(size=4000)
+    folds, known = np.arange(4000) // 40 % 6, rng.normal(size=(4000, 2))
+    assert _selected(columns, noise, folds, known) == []
+    assert _selected(columns, noise + 5.0 * known[:, 1], folds, known) == []  # other numbers do it
+    assert _selected(columns, noise + columns[:, 7], folds, known) == [7]
