@@ -45,7 +45,7 @@ class Rival:
     """`worse`: increase of the sum of squares, in units in which its deviation is that of white noise.
 
     `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
-    vanished, or its numbers mean nothing. `within_structure`: most of what is left is structure, and the simulation
+    vanished. `within_structure`: most of what is left is structure, and the simulation
     error does not tell them apart. On samples that no fit has seen this one `fails_elsewhere`, as it leaves visibly
     more than the named cause, or `wins_elsewhere`.
     """
@@ -108,9 +108,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     found = [
         dataclasses.replace(
             rival,
-            limit=_vanished(rival.fitted)
-            or (rival.name in limits and rival.worse > -PER_COORDINATE)
-            or (not _made_up(problem, rival.name) and bool(meaningless(problem, rival.fitted))),
+            limit=_vanished(rival.fitted) or (rival.name in limits and rival.worse > -PER_COORDINATE),
         )
         for rival in found
     ]
