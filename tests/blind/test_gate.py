@@ -74,6 +74,7 @@ def test_nothing_is_named_where_nothing_is_hidden() -> None:
     assert [key for key, marks, _ in answers("none", NONE) if marks.named] == []
 
 
+@pytest.mark.slow
 @none
 def test_no_structure_is_claimed_where_nothing_is_hidden() -> None:
     claimed = [key for key, _, verdict in answers("none", NONE) if verdict not in ("consistent", "insufficient")]
@@ -100,6 +101,7 @@ def test_one_effect_is_named(well: Callable[[Mark], bool], target: float) -> Non
     assert likely(len(found) - len(missed), len(found), target), missed
 
 
+@pytest.mark.slow
 @single
 def test_intervals_cover() -> None:
     found = [inside for _, marks, _ in singles() for inside in marks.covered.values()]
@@ -114,6 +116,7 @@ def test_a_cause_outside_the_catalogue_is_noticed() -> None:
     assert likely(len(found) - len(missed), len(found), 0.80), missed
 
 
+@pytest.mark.slow
 @others
 def test_a_cause_outside_the_catalogue_is_not_explained_away() -> None:
     found = answers("outside", OUTSIDE * len(FAMILIES["outside"]))

@@ -105,12 +105,14 @@ def test_each_log_has_a_row_with_its_verdict(done: Path) -> None:
     assert float(rows["drive_2.csv"]["rms_extended"]) < float(rows["drive_2.csv"]["rms_recalibrated"])
 
 
+@pytest.mark.slow
 def test_a_log_that_cannot_be_diagnosed_is_a_row_with_the_reason(done: Path) -> None:
     row = table(done)["drive_3.csv"]
     assert row["verdict"] == "error"
     assert row["error"].startswith("drive_3.csv: column tau_j is missing")
 
 
+@pytest.mark.slow
 def test_each_log_has_a_report_of_its_own(done: Path) -> None:
     said = json.loads((done / "drive_2.csv" / "diagnosis.json").read_text())
     assert table(done)["drive_2.csv"]["verdict"] == said["verdict"]
@@ -118,6 +120,7 @@ def test_each_log_has_a_report_of_its_own(done: Path) -> None:
         assert (done / "drive_2.csv" / name).is_file()
 
 
+@pytest.mark.slow
 def test_a_second_run_asks_nothing_again_and_gives_the_same_table(done: Path, folder: Path, model: Path) -> None:
     before = (done / TABLE).read_text()
     assert swept(folder, model, done)[1] == 0

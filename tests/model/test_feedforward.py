@@ -142,6 +142,7 @@ def test_each_effect_is_inverted(name: str, data: st.DataObject) -> None:
     assert_round_trip({name: data.draw(INVERTIBLE[name])})
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_stack_is_inverted(data: st.DataObject) -> None:

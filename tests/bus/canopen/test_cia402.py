@@ -26,6 +26,7 @@ def by_the_standard(statusword: int) -> PowerState:
     return found[0] if found else S.UNKNOWN
 
 
+@pytest.mark.slow
 def test_all_65536_statuswords_decode_as_in_the_standard() -> None:
     assert [decode(word) for word in range(65536)] == [by_the_standard(word) for word in range(65536)]
 

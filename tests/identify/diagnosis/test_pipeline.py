@@ -85,6 +85,7 @@ def test_a_hidden_effect_is_named(name: str, seed: int) -> None:
     assert result.gain > 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
@@ -114,6 +115,7 @@ def simple_log(**changed: np.ndarray) -> dict[str, np.ndarray]:
     return {**columns, "tau_j": tau_j + 5e-3 * rng.normal(size=T.size), **changed}
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_json() -> None:
     assert diagnose([simple_log()], model()).to_json() == diagnose([simple_log()], model()).to_json()
 
@@ -246,17 +248,20 @@ def test_the_report_says_what_the_json_says(written: Path) -> None:
         assert told_torque(data["rms"][name]) in text
 
 
+@pytest.mark.slow
 def test_the_report_needs_no_network(written: Path) -> None:
     page = (written / "report.html").read_text()
     assert not re.search(r"(src|href)=[\"'](?!data:)", page)
 
 
+@pytest.mark.slow
 def test_the_extended_model_loads_and_carries_the_causes(written: Path) -> None:
     data = json.loads((written / "diagnosis.json").read_text())
     extended = load_model(written / "extended.toml")
     assert set(extended.effects) == {cause["effect"] for cause in data["causes"]}
 
 
+@pytest.mark.slow
 def test_the_extended_model_says_where_its_numbers_came_from(written: Path) -> None:
     data = json.loads((written / "diagnosis.json").read_text())
     source = tomllib.loads((written / "extended.toml").read_text())["provenance"]
@@ -270,12 +275,14 @@ def test_the_extended_model_says_where_its_numbers_came_from(written: Path) -> N
         )
 
 
+@pytest.mark.slow
 def test_the_experiment_is_a_set_point_file(written: Path) -> None:
     rows = np.loadtxt(written / "experiment.csv", delimiter=",", skiprows=1)
     assert (written / "experiment.csv").read_text().startswith("t,tau_j_des\n")
     assert np.all(np.diff(rows[:, 0]) > 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.browser
 @pytest.mark.parametrize("width", [390, 1280])
 def test_the_page_shows_in_a_browser_without_sideways_scrolling(
