@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.safety.passivity import OscillationSettings, Passivity, PassivitySettings
+from tsa_ctrl.safety.passivity import SENSOR, STRETCH, OscillationSettings, Passivity, PassivitySettings
 
 PERIOD = 1e-3
 HALF_LOOP = 0.5  # N*m at the joint
@@ -104,7 +104,7 @@ def test_what_a_swing_of_the_motor_had_is_left_out() -> None:
 
 def test_no_swing_excuses_what_makes_a_joint_fast() -> None:
     """J/2 (1 rad/s)^2 of 0.02 kg*m^2 at most, however wild the motor."""
-    assert given(observer(), np.full(400, 5.0)) < 10e-3
+    assert 8e-3 < given(observer(), np.full(400, 5.0)) < 10e-3
 
 
 def test_a_swing_of_long_ago_excuses_nothing() -> None:
@@ -163,6 +163,99 @@ def test_it_forgets_and_reset_forgets_at_once() -> None:
     assert math.isnan(passivity.ratio)
 
 
+def seen(passivity: Passivity, side: np.ndarray, excess: float, wanted: float, rate: float, term: float) -> float:
+    """Cycle in which it is seen, from 1 on; 1 rad/s in the direction `side`, the excess and the term along it."""
+    for cycle, s in enumerate(side.tolist(), start=1):
+        if passivity.update(wanted + s * excess, wanted, rate, s, s * term, HALF_LOOP):
+            return cycle
+    return math.inf
+
+
+def foretold(doubts: tuple[float, ...], side: np.ndarray, *of: float) -> float:
+    """The same from sums with the memory's weights, for an energy that never falls to 0."""
+    (gain, zero, model), (excess, wanted, rate, term) = doubts, of
+    age = np.arange(side.size)[:, None] - np.arange(side.size)
+    way = PERIOD * np.where(age >= 0, np.exp(-PERIOD * np.maximum(age, 0) / 2.0), 0.0)
+    over = min(excess - model * HALF_LOOP, term)
+    energy = way.sum(axis=1) * over
+    net = np.abs(way @ side)
+    doubt = (gain * abs(wanted) + 3e-3 * abs(rate) + zero * HALF_LOOP) * net
+    found = np.flatnonzero(energy + np.minimum(energy, 5e-3 * over) - doubt > 3e-3)
+    return float(found[0]) + 1.0 if found.size else math.inf
+
+
+ONE_WAY = np.ones(500)
+TO_AND_FRO = np.where(np.arange(500) // 40 % 2, -1.0, 1.0)
+
+
+@pytest.mark.parametrize("side", [ONE_WAY, -ONE_WAY, TO_AND_FRO], ids=["one way", "the other", "to and fro"])
+@pytest.mark.parametrize(
+    ("doubts", "numbers"), [(SENSOR, (0.03, 0.03, 0.01)), (STRETCH, (0.2, 0.12, 0.1))], ids=["sensor", "stretch"]
+)
+@pytest.mark.parametrize(
+    ("wanted", "rate", "term"),
+    [(0.0, 0.0, HALF_LOOP), (0.4, 0.0, HALF_LOOP), (-0.4, 6.0, HALF_LOOP), (0.0, -6.0, HALF_LOOP), (0.0, 0.0, 0.08)],
+)
+def test_is_seen_in_the_cycle_in_which_it_is_beyond_every_doubt(
+    doubts: tuple[float, float, float],
+    numbers: tuple[float, ...],
+    side: np.ndarray,
+    wanted: float,
+    rate: float,
+    term: float,
+) -> None:
+    """Half a swing foreseen, gain, lateness and zero left out by work, course and way, the model's 1 or 10 % before."""
+    excess = 0.07 if doubts is SENSOR else 0.25
+    expected = foretold(numbers, side, excess, wanted, rate, term)
+    assert seen(observer(doubts=doubts), side, excess, wanted, rate, term) == expected
+    assert 10 < expected < math.inf
+
+
+@pytest.mark.parametrize(("calm", "left"), [(0, 4e-3), (30, 4e-3 * math.exp(-1.0))], ids=["now", "30 ms ago"])
+def test_a_swing_is_forgotten_in_30_ms_before_and_with_the_energy_since(calm: int, left: float) -> None:
+    """0.05 N*m at 1 rad/s, nothing in doubt but 4 mJ of swing, then or `calm` cycles before."""
+    passivity = observer(doubts=(0.0, 0.0, 0.0))
+    if calm:
+        passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP, 4e-3)
+    for _ in range(calm - 1):
+        passivity.update(0.0, 0.0, 0.0, 0.0, 0.0, HALF_LOOP)
+    keep, energy, cycle = math.exp(-PERIOD / 2.0), 0.0, 0
+    while energy + 0.25e-3 - left * keep**cycle * (math.exp(-1.0 / 30.0) if calm else 1.0) <= 3e-3:
+        energy = energy * keep + 0.05e-3
+        cycle += 1
+    found = next(
+        n
+        for n in range(1, 500)
+        if passivity.update(0.05, 0.0, 0.0, 1.0, HALF_LOOP, HALF_LOOP, 4e-3 if n == 1 and not calm else 0.0)
+    )
+    assert found == pytest.approx(cycle, abs=1.0)
+
+
+def test_no_more_is_foreseen_than_was_there() -> None:
+    """0.4 mJ a cycle, 2 mJ to come: twice 1.6 are beyond 3, not 1.2 and 2."""
+    assert seen(observer(doubts=(0.0, 0.0, 0.0)), ONE_WAY, 0.4, 0.0, 0.0, HALF_LOOP) == 4
+
+
+def test_a_term_that_brakes_takes_nothing_back_and_friction_does() -> None:
+    """What a hand gives while the term brakes is nobody's; what is braked beyond all that was given begins anew."""
+    passivity = observer()
+    assert seen(passivity, ONE_WAY[:40], 0.05, 0.0, 0.0, HALF_LOOP) == math.inf
+    before = passivity.energy
+    assert seen(passivity, ONE_WAY[:1], 1.0, 0.0, 0.0, -0.3) == math.inf
+    assert passivity.energy == pytest.approx(before * math.exp(-PERIOD / 2.0), rel=1e-9)
+    assert seen(passivity, ONE_WAY[:40], -0.3, 0.0, 0.0, HALF_LOOP) == math.inf
+    assert (passivity.energy, passivity.cycles) == (0.0, 0)
+
+
+def test_two_cycles_must_agree() -> None:
+    assert seen(observer(), ONE_WAY, 9.0, 0.0, 0.0, 9.0) == 2
+
+
+def test_no_torque_is_a_million() -> None:
+    assert seen(observer(), ONE_WAY, 0.9e6, 0.0, 0.0, HALF_LOOP) < math.inf
+    assert seen(observer(), ONE_WAY, 1.1e6, 0.0, 0.0, HALF_LOOP) == math.inf
+
+
 def test_defaults() -> None:
     """What holds when the file says nothing."""
     assert msgspec.to_builtins(PassivitySettings()) == {"energy": 3e-3, "buzz": 0.03}
@@ -179,3 +272,7 @@ def test_settings_are_bounded_from_both_sides(key: str) -> None:
 
 def test_keys_of_earlier_versions_are_read() -> None:
     assert msgspec.convert({"speed": 0.5, "duration": 1.0, "share": 0.5}, OscillationSettings) == OscillationSettings()
+    for key, most in (("speed", 100.0), ("duration", 60.0), ("share", 0.99)):
+        assert getattr(msgspec.convert({key: most}, OscillationSettings), key) == most
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({key: 1.02 * most}, OscillationSettings)

@@ -39,6 +39,7 @@ TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must see its m
     "tsa_ctrl/safety/supervisor.py": ("tests/safety/test_supervisor.py",),
     "tsa_ctrl/safety/shut_down.py": ("tests/safety/test_shut_down.py",),
     "tsa_ctrl/safety/leaky.py": ("tests/safety/test_leaky.py",),
+    "tsa_ctrl/safety/passivity.py": ("tests/safety/test_passivity.py",),
     "tsa_ctrl/safety/plausibility.py": ("tests/safety/test_plausibility.py",),
     "tsa_ctrl/control/axis.py": ("tests/control/test_axis.py", "tests/daemon/test_loop.py"),
     "tsa_ctrl/control/cycle.py": ("tests/control/test_cycle.py", "tests/daemon/test_loop.py"),
