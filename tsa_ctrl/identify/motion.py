@@ -112,17 +112,24 @@ def _span(values: Sequence[float]) -> str:
 
 
 def directed(found: Smoothed) -> Array:
-    """The velocity of a smoothed angle, its sign that of the motion around wherever it is not sure by itself.
+    """The velocity of a smoothed angle, with the sign of the motion around wherever its own is not sure.
 
-    Within SURE errors of 0, or slower than a count in STANDING, a sign is noise or the filter's ringing. Between two
-    stretches of one direction the motion has that direction too, and where the encoder stands its velocity is 0;
-    between opposite ones it turns once, at the angle's extremum: in the middle of the samples that may be it.
+    Slower than a count in STANDING a sign is noise or the filter's ringing, and the encoder stands.
     """
-    velocity, angle = found.rate, found.value
     steps = np.abs(np.diff(found.raw))
     moved = steps[steps > 0.0]
     still = (float(moved.min()) if len(moved) else 0.0) / STANDING  # of an unquantised angle next to nothing
-    surely = (np.abs(velocity) > max(still, SURE * found.errors[1])) & (velocity != 0.0)
+    return with_sure_signs(found.rate, found.value, found.errors[1], still, found.errors[0])
+
+
+def with_sure_signs(velocity: Array, angle: Array, error: float, still: float, near: float) -> Array:
+    """`velocity` (n,) rad/s, its sign that of the motion around wherever it is within SURE `error` of 0.
+
+    Between two stretches of one direction the motion has that direction too, and up to `still` rad/s the velocity is 0;
+    between opposite ones it turns once, at the extremum of `angle` (n,): in the middle of the samples that may be it
+    as they are `near` it, rad.
+    """
+    surely = (np.abs(velocity) > max(still, SURE * error)) & (velocity != 0.0)
     moving = np.flatnonzero(surely)
     if len(moving) == 0:
         return np.zeros_like(velocity)
@@ -139,6 +146,6 @@ def directed(found: Smoothed) -> Array:
             out[inside] = np.where(standing[inside], 0.0, way * size)
             continue
         height = way * angle[inside]
-        turned = int(np.median(np.flatnonzero(height >= height.max() - found.errors[0])))
+        turned = int(np.median(np.flatnonzero(height >= height.max() - near)))
         out[inside] = np.where(np.arange(len(size)) < turned, way * size, next_way * size)
     return out

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tsa_ctrl.identify.diagnosis.data.audit import audit
+from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
 from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
 from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
@@ -55,7 +56,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
     runs = prepare(logs, model)
     say("audit")
-    data = along_gross_motion(split(runs, hold_out), model)
+    data = with_hidden_direction(along_gross_motion(split(runs, hold_out), model), model)
     audited = audit(data.frame)
     testable = Candidates({}, {})
     try:

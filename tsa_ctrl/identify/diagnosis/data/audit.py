@@ -66,7 +66,7 @@ def audit(frame: Frame) -> Audit:
         occupancy=occupancy,
         speed_edges=speed_edges,
         load_edges=load_edges,
-        notes=(*notes_of([run.raw for run in frame.runs]), *_narrowed(frame)),
+        notes=(*notes_of([run.raw for run in frame.runs]), *_narrowed(frame), *_hidden(frame)),
         suspicions=_suspicions(frame),
         insufficient=_insufficient(float(np.mean(moving)), fast, clear, frame),
     )
@@ -80,6 +80,23 @@ def _narrowed(frame: Frame) -> tuple[str, ...]:
     return (
         f"friction follows the motion up to {band:.2g} Hz: angles and velocities derived from them are narrowed to "
         "that, as the joint's torque does not answer to what is faster",
+    )
+
+
+def _hidden(frame: Frame) -> tuple[str, ...]:
+    """For how long the direction was hidden, and what was made of it."""
+    lengths = np.array([len(run.signals) for run in frame.runs], dtype=np.float64)
+    shares = np.array([run.hidden for run in frame.runs])
+    share = float(shares @ lengths / lengths.sum())
+    if share <= 0.0:
+        return ()
+    start = f"for {share:.1%} of the time the velocity shows no direction:"
+    if np.isnan([run.told for run in frame.runs]).all():
+        return (f"{start} friction at rest is anything within its band, and nothing is learned there",)
+    told = float(np.nansum([run.told * run.hidden * len(run.signals) for run in frame.runs]) / (shares @ lengths))
+    return (
+        f"{start} there it is the one that velocity and torque make likelier (with a probability of {told:.1%} on "
+        "average), and held-out errors leave it out",
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.motion import directed
+from tsa_ctrl.identify.motion import SURE, directed, with_sure_signs
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass
@@ -62,8 +62,20 @@ def denoised(log: Dataset, band: float = math.inf) -> tuple[Signals, float, Arra
             smooth = np.where(as_it_is, column, smooth)
             noise = max(left, STEP_NOISE * _count(column))
             error = np.hypot(noise, _distortion(smooth, log.period, highest))
+            smooth, error = _turned_once(smooth, column, log.period, noise, error)
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
+
+
+def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error: Array) -> tuple[Array, Array]:
+    """A recorded velocity whose sign does not flicker while its noise hides it, and its error, which is so large there.
+
+    Else friction would turn over and over in slow motion. Where it turns tells the angle, the integral of `omega`.
+    """
+    if noise <= 0.0 or not bool(np.any(np.abs(smooth) > SURE * noise)):
+        return smooth, error
+    out = with_sure_signs(smooth, np.cumsum(omega) * period, noise, 0.0, 0.0)
+    return out, np.where(np.abs(smooth) > SURE * noise, error, np.maximum(error, np.abs(smooth)))
 
 
 def _about_standstill(omega: Array, period: float) -> NDArray[np.bool_]:

@@ -35,6 +35,8 @@ class Run:
     full_target: Array
     full_bin: int
     band: float = math.inf  # Hz, to which derived motion was narrowed because friction follows no more of it
+    hidden: float = 0.0  # share of the time in which the velocity shows no direction
+    told: float = math.nan  # mean probability of the direction that is taken there; nan where none is
 
     @property
     def count(self) -> int:

@@ -1,0 +1,105 @@
+"""Direction where a velocity's noise hides it: found from the torque, told, and nothing claimed of it.
+
+Torque and motion come from the independent plant of the blind benchmark, or are made here by hand.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+
+import numpy as np
+import pytest
+
+from tests.blind import case
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.data.audit import audit
+from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
+from tsa_ctrl.identify.diagnosis.data.prepare import prepare
+from tsa_ctrl.identify.diagnosis.data.split import Split, split
+from tsa_ctrl.identify.diagnosis.noise.nuisance import uncertain
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import RigidDrive, model_from
+from tsa_ctrl.model.signals import hold_direction
+
+RATE = 250.0
+DRIVE = RigidDrive(coulomb_friction=0.3, viscous_friction=0.1)
+
+
+def _seen(name: str, seed: int) -> tuple[Split, Split, Array]:
+    """Before and after, and the true direction at the compute rate."""
+    hidden = case("hidden_direction", name, seed, short=True)
+    model = model_from(tomllib.loads(hidden.model), "nominal.toml")
+    before = split(prepare([Dataset.from_arrays(log.columns, log.name) for log in hidden.logs], model), None)
+    assert hidden.bench is not None
+    true = hidden.bench.runs[0].pick(hidden.bench.runs[0].scene.direction())
+    count = len(before.frame.runs[0].signals)
+    return before, with_hidden_direction(before, model), true[: count * (len(true) // count) : len(true) // count]
+
+
+@pytest.mark.parametrize(("name", "seed"), [("plateaus", 1), ("slow_walk", 2), ("slow_multisine", 3)])
+def test_the_torque_shows_which_way_a_slow_joint_moves(name: str, seed: int) -> None:
+    before, after, true = _seen(name, seed)
+    wrong = [hold_direction(data.frame.runs[0].signals.omega_j) != true for data in (before, after)]
+    assert np.mean(wrong[1]) < 0.2 * np.mean(wrong[0])
+    run = after.frame.runs[0]
+    assert not np.any(wrong[1] & ~uncertain(run, run.signals.omega_j))
+    assert run.told > 0.99
+    assert "the velocity shows no direction" in audit(after.frame).notes[-1]
+
+
+def test_held_out_errors_leave_hidden_stretches_out() -> None:
+    before, after, _ = _seen("slow_walk", 2)
+    assert after.held.sum() < before.held.sum()
+    assert np.array_equal(after.frame.train, before.frame.train)
+
+
+def test_a_log_that_moves_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(round(12.0 * RATE)) / RATE
+    omega = np.sin(3.0 * t) + 0.002 * rng.standard_normal(len(t))
+    tau_m = np.sin(0.7 * t)
+    log = Dataset.from_arrays({"t": t, "tau_m": tau_m, "tau_j": 0.8 * tau_m - 0.1 * np.sign(omega), "omega_j": omega})
+    data = split(prepare([log], ACTUATOR), None)
+    assert with_hidden_direction(data, ACTUATOR) is data
+
+
+def _stop_and_go(offset: float) -> dict[str, Array]:
+    """A plain drive that rests half of the time, where its motor holds any torque within its friction."""
+    rng = np.random.default_rng(7)
+    t = np.arange(round(30.0 * RATE)) / RATE
+    moving = np.floor(t / 1.5) % 2.0 == 0.0
+    way = np.where(np.floor(t / 3.0) % 2.0 == 0.0, 1.0, -1.0)
+    omega = np.where(moving, way * (1.0 + np.sin(2.0 * np.pi * t / 1.5) ** 2), 0.0)
+    resting = 0.2 * way  # what the controller happens to leave: within the friction, on the side it came from
+    tau_m = np.where(moving, 0.3 * np.sign(omega) + 0.1 * omega + offset, resting)
+    return {"t": t, "tau_m": tau_m + 0.005 * rng.standard_normal(len(t)), "omega_m": omega}
+
+
+def test_a_rest_is_neither_learned_from_nor_counted() -> None:
+    log = Dataset.from_arrays(_stop_and_go(0.0), "log")
+    data = with_hidden_direction(split(prepare([log], DRIVE), None), DRIVE)
+    still = data.frame.runs[0].average((data.frame.runs[0].signals.omega_j == 0.0).astype(float)) > 0.0
+    assert still.mean() > 0.4
+    assert not np.any(still & (data.frame.train | data.held | data.fit))
+    assert "friction at rest is anything within its band" in audit(data.frame).notes[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_what_a_drive_holds_at_rest_is_no_cause(offset: float) -> None:
+    result = diagnose({"log": _stop_and_go(offset)}, dataclasses.replace(DRIVE, torque_offset=0.0))
+    assert result.causes == ()
+    found = {name: error.found.value for name, error in result.parameter_errors.items()}
+    assert found["coulomb_friction"] == pytest.approx(0.3, abs=0.01)
+    assert found["torque_offset"] == pytest.approx(offset, abs=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "seed"), [("slow_gait", 1), ("slow_multisine", 1), ("plateaus", 1), ("plateaus", 2)])
+def test_hidden_directions_are_no_structure(name: str, seed: int) -> None:
+    hidden = case("hidden_direction", name, seed, short=True)
+    logs = {log.name: log.columns for log in hidden.logs}
+    assert diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml")).verdict.value == "consistent"

@@ -1,0 +1,167 @@
+"""The direction of slow motion, a hidden state: where a velocity's noise hides it, the torque shows how friction acts.
+
+Two states, forward and backward, that turn seldom. What speaks for either at a moment is the velocity, and the torque
+beside what a line through the sure samples says of it; a forward and a backward sweep give the direction's probability
+from the whole log. Only stretches in which the velocity alone cannot tell for long are touched. Where the odds are
+large and the torque is that of the direction taken, it counts as known, but for the turns themselves: those were placed
+by the torque, and say nothing of how late it is. Held-out errors leave all such stretches out. Where the torque is that
+of neither direction, friction is somewhere within its band, and the direction stays unknown; of a plain drive that is
+so whenever it rests, and a rest is neither learned from nor counted.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter1d
+from scipy.special import log_ndtr
+
+from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
+from tsa_ctrl.identify.diagnosis.data.split import Split
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.signals import hold_direction
+
+UNKNOWN = 2.5  # times a velocity's error: a slower motion has no direction of its own
+LONG = 0.1  # s: at ordinary speed a joint turns in less, and between two rests it does not move for less
+TURNS = 1.0  # s from one turn to the next, about; it enters as a logarithm, so that a factor of 3 is one in the odds
+SURE = 50.0  # log odds of a direction that the velocity shows
+BAND = 40.0  # Hz, of a recorded velocity after its low-pass: noise is new in half a period of it
+CREEPING = 4.0  # standard errors of a median, by which it is not 0
+KNOWN = math.log(1000.0)  # odds from which on a direction is known: a sample in a thousand may be wrong
+FITS = 2.0  # standard deviations, RMS over LONG, that the torque of a known direction may be off
+FEWEST = 60  # score samples that must be left to learn from
+
+
+def with_hidden_direction(data: Split, model: Model) -> Split:
+    """The same logs with the direction of hidden stretches smoothed; masks leave out what stays hidden."""
+    rigid = isinstance(model, RigidDrive)
+    hidden = [_hidden(run, rigid) for run in data.frame.runs]
+    if not any(bool(each.any()) for each in hidden):
+        return data
+    frame = data.frame
+    slid = (
+        np.concatenate([run.average(each.astype(float)) for run, each in zip(frame.runs, hidden, strict=True)]) == 0.0
+    )
+    if int((slid & frame.train).sum()) < FEWEST or not bool((slid & data.held).any()):
+        return data
+    if rigid:
+        runs = tuple(
+            dataclasses.replace(run, hidden=float(np.mean(e))) for run, e in zip(frame.runs, hidden, strict=True)
+        )
+        frame = dataclasses.replace(frame, runs=runs, train=frame.train & slid)
+        return dataclasses.replace(data, frame=frame, fit=data.fit & slid, held=data.held & slid)
+    found = _odds(frame, hidden, slid & frame.train)
+    runs = tuple(_directed(run, each, *of) for run, each, of in zip(frame.runs, hidden, found, strict=True))
+    return dataclasses.replace(data, frame=dataclasses.replace(frame, runs=runs), held=data.held & slid)
+
+
+def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
+    """Samples (n) at the compute rate in long stretches without a direction; of tendons, of recorded velocities alone.
+
+    An encoder that stands shows that it does; of a plain drive that is enough to know nothing of its friction.
+    """
+    omega = run.signals.omega_j
+    slow = np.abs(omega) <= UNKNOWN * run.velocity_error
+    if not rigid:
+        slow &= omega != 0.0
+        if "omega_j" in run.raw.derived:
+            return np.zeros(len(omega), dtype=np.bool_)
+    stretch = np.ones(max(1, round(LONG / run.signals.period)), dtype=np.bool_)
+    hidden = np.asarray(binary_closing(binary_opening(slow, stretch), stretch))
+    return hidden & ~_creeping(run, hidden) if rigid else hidden
+
+
+def _creeping(run: Run, hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Stretches in which slow motion shows all the same: half of its samples lie beyond what chance makes of a rest."""
+    omega, error = run.signals.omega_j, max(run.velocity_noise, np.finfo(np.float64).tiny)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(np.int8)))
+    out = np.zeros(len(hidden), dtype=np.bool_)
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        count = (stop - start) * min(1.0, 2.0 * BAND * run.signals.period)
+        out[start:stop] = abs(float(np.median(omega[start:stop]))) > CREEPING * error * math.sqrt(0.5 * math.pi / count)
+    return out
+
+
+def _odds(frame: Frame, hidden: Sequence[NDArray[np.bool_]], sure: NDArray[np.bool_]) -> list[tuple[Array, Array]]:
+    """Log odds of forward motion, and by how many deviations the torque is off then, (n) each for each run.
+
+    `sure`: score samples to learn from, none of them hidden.
+    """
+    features = [_features(run, hold_direction(run.signals.omega_j)) for run in frame.runs]
+    columns, target = frame.stack(features)[sure], frame.target[sure]
+    factors = np.linalg.lstsq(columns, target, rcond=None)[0]
+    rest = target - columns @ factors
+    variance = max(float(np.mean(rest**2)), np.finfo(np.float64).tiny)
+    alike = _correlated(rest / math.sqrt(variance))  # score samples that tell as much as one
+    out = []
+    for run, each in zip(frame.runs, hidden, strict=True):
+        s = run.signals
+        forward, backward = (run.target - _features(run, np.full(len(s), sign)) @ factors for sign in (1.0, -1.0))
+        by_torque = (backward**2 - forward**2) / (2.0 * variance * alike * run.bin)
+        speed = s.omega_j / max(run.velocity_noise, np.finfo(np.float64).tiny)
+        by_velocity = (log_ndtr(speed) - log_ndtr(-speed)) * min(1.0, 2.0 * BAND * s.period)
+        evidence = np.where(each, by_torque + by_velocity, SURE * np.sign(s.omega_j))
+        odds = _smoothed(evidence, s.period / TURNS)
+        out.append((odds, np.where(odds > 0.0, forward, backward) / math.sqrt(variance)))
+    return out
+
+
+def _features(run: Run, sigma: Array) -> Array:
+    """What makes up a tendon-sheath's torque, (n, k): (3.55) with friction that may depend on the load, a spring."""
+    tau_m = run.signals.tau_m
+    return np.column_stack([np.ones(len(sigma)), tau_m, sigma, sigma * np.abs(tau_m), np.abs(tau_m), run.angle])
+
+
+def _correlated(y: Array) -> float:
+    """Samples over which a unit-variance series repeats itself: the sum of its autocorrelation up to its first zero."""
+    spectrum = np.abs(np.fft.rfft(y, 2 * len(y))) ** 2
+    correlation = np.fft.irfft(spectrum)[: len(y)] / max(float(np.sum(y**2)), np.finfo(np.float64).tiny)
+    crossed = np.flatnonzero(correlation <= 0.0)
+    return float(max(1.0, 2.0 * correlation[: int(crossed[0]) if len(crossed) else len(y)].sum() - 1.0))
+
+
+def _smoothed(evidence: Array, turn: float) -> Array:
+    """Log odds of the first of two states that turn with probability `turn` per sample, from evidence (n) of each."""
+    after, before = _swept(evidence, turn), _swept(evidence[::-1], turn)[::-1]
+    return after + before - evidence
+
+
+def _swept(evidence: Array, turn: float) -> Array:
+    out, odds = np.empty(len(evidence)), 0.0
+    for at, own in enumerate(evidence.tolist()):
+        rising = math.exp(min(odds, 700.0))
+        odds = own + math.log(((1.0 - turn) * rising + turn) / (turn * rising + 1.0 - turn))
+        out[at] = odds
+    return out
+
+
+def _directed(run: Run, hidden: NDArray[np.bool_], odds: Array, off: Array) -> Run:
+    """The run with the likelier direction in its hidden stretches, and no error of the velocity where it is known."""
+    if not hidden.any():
+        return run
+    omega = np.where(hidden, np.copysign(np.abs(run.signals.omega_j), odds), run.signals.omega_j)
+    factor = run.full_bin // run.bin
+    whole = run.full.omega_j.copy()
+    fine, sign = np.repeat(hidden, factor), np.repeat(odds, factor)
+    whole[: len(fine)] = np.where(fine, np.copysign(np.abs(whole[: len(fine)]), sign), whole[: len(fine)])
+    near = max(1, round(LONG / run.signals.period))
+    turns = np.append(np.diff(np.sign(odds)) != 0.0, False)
+    fits = uniform_filter1d(off**2, near) < FITS**2
+    known = hidden & (np.abs(odds) > KNOWN) & fits & ~binary_dilation(turns, np.ones(2 * near + 1, dtype=np.bool_))
+    size = np.abs(omega)
+    unsure = np.where(hidden, np.maximum(run.velocity_error, size), run.velocity_error)
+    error = np.where(known, np.minimum(run.velocity_error, size / (1.01 * UNKNOWN)), unsure)
+    told = 1.0 / (1.0 + np.exp(-np.minimum(np.abs(odds[hidden]), 700.0)))
+    return dataclasses.replace(
+        run,
+        signals=dataclasses.replace(run.signals, omega_j=omega),
+        full=dataclasses.replace(run.full, omega_j=whole),
+        velocity_error=error,
+        hidden=float(np.mean(hidden)),
+        told=float(np.mean(told)),
+    )
