@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from tsa_ctrl.cli import cli
 from tsa_ctrl.config import load_configuration
+from tsa_ctrl.daemon.assembly import bound_for, describe, joint_torque_of
 from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -187,6 +188,37 @@ def test_stretch_estimator_needs_two_encoders_and_a_shape(folder: Path) -> None:
     path = edit(folder, r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n", "")
     with pytest.raises(UsageError, match=r"without \[axis.encoder\]"):
         load_configuration(path)
+
+
+@pytest.mark.parametrize(
+    ("model", "axis", "told"),
+    [
+        ("", "", "stretch, in use"),
+        (r"^bending_centre", "", r"fixed \(.*does not say where the sheath bends; give \[sheath\] bending_centre"),
+        ("", r"^\[axis.encoder\][^\n]*\nnode_id = 32\ncounts_per_revolution[^\n]*\n", r"fixed \(.*no \[axis.encoder\]"),
+    ],
+    ids=["default", "shape", "encoder"],
+)
+def test_the_default_estimator_and_what_stands_against_it_are_told(
+    folder: Path, model: str, axis: str, told: str
+) -> None:
+    """In the status, and by an event at the start."""
+    path = folder / "controller.toml"
+    if model:
+        text = (folder / "actuator.toml").read_text()
+        (folder / "actuator.toml").write_text(re.sub(model, "# bending_centre", text, flags=re.MULTILINE))
+    if axis:
+        edit(folder, axis, "")
+    configuration = load_configuration(path)
+    (found,) = describe(configuration, []).estimators
+    assert re.fullmatch(f"{told}.*", found)
+    notes = bound_for(
+        configuration.file.axes[0],
+        configuration.models[0],
+        joint_torque_of(configuration.file.axes[0], configuration.models[0], 0.0, 1e-3),
+        configuration.estimators[0],
+    ).notes
+    assert any("estimator fixed" in note for note in notes) is told.startswith("fixed")
 
 
 def test_check_moves_nothing_and_says_the_load(folder: Path) -> None:

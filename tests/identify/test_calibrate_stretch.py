@@ -116,6 +116,17 @@ def test_angles_that_contradict_each_other_are_refused(change: dict[str, float],
         fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
 
 
+def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -> None:
+    """Encoders so coarse that the stretch is lost in a count: no stiffness is guessed."""
+    data = rows(8.0)
+    count = 2.0 * np.pi / 64
+    data["q_m"] = count * np.round(data["q_m"] / count)
+    data["tau_m"] = 0.6 * np.sign(np.cos(data["t"]))
+    with pytest.raises(UsageError, match="does not tell their stiffness here; record motion") as caught:
+        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_missing_encoder_is_named() -> None:
     data = rows()
     del data["q_m"]

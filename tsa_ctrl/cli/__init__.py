@@ -30,7 +30,7 @@ VERBS: dict[str, str] = {
     "diagnose": "what the simulation gets wrong, why, and what it gains to know",
     "doctor": "is this machine fit to run the loop",
     "data": "measured data that others published, fetched and checked",
-    "log": "look into, convert and import logs",
+    "log": "look into, convert and import logs; a rig's health over its runs",
     "drive": "probe a drive; dump, restore or compare its objects",
     "verify-safety": "hang and kill the loop and measure the drive's reaction",
     "bench": "the highest rate that this machine, adapter and configuration carry",
