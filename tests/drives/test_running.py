@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 import tomlkit
 
 from tests.virtual.files import controller, plant, write
@@ -33,6 +34,7 @@ def texts(result: Simulation) -> list[str]:
     return [event.text for event in result.summary.events]
 
 
+@pytest.mark.slow
 def test_an_emergency_latches_unless_the_profile_calls_it_a_warning(tmp_path: Path) -> None:
     quirks: dict[str, object] = {"warns_when_enabled": 0x2310}
     (tmp_path / "a").mkdir()
@@ -44,6 +46,7 @@ def test_an_emergency_latches_unless_the_profile_calls_it_a_warning(tmp_path: Pa
     assert [text for text in texts(told) if text.startswith("warning of drive node 1: EMCY 0x2310")]
 
 
+@pytest.mark.slow
 def test_a_drive_that_faults_when_the_heartbeat_ends_comes_back_after_a_recovery(tmp_path: Path) -> None:
     result = run(
         tmp_path,

@@ -168,6 +168,7 @@ def test_slow_answers_need_patience(tmp_path: Path) -> None:
     foreign.bring_up(answer_timeout=1.0)
 
 
+@pytest.mark.slow
 def test_answers_after_two_fifths_of_a_second_are_tolerated(tmp_path: Path) -> None:
     Foreign(tmp_path, "answer_time = 0.4").start()
 

@@ -53,12 +53,14 @@ def test_streams_and_exit_status_pass_through() -> None:
     assert done.stderr.endswith(b"to\nerrors\r\n")
 
 
+@pytest.mark.slow
 def test_environment_folder_and_arguments_pass_through() -> None:
     script = 'pwd; printf "%s|" "$@"; printf "%s" "$TSA_MARK"'
     done = run(["sh", "-c", script, "sh", "two words", "", "$x"], {"TSA_MARK": "a\nb'c", "TSA_VCAN": ""})
     assert done.stdout.decode() == f"{Path.cwd()}\ntwo words||$x|a\nb'c"
 
 
+@pytest.mark.slow
 def test_a_signal_reaches_the_command() -> None:
     """SIGTERM to the tool is the command's to handle; its own exit status is passed on."""
     script = "trap 'echo ended; exit 9' TERM; echo up; while :; do sleep 0.05; done"

@@ -22,6 +22,7 @@ def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path, wr
     assert result.axes[0].faults[0].startswith("tripped by the controller: the joint torque sensor")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", ["drive", "encoder"])
 def test_two_of_three_answers_lost_for_ever_stop_the_axis(tmp_path: Path, node: str) -> None:
     """Never three in a row, which is what is tolerated of a single loss."""

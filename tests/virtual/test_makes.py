@@ -14,6 +14,7 @@ from tsa_ctrl import simulate_loop
 DRIVES = Path(__file__).resolve().parents[2] / "config" / "drives"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["epos4", "elmo_gold"])
 def test_runs_a_drive_of_another_make(tmp_path: Path, kind: str) -> None:
     """The speed is that of the angle, the torque reported is the one commanded a period before."""
