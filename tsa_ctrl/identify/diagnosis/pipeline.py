@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -85,6 +86,8 @@ def diagnose(
         refuse_unrelated(problem, data.held, errors, share)
         refuse_useless(problem, bool(selection.fitted.names), errors)
         formula = formula_of_what_is_left(selection.problem, selection.fitted, data) if share > 0.0 else None
+        if formula is not None:  # what follows a formula is no noise
+            errors = dataclasses.replace(errors, noise_floor=min(errors.noise_floor, formula.rms[1]))
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything

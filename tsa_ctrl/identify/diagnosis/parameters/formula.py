@@ -23,6 +23,7 @@ from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
+from tsa_ctrl.identify.diagnosis.parameters.held_out import rms_over
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, FOLDS
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.effects.specification import Setting
@@ -49,8 +50,8 @@ class Formula:
     """tau_J -= f (of a plain drive tau_M += f) with f = `expression`; `constants` with their 95 % intervals.
 
     `model`: with it, and with the other numbers fitted anew beside it. `gain`: share of the mean square left on
-    held-out data that it takes; `rms`: left there before and after, N*m at the score rate; `better`, `logs`: held-out
-    logs that it makes better, and how many there are.
+    held-out data that it takes; `rms`: left there before and after, N*m at the logs' own rate; `better`, `logs`:
+    held-out logs that it makes better, and how many there are.
     """
 
     expression: str
@@ -106,13 +107,12 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
         return None
     half = float(student.ppf(0.5 + 0.5 * LEVEL, max(int(blocks[-1]), 1))) * spread
     told = zip(names, constants, half, strict=True)
-    count = int(split.held.sum())
     return Formula(
         expression,
         {name: Quantity(float(v), float(v - h), float(v + h), "1") for name, v, h in told},
         described,
         gain=float(1.0 - left / before),
-        rms=(float(np.sqrt(before / count)), float(np.sqrt(left / count))),
+        rms=(rms_over(problem.frame, model, split.held), rms_over(problem.frame, described, split.held)),
         better=better,
         logs=len(held),
     )

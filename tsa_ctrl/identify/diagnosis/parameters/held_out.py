@@ -67,11 +67,11 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
     own = fit_on_simulation_error(problem, extended, mask=split.held)
     samples = float(split.held.sum())
     rms = {
-        "as_given": _rms(frame, base.hypothesis.base.given, split.held),
-        "recalibrated": _rms(frame, recalibrated.hypothesis.model(recalibrated.point), split.held),
-        "extended": _rms(frame, extended.hypothesis.model(extended.point), split.held),
+        "as_given": rms_over(frame, base.hypothesis.base.given, split.held),
+        "recalibrated": rms_over(frame, recalibrated.hypothesis.model(recalibrated.point), split.held),
+        "extended": rms_over(frame, extended.hypothesis.model(extended.point), split.held),
     }
-    floor = _rms(frame, own.hypothesis.model(own.point), split.held) * np.sqrt(samples / (samples - len(own.point)))
+    floor = rms_over(frame, own.hypothesis.model(own.point), split.held) * np.sqrt(samples / (samples - len(own.point)))
     floor *= np.sqrt(1.0 - min(structure_share, MOST_STRUCTURE))
     won = max(rms["recalibrated"] ** 2 - rms["extended"] ** 2, 1e-300)
     lost = []
@@ -80,7 +80,7 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
             lost.append(1.0)
             continue
         smaller = fit_on_simulation_error(problem, backward_step(problem, extended, index), mask=split.fit)
-        error = _rms(frame, smaller.hypothesis.model(smaller.point), split.held)
+        error = rms_over(frame, smaller.hypothesis.model(smaller.point), split.held)
         lost.append(float(np.clip((error**2 - rms["extended"] ** 2) / won, 0.0, 1.0)))
     driver = "omega_j" if problem.base.target == "tau_m" else "tau_m"
     return HeldOut(
@@ -106,7 +106,8 @@ def _linear(split: Split, drivers: Sequence[str]) -> float:
     return _over(frame, residuals, split.held)
 
 
-def _rms(frame: Frame, model: Model, mask: NDArray[np.bool_]) -> float:
+def rms_over(frame: Frame, model: Model, mask: NDArray[np.bool_]) -> float:
+    """RMS error of a model over the full-rate samples behind the masked score samples (n), N*m."""
     return _over(frame, full_residuals(frame, model), mask)
 
 
