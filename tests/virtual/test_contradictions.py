@@ -119,3 +119,11 @@ def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -
     fault = next(event for event in result.summary.events if event.fault)
     assert fault.text.startswith("second master: somebody else sent a master's frame 0x6")
     assert fault.t < 0.805
+
+
+def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: Path) -> None:
+    """No frame tells it: what the start wrote is read back in spare bus time."""
+    result = play(tmp_path, "held", CONSTANT, 3.2, faults=["watchdogs_lost@0.8"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.text.startswith("a node's configuration changed: drive node 1: 0x1")
+    assert fault.t < 2.8

@@ -49,3 +49,4 @@ def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:
         if axis.supervisor.cut_off:  # commands do not reach it, or it does not obey: its reaction 0x6007 is left
             rig.nmt(NmtCommand.STOP, axis.io.nodes.drive.node_id)
     rig.heartbeat(now)
+    rig.read_back(now)

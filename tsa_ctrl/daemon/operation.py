@@ -102,6 +102,7 @@ class Operation:
                 self._tell("")
             for line in report.lines():
                 self._say(line)
+            self._rig.look_after(report)
         self._rig.start()
 
     def _prove(self, period: float) -> None:

@@ -64,6 +64,19 @@ def _torque_off(target: Target) -> Undo:
     return back
 
 
+def _watchdogs_lost(target: Target) -> Undo:
+    """As by a tool on another port of the drive: the bus carries nothing of it."""
+    values = target.drive.values
+    keys = [key for key in ((0x1400, 5), (0x1016, 1)) if key in values]
+    before = {key: values[key] for key in keys}
+    values.update(dict.fromkeys(keys, 0))
+
+    def undo(now: float) -> None:
+        values.update(before)
+
+    return undo
+
+
 def _polarity(target: Target) -> Undo:
     faults = target.drive.faults
     return _all(swap(faults, "torque_sign", -faults.torque_sign), swap(faults, "turned", -faults.turned))
@@ -117,5 +130,6 @@ AILMENTS: Mapping[str, FaultKind] = {
         lambda t: swap(_sensor(t).faults, "gain", t.value),
         -1.0, "of what is there", -10, 10,
     ),
+    "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame says so", _watchdogs_lost),
     "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t.node, "unhearing", True)),
 }  # fmt: skip

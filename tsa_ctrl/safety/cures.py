@@ -36,6 +36,7 @@ CURES: Mapping[str, str] = MappingProxyType(
         "the joint torque sensor follows": "torque constant and rated torque of the motor, gain of the sensor",
         Cause.BUS_FAULT.value: f"cable, termination, bit rate, or the interface was taken down; {_BRING_UP}",
         Cause.SECOND_MASTER.value: f"another program commands this bus: end it (who sends is said above); {_BRING_UP}",
+        Cause.ALTERED.value: f"another tool wrote to it, or it lost its settings by itself: end that; {_BRING_UP}",
         Cause.BOOT_UP.value: f"the node lost its power or was reset: supply, plug, brown-out; {_BRING_UP}",
         Cause.HEARTBEAT_LOST.value: f"the node's power and plug; bus load (tsa doctor); {_BRING_UP}",
         Cause.NMT_STATE.value: f"somebody or the node itself left the operational state; {_BRING_UP}",

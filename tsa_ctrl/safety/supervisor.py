@@ -52,6 +52,7 @@ class Cause(Enum):
 
     BUS_FAULT = "bus fault"
     SECOND_MASTER = "second master"
+    ALTERED = "a node's configuration changed"
     BOOT_UP = "node booted while running"
     HEARTBEAT_LOST = "heartbeat lost"
     NMT_STATE = "node left the operational state"
@@ -78,6 +79,7 @@ _NEED_BRING_UP = frozenset(
     {
         Cause.BUS_FAULT,
         Cause.SECOND_MASTER,
+        Cause.ALTERED,
         Cause.BOOT_UP,
         Cause.HEARTBEAT_LOST,
         Cause.NMT_STATE,
@@ -164,6 +166,7 @@ class Supervisor:
             and image.silent is None
             and image.bus_fault is None
             and image.intruder is None
+            and image.altered is None
         ):  # the usual cycle, decided without a call
             return _RUN
         state = cia402.decode(image.statusword)
@@ -207,6 +210,8 @@ class Supervisor:
             self._latch(Cause.BUS_FAULT, image.bus_fault.value, now)
         if image.intruder is not None:
             self._latch(Cause.SECOND_MASTER, f"somebody else sent a master's frame 0x{image.intruder:03X}", now)
+        if image.altered is not None:
+            self._latch(Cause.ALTERED, image.altered, now)
         if image.events != self._events:
             self._events = image.events
             for health in image.nodes:

@@ -100,6 +100,10 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("a node is reset by somebody", NOBODY, _MASTER, act="reset"),
     Hazard("a third party's SDO takes the RPDO timer", NOBODY, "second master", act="sdo"),
     Hazard("a third party's SDO takes our heartbeat", NOBODY, "second master", ("foreign_sdo",)),
+    Hazard(
+        "a tool on another port takes the watchdogs", NOBODY, "configuration changed", ("watchdogs_lost",), lie=True,
+        residual="found within 2 s, by reading back; until then only the loop itself ends the torque",
+    ),
     # the computer
     Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8", act="hang"),
     Hazard("loop stands still for 10 ms", OLD, "", act="hitch", goes_on="shorter than every time-out"),

@@ -82,7 +82,9 @@ def bring_up(
             there = _look_at(session, nodes, tell)
             session.begin_heartbeat()
             _boot(bus, session, nodes, there, tell)
-            reports = [NodeReport(node.name, notes=noted) for node, noted in zip(nodes, notes, strict=True)]
+            reports = [
+                NodeReport(node.name, node.node_id, notes=noted) for node, noted in zip(nodes, notes, strict=True)
+            ]
             for node, report in zip(nodes, reports, strict=True):
                 check_identity(session, node, report)
             check_twins(nodes, reports)

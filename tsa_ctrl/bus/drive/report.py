@@ -31,6 +31,7 @@ class NodeReport:
     """What was found at one node, and what was written to it."""
 
     name: str  # axis, role and node id
+    node_id: int = 0
     identity: dict[str, int] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # errors that the node remembers, things that could not be checked

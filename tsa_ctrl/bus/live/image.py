@@ -58,6 +58,7 @@ class Image:
     """Latest values of one axis; a value is nan until it was received once. Angles, speeds and torques in SI."""
 
     __slots__ = (
+        "altered",
         "bus_fault",
         "dropped",
         "drops",
@@ -104,6 +105,7 @@ class Image:
         self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
         self.intruder: int | None = None  # identifier of a frame that only a second master would send
+        self.altered: str | None = None  # what a node no longer holds as it was written
         self.bus_fault: BusFault | None = None
 
     @property

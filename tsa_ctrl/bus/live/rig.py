@@ -14,7 +14,9 @@ from functools import partial
 from tsa_ctrl.bus.canopen import cia301
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
+from tsa_ctrl.bus.live.read_back import ReadBack, held_by
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.system.sleep import Lead
@@ -87,6 +89,7 @@ class Rig:
         self._flooded_now = False
         self._emptied = False
         self._lead = Lead(wake_early)
+        self._read_back: ReadBack | None = None
         self._patience = 0.0  # s that the last cycle would have waited for answers
         self._last = 0  # identifier of the answer that comes last
         self._later = 0  # ... and how often in a row another came after it
@@ -113,8 +116,22 @@ class Rig:
         """Whether any drive is commanded; see `stand_off`."""
         return any(not axis.stands_off for axis in self.axes)
 
+    def look_after(self, report: Report) -> None:
+        """Read back now and then, from the next `start` on, what the nodes were given at a bring-up."""
+        held = held_by(report)
+        if held:
+            self._read_back = ReadBack(self.bus, self._settings.bitrate, held)
+            for node_id in {each.node_id for each in held}:
+                self._messages[cia301.SDO_ANSWER + node_id] = partial(self._compare, node_id)
+
+    def read_back(self, now: float) -> None:
+        """Ask for the next object when that is due; for the end of a cycle, when its answers are here."""
+        if self._read_back is not None:
+            self._read_back.update(now)
+
     def stand_off(self) -> None:
         """Command no drive any more until `start`: they are about to be configured, and may be others than we think."""
+        self._read_back = None
         for axis in self.axes:
             axis.stands_off = True
 
@@ -277,6 +294,16 @@ class Rig:
             self.last_error = describe(can_id, data)
             if can_id & ErrorClass.BUS_OFF and self.bus.fault is None:
                 self.bus.fault = BusFault.BUS_OFF
+
+    def _compare(self, node_id: int, data: bytes) -> None:
+        """An answer by SDO."""
+        reader = self._read_back
+        if reader is None or not reader.answer(node_id, data):
+            return
+        for axis in self.axes:
+            for health in axis.image.nodes:
+                if health.node_id == node_id:
+                    axis.image.altered = f"{health}: {reader.altered[node_id]}"
 
     def _meet_request(self, can_id: int, data: bytes) -> None:
         """An SDO of somebody else: who writes may take a watchdog or a clamp away; who only asks does no harm."""

@@ -1,0 +1,114 @@
+"""What nodes hold is compared with what they were given, in spare time, and nothing is accused by a single answer."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from tsa_ctrl.bus.canopen.objects import Object, Type
+from tsa_ctrl.bus.drive.report import NodeReport, Report, Row
+from tsa_ctrl.bus.live.read_back import Held, ReadBack, held_by
+
+TIMER, CLAMP = Object(0x1400, 5, Type.U16, "RPDO event timer"), Object(0x6072, 0, Type.U16, "max torque")
+HELD = (Held(1, TIMER, 20), Held(1, CLAMP, 3000))
+
+
+class Node:
+    """Node 1, which answers what it is asked when it is told to; bytes by hand."""
+
+    def __init__(self, bitrate: int = 1_000_000) -> None:
+        self.asked: list[tuple[float, int, bytes]] = []
+        self.holds = {(0x1400, 5): 20, (0x6072, 0): 3000}
+        self.now = 0.0
+        self.reader = ReadBack(self, bitrate, HELD)  # type: ignore[arg-type]
+        self.abort = False
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        self.asked.append((self.now, can_id, data))
+        return True
+
+    def answer(self, change: Callable[[bytes], bytes] = lambda data: data) -> bool:
+        command, index, subindex = struct.unpack_from("<BHB", self.asked[-1][2])
+        assert command == 0x40
+        data = struct.pack("<BHBHxx", 0x4B, index, subindex, self.holds[index, subindex])
+        if self.abort:
+            data = struct.pack("<BHBI", 0x80, index, subindex, 0x06020000)
+        return self.reader.answer(1, change(data))
+
+    def run(self, seconds: float) -> float | None:
+        """Cycles of 1 ms, each question answered at once; when something was found, s from now."""
+        start = self.now
+        while self.now < start + seconds:
+            count = len(self.asked)
+            self.reader.update(self.now)
+            if len(self.asked) > count and self.answer():
+                return self.now - start
+            self.now += 1e-3
+        return None
+
+
+def test_every_object_is_asked_for_in_turn_and_one_every_20_ms() -> None:
+    node = Node()
+    assert node.run(1.0) is None
+    assert 45 <= len(node.asked) <= 50
+    assert {can_id for _, can_id, _ in node.asked} == {0x601}
+    assert [data[1:4] for _, _, data in node.asked[:4]] == [b"\x00\x14\x05", b"\x72\x60\x00"] * 2
+
+
+def test_a_slow_bus_is_asked_more_seldom() -> None:
+    node = Node(bitrate=250_000)
+    node.run(1.0)
+    assert len(node.asked) == pytest.approx(12.5, abs=1)
+
+
+def test_what_was_changed_is_found_in_the_round_in_which_it_is_asked_for_twice() -> None:
+    node = Node()
+    node.run(0.5)
+    node.holds[0x1400, 5] = 0
+    found = node.run(1.0)
+    assert found is not None
+    assert found < 0.1
+    assert node.reader.altered == {1: "0x1400:5 RPDO event timer is 0x0, at the start it was 0x14"}
+
+
+def test_one_wrong_answer_accuses_nobody() -> None:
+    node = Node()
+    node.reader.update(0.0)
+    assert node.answer(lambda data: data[:4] + b"\x00" * 4) is False
+    node.now = 0.02
+    assert node.run(2.0) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data[:7],
+        lambda data: b"\x4b\x72\x60\x00" + b"\x00" * 4,  # of another object
+        lambda data: b"\x41" + data[1:],  # more than fits into a frame
+    ],
+)
+def test_what_is_no_answer_to_the_question_says_nothing(change: Callable[[bytes], bytes]) -> None:
+    node = Node()
+    node.holds[0x1400, 5] = 0
+    for n in range(5):
+        node.reader.update(2.0 * n)
+        if node.asked[-1][2][1] == 0x00:
+            assert node.answer(change) is False
+    assert node.reader.altered == {}
+
+
+def test_a_node_that_refuses_or_is_silent_is_no_matter() -> None:
+    node = Node()
+    node.abort = True
+    assert node.run(1.0) is None
+    for n in range(3000):
+        node.reader.update(10.0 + 1e-3 * n)  # never answered: once a second, of the next object
+    assert len(node.asked) < 60
+
+
+def test_what_the_loop_writes_itself_and_what_is_not_there_is_not_asked_for() -> None:
+    target, mode = Object(0x6871, 0, Type.I16, "target torque"), Object(0x6060, 0, Type.I8, "mode of operation")
+    rows = [Row(TIMER, 0, 20), Row(CLAMP, None, None), Row(target, 0, 0), Row(mode, 0, 10)]
+    assert held_by(Report((NodeReport("drive", 1, rows=rows),))) == (HELD[0],)
