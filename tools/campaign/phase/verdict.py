@@ -2,7 +2,9 @@
 
 A joint that a fault moves is compared with the same joint that meets no fault, and with the same joint whose torque
 goes off at that moment: what a weight does by itself when nobody holds it, no software can prevent. Where tendons or
-sheaths change, with the same fault without compensation, too: what friction no longer holds moves by itself.
+sheaths change, with the same fault without compensation, too: what friction no longer holds moves by itself. Where a
+fault lets the joint go for a moment, with the same joint without it and a tenth less friction: it may have stuck by a
+hair. What moves while the motor has no torque at all is its wearer's or its weight's.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ PEAK = 1.05 * LIMIT  # N*m of the motor: the limiter's limit and the noise of a 
 # walks. A stretch reflex takes 50 to 100 ms to answer; until then the joint has moved by 0.2 rad.
 SPEED = 2.0
 TRAVEL = 0.35  # rad beyond it: 20 degrees, the reserve of a knee or an elbow in the middle of its range
+LOOSE = 0.9  # of the friction: a joint that stuck by a hair where its twin went on is compared with one that does not
 ENERGY = 0.1  # J that the tendons give the joint beyond it: a limb of 0.05 kg*m^2 at `SPEED`
 EARLY = ("start", "enabling", "resetting", "recovering")  # phases in which torque may still be to come
 MOVED = ("imposed", "held")  # by another, whatever the motor does: judged by torque alone
@@ -158,8 +161,12 @@ class Judge:
         twins: list[tuple[tuple[str, ...], float | None]] = [((), None), ((OFF,), None)]
         if all(hazard.released for hazard in self._hazards):
             twins.append((names, 0.0))  # the fault without what our compensation adds to it
-        for names, compensation in twins:  # each only where the one before is no excuse
-            twin, _ = play(dataclasses.replace(self._trial, names=names), compensation)
+        others = [(self._trial, *twin) for twin in twins]
+        if all(hazard.sticks for hazard in self._hazards):
+            draw = dataclasses.replace(self._trial.draw, friction=LOOSE * self._trial.draw.friction)
+            others.append((dataclasses.replace(self._trial, draw=draw), (), None))
+        for trial, names, compensation in others:  # each only where the one before is no excuse
+            twin, _ = play(dataclasses.replace(trial, names=names), compensation)
             there = motion(twin.axes, self._since if twin.injected is None else twin.injected)
             beyond = (
                 max(0.0, here.speed - there.speed),
@@ -169,6 +176,8 @@ class Judge:
             excess = (min(excess[0], beyond[0]), min(excess[1], beyond[1]), min(excess[2], beyond[2]))
             if excess[0] <= SPEED and excess[1] <= TRAVEL and excess[2] <= ENERGY:
                 return excess, []
+        if not self._rows:  # no torque since the fault: who moved this joint was its wearer, or its weight
+            return excess, []
         said = (
             (excess[0], SPEED, "rad/s of the joint"), (excess[1], TRAVEL, "rad of travel"), (excess[2], ENERGY, "J"),
         )  # fmt: skip
