@@ -30,6 +30,7 @@ def _selected(
 
     monkeypatch.setattr(forward, "_round", one_round)
     monkeypatch.setattr(forward, "_nominal_steps", lambda *_: ())
+    monkeypatch.setattr(forward, "_plain_steps", lambda *_: ())
     monkeypatch.setattr(forward, "enters", lambda *_: True)
     monkeypatch.setattr(
         forward, "_entered", lambda problem, entry, _: (problem, _fit(*pruned.get(frozenset(entry.names), entry.names)))

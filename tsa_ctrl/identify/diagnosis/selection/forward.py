@@ -17,7 +17,9 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversal
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
 from tsa_ctrl.identify.diagnosis.selection.entry import (
+    FEWEST_LOGS,
     LEAST_OUTSIDE,
+    MOST_LEFT,
     SMALLEST_GAIN,
     Evidence,
     enters,
@@ -75,7 +77,8 @@ def select(problem: Problem, start: Fit, catalogue: Catalogue, rng: np.random.Ge
         rounds.append(_round(problem, fitted, catalogue, rng))
         if len(fitted.names) >= MOST_CAUSES:
             break
-        for found in chain(rounds[-1].steps, _nominal_steps(problem, fitted, catalogue)):
+        steps = rounds[-1].steps, _nominal_steps(problem, fitted, catalogue), _plain_steps(problem, fitted, catalogue)
+        for found in chain.from_iterable(steps):
             if not enters(problem, fitted, found, rounds[-1].threshold):
                 continue
             entered = _entered(problem, found, catalogue)
@@ -130,6 +133,20 @@ def _nominal_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Itera
         variants = all_but(fitted.names, catalogue)
         found = [step_from_nominal(problem, fitted, v) for v in variants if not v.coordinates]
         yield from sorted((each for each in found if each is not None), key=lambda each: each.rss)
+
+
+def _plain_steps(problem: Problem, fitted: Fit, catalogue: Catalogue) -> Iterator[Fit]:
+    """Effects by what they take off the simulation error of several logs: tried when nothing else enters.
+
+    What is as slow as the noise of short logs scores little where that noise is whitened, but may transfer.
+    """
+    if sum(bool(problem.mask[part].any()) for part in problem.frame.slices) < FEWEST_LOGS:
+        return
+    plain = on_simulation_error(problem, models_reversals(fitted))
+    present = fit(plain, fitted.hypothesis, fitted.point)
+    for found in best_steps(plain, present, catalogue, fitted.names, FITTED):
+        if found.rss < MOST_LEFT * present.rss:
+            yield fit(problem, found.hypothesis, found.point)
 
 
 def forward_on_simulation_error(selection: Selection, catalogue: Catalogue) -> Selection | None:
