@@ -50,7 +50,7 @@ class Pair(Drive):
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Iterator[Machine]:
-    made = Machine(tmp_path, CONSTANT, RATE, SECOND, drive=Pair())
+    made = Machine(tmp_path, CONSTANT, BARE, RATE, SECOND, drive=Pair())
     yield made
     made.close()
 
