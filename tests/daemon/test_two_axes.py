@@ -11,6 +11,7 @@ from tests.daemon.machine import ENABLED, Drive, Machine
 from tsa_ctrl.bus.wire.seam import Frame
 
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
+BARE = ("# compensation = 0.95", "compensation = 0.0")  # the motors get r_M/r_J of it, whatever the friction
 RATE = ("rate = 1000.0", "rate = 500.0")
 SECOND = (
     "[[axis]]",
@@ -27,6 +28,8 @@ node_id = 65
 [axis.setpoint]
 kind = "constant"
 offset = -0.25
+[axis.law]
+compensation = 0.0
 [axis.limits]
 torque = 1.0
 [[axis]]""",
