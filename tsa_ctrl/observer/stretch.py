@@ -38,7 +38,7 @@ STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
 COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
 # times the variance of a stretch measured, as what the tendons' model has not is alike for a while: with 100 lost
-# pretension gives the joint 50 mJ before it is seen, with 20 a stiffness that is off costs 3.4 % of a held joint's torque
+# pretension gives the joint 50 mJ before it is seen, with 20 a stiffness that is off costs 3.4 % of a held torque
 ALIKE = 28.0
 SLACK = 0.02  # 1, of the pretension, below which a tendon counts as slack
 LONGEST_GAP = 0.05  # s without measurements after which the fronts are not known any longer
