@@ -34,6 +34,7 @@ def keep(
     one.
     Call it in a process of one thread. When this process is gone, so is the worker.
     """
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # waited for, below
     for number in range(MOST + 1):
         if number:
             replaced(number)
@@ -54,6 +55,7 @@ def _start(work: Callable[[int], int], number: int) -> int:
         return worker
     code = 1
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
         end_with_parent(signal.SIGKILL)
         if os.getppid() == keeper:
             code = work(number)
@@ -74,4 +76,4 @@ def _watched(worker: int, heard: Callable[[], float], hangs: float) -> int:
         if not killed and time.monotonic() - heard() > hangs:
             os.kill(worker, signal.SIGKILL)  # one that waits for a dead disk is gone only when the disk answers
             killed = True
-        time.sleep(LOOK)
+        signal.sigtimedwait({signal.SIGCHLD}, LOOK)  # at once when it ends: the end of a run waits for it

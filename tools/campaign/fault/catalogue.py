@@ -96,7 +96,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("hang: SIGSTOP for 0.5 s", _stops(_WATCHDOG), act="hang", watch=0.8),
     Fault(
         "terminal closed: SIGHUP", _stops("ended: SIGHUP", 0.55, "ramp of 0.3 s"),
-        act="hang_up", alone=True, watch=1.0,
+        act="hang_up", alone=True, watch=2.5,
     ),
     Fault("the other tendon tears, pulling", _stops("over-speed|moved apart"), "torn_tendon value=0", negative=True),
     Fault(
