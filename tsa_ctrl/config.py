@@ -157,7 +157,7 @@ def load_configuration(path: str | Path) -> Configuration:
     folder = path.parent
     models = tuple(load_tendon_sheath(folder / axis.model) for axis in file.axes)
     profiles = tuple(load_profile(axis.drive.profile, folder) for axis in file.axes)
-    file, estimators = _with_estimators(file, models)
+    file, estimators = with_estimators(file, models)
     for axis, model in zip(file.axes, models, strict=True):
         _check_axis(f"{path}: axis '{axis.name}'", axis, model, file)
         SetPoint(axis.setpoint, 1.0 / file.controller.rate, folder)
@@ -170,7 +170,7 @@ def load_configuration(path: str | Path) -> Configuration:
     return configuration
 
 
-def _with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:
+def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:
     """The file with an estimator for each axis, and why it is not the one by the stretch."""
     axes, notes = [], []
     for axis, model in zip(file.axes, models, strict=True):

@@ -10,7 +10,7 @@ import msgspec
 from tools.campaign.phase.plan import Draw
 from tools.command import CONFIG
 from tsa_ctrl.config import AxisSettings as ControlSettings
-from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.config import Configuration, load_configuration, with_estimators
 from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.plant.axis import CURVATURES
 from tsa_ctrl.plant.settings import AxisSettings, PlantSettings, load_plant
@@ -44,7 +44,8 @@ def controller_of(draw: Draw, compensation: float | None = None) -> Configuratio
     if compensation is not None:
         law = _replace(law, compensation=compensation)
     sensor = axis.torque_sensor if draw.sensor else None
-    axis = _replace(axis, setpoint=WANTED[draw.wanted], law=law, torque_sensor=sensor)
+    estimator = type(axis.estimator)()  # as the file has it: the default, which the shape decides
+    axis = _replace(axis, setpoint=WANTED[draw.wanted], law=law, torque_sensor=sensor, estimator=estimator)
     axes = [axis]
     for place in range(1, draw.axes):
         axes.append(_another(axis, place))
@@ -55,7 +56,11 @@ def controller_of(draw: Draw, compensation: float | None = None) -> Configuratio
     (model,) = base.models
     profile = [list(point) for point in CURVATURES[draw.shape]] if draw.shape == "s_bent" else draw.shape
     shaped = model.with_effects({"elongation_coupling": {"curvature_profile": profile}})
-    return dataclasses.replace(base, file=file, models=(shaped,) * draw.axes, profiles=base.profiles * draw.axes)
+    models = (shaped,) * draw.axes
+    file, estimators = with_estimators(file, models)
+    return dataclasses.replace(
+        base, file=file, models=models, profiles=base.profiles * draw.axes, estimators=estimators
+    )
 
 
 def _another(axis: ControlSettings, place: int) -> ControlSettings:
