@@ -161,10 +161,8 @@ class Judge:
         twins: list[tuple[tuple[str, ...], float | None]] = [((), None), ((OFF,), None)]
         if all(hazard.released for hazard in self._hazards):
             twins.append((names, 0.0))  # the fault without what our compensation adds to it
-        if OFF not in names:
-            twins.append(
-                ((*names, OFF), None)
-            )  # what the load does with the joint that the fault lets go, or its wearer
+        if OFF not in names:  # what its load, or its wearer, does with a joint that the fault lets go
+            twins.append(((*names, OFF), None))
         others = [(self._trial, *twin) for twin in twins]
         if all(hazard.sticks for hazard in self._hazards):
             draw = dataclasses.replace(self._trial.draw, friction=LOOSE * self._trial.draw.friction)
