@@ -302,3 +302,17 @@ def test_without_an_encoder_the_motor_stands_in_for_the_joint() -> None:
     assert np.count_nonzero(np.diff(sigmas)) == 2
     assert sigmas[250] == 1.0
     assert sigmas[-1] == -1.0
+
+
+@pytest.mark.parametrize("every", [2, 5])
+def test_periods_without_a_cycle_change_no_velocity(every: int) -> None:
+    """On a busy machine each second cycle may be skipped; the joint's speed was taken for twice of what it is."""
+    moving, counting = law_of(), law_of()
+    for n in range(0, 600, every):
+        q = 0.3 * math.sin(2.0 * math.pi * n * PERIOD)
+        for law, told in ((moving, every - 1), (counting, 0)):
+            law.observe(q, 1.25 * q, True, math.nan, 0.0)
+            law.pass_over(told)
+    true = 0.3 * 2.0 * math.pi * math.cos(2.0 * math.pi * 600 * PERIOD)
+    assert moving.velocity == pytest.approx(true, rel=0.03)
+    assert abs(counting.velocity) > 1.5 * abs(true)

@@ -375,3 +375,13 @@ def test_what_is_not_finite_trips(build: Build) -> None:
     machine.run(seconds=1.0)
     assert "not-finite" in str(machine.events.first_fault)
     assert not any(machine.drive.torques[500:])
+
+
+def test_skipped_periods_are_told_to_every_axis(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What counts cycles must count those that had none: velocities were too high by them."""
+    machine = build(CONSTANT)
+    told: list[int] = []
+    monkeypatch.setattr(machine.axis, "pass_over", told.append)
+    machine.wake_late(300, 3.2e-3)
+    machine.run(seconds=1.0)
+    assert told == [3]

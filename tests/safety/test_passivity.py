@@ -276,3 +276,13 @@ def test_keys_of_earlier_versions_are_read() -> None:
         assert getattr(msgspec.convert({key: most}, OscillationSettings), key) == most
         with pytest.raises(msgspec.ValidationError):
             msgspec.convert({key: 1.02 * most}, OscillationSettings)
+
+
+def test_energy_of_periods_without_a_cycle_counts() -> None:
+    whole, halved = Passivity(1.0, (0.0, 0.0, 0.0), 1e-3), Passivity(1.0, (0.0, 0.0, 0.0), 1e-3)
+    for n in range(100):
+        whole.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
+        if n % 2:
+            halved.pass_over(1)
+            halved.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
+    assert halved.energy == pytest.approx(whole.energy, rel=0.03)

@@ -208,6 +208,11 @@ class ControlAxis:
         """Rad that motor and joint are apart; nan without an encoder."""
         return self.image.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
+    def pass_over(self, periods: int) -> None:
+        """So many periods had no cycle, as the machine stood still: what counts cycles counts these, too."""
+        self.law.pass_over(periods)
+        self.guard.pass_over(periods)
+
     def release(self) -> None:
         """Torque is not permitted: forget everything, once. Disabled means reset."""
         if self._stopping and self.request is Request.ENABLE:

@@ -40,6 +40,13 @@ class Damping:
         self._planned: list[float] = []
         self._mean = math.nan
 
+    def pass_over(self) -> None:
+        """A period without a cycle: what was planned last stands for it, too."""
+        if self._planned:
+            self._planned.append(self._planned[-1])
+            if len(self._planned) > self._back + 2:
+                del self._planned[0]
+
     def update(self, planned: float, q_m: float, omega_m: float, q_j: float, omega_j: float) -> float:
         """Torque, N*m at the motor.
 

@@ -47,6 +47,7 @@ STANDS = 0.02  # N*m/s: a set-point that changes slower than that stands
 SETTLING = 0.3  # s in which the share e comes; it goes five times as fast
 BLIND = 2.0  # memories of the motion after a turn in which a motor without a joint encoder says nothing
 NEAR_SLACK = 0.3  # of the model file's pretension: the friction hardly changes any more, but the domain does
+MOST_EXPECTED = 50  # periods without a cycle: after a longer hole the watchdogs have taken the torque away
 _REFRESH = 64  # cycles between two looks at the half loop: parameters move slowly
 
 Time = Annotated[float, Meta(gt=0.0, le=0.2)]  # s
@@ -206,6 +207,13 @@ class Law:
             if rested > STOOD and not turn.turning and ahead == ahead:
                 self._slip.begin(old, ahead, self._inverse.friction_angle, self._inverse.pretension)
         turn.update(sigma, direction.age)
+
+    def pass_over(self, periods: int) -> None:
+        """So many periods had no cycle: the joint went on as was expected, and a turn as it was planned."""
+        for _ in range(min(periods, MOST_EXPECTED)):
+            self._motion.update(math.nan, False)
+            self.turn.update(self.direction.sigma)
+            self.damping.pass_over()
 
     def update(self, tau_j: float, q_m: float, omega_m: float, t: float, back_off: float) -> float:
         """Motor torque wanted, N*m.

@@ -151,7 +151,10 @@ class Loop:
             self._judge(planned, seconds)
             if self.cycles % self._publish_every == 0:
                 self.publish(planned)
-            ticker.advance(clock())
+            gone = ticker.advance(clock())
+            if gone:
+                for axis in self._axes:
+                    axis.pass_over(gone)
         self.publish(ticker.deadline)
 
     def publish(self, planned: int) -> None:

@@ -45,6 +45,10 @@ class Guard:
         self.latched = False
         self._left = self._held = 0.0  # s, of what is forgiven and of the hold
 
+    def pass_over(self, periods: int) -> None:
+        """So many periods had no cycle."""
+        self._passivity.pass_over(periods)
+
     @property
     def back_off(self) -> float:
         return self._back_off

@@ -69,6 +69,7 @@ class Passivity:
         self._calm = math.exp(-period / SWUNG)
         self._most_swing = SWING * threshold
         self._swing = 0.0  # J, fastest of late
+        self._periods = 1  # since the last update
         self.reset()
 
     def reset(self) -> None:
@@ -78,6 +79,10 @@ class Passivity:
         self._work = self._late = self._way = 0.0  # J, J/s, rad since it began
         self._true = self._modelled = 0.0
         self._swung = 0.0  # J, fastest since then
+
+    def pass_over(self, periods: int) -> None:
+        """So many periods had no cycle: what is measured next stands for them, too."""
+        self._periods += periods
 
     @property
     def ratio(self) -> float:
@@ -112,7 +117,8 @@ class Passivity:
         over = excess - self._model * half_loop
         if over > term:
             over = term if term > 0.0 else 0.0
-        way = omega_j * self._period
+        way = omega_j * self._period * self._periods
+        self._periods = 1
         keep = self._keep
         energy = self.energy * keep + over * way
         if not energy > 0.0:
