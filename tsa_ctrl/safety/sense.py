@@ -31,6 +31,7 @@ MEMORY = 0.2  # s of the correlation
 SHOWN = 0.5  # correlation from which the sense is right, or wrong
 CLEAR = 0.8  # correlation from which it is said how much the joint gets
 EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
+FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb makes it look so
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
 LAST = 0.02  # s that either must be wrong, on a joint that nothing moved before the motor pulled
@@ -127,7 +128,8 @@ class Sense:
             )
         gain = self._tj / self._tt
         held = now - self._moved > MEMORY
-        if self._excessive.update(now, held and by_sensor > CLEAR and gain > self._most):
+        excessive = self._most < gain < self._most / EXCESS * FAR
+        if self._excessive.update(now, held and by_sensor > CLEAR and excessive):
             return (
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
                 f"{self._most / EXCESS:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
