@@ -279,3 +279,17 @@ def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch:
     axis._take_over((0.2, 40.0))
     axis.adapt()
     assert told == [(0.2, 40.0), nominal]
+
+
+def test_periods_without_a_cycle_count_for_the_guard_from_the_enable_on(
+    axis: ControlAxis, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A machine that skipped thousands before the torque came has put no energy into the joint."""
+    told: list[int] = []
+    monkeypatch.setattr(axis.guard, "pass_over", told.append)
+    axis.pass_over(7)
+    axis.since_enable(1.0)
+    axis.pass_over(2)
+    axis.release()
+    axis.pass_over(5)
+    assert told == [2]

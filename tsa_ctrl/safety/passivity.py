@@ -104,6 +104,7 @@ class Passivity:
         as sent, at the joint, `half_loop`: the model's, at the joint; N*m, N*m/s, rad/s. `swing`: J that the motor has
         by its motion against the joint while the term turns, 0 or nan where that is not known.
         """
+        periods, self._periods = self._periods, 1
         self._swing *= self._calm
         if swing > self._swing:
             self._swing = swing if swing < self._most_swing else self._most_swing
@@ -117,8 +118,7 @@ class Passivity:
         over = excess - self._model * half_loop
         if over > term:
             over = term if term > 0.0 else 0.0
-        way = omega_j * self._period * self._periods
-        self._periods = 1
+        way = omega_j * self._period * periods
         keep = self._keep
         energy = self.energy * keep + over * way
         if not energy > 0.0:
