@@ -13,7 +13,7 @@ import numpy as np
 from tests.control.laws import COUNT
 from tests.control.laws import law as make
 from tests.control.sliding import PERIOD, R_J, R_M, actuator
-from tsa_ctrl.control.estimator import EstimatorSettings
+from tsa_ctrl.control.estimator import EstimatorSettings, Sample
 from tsa_ctrl.control.recursive import Recursive
 
 LEVER = 0.4e-3 + 0.3e-3  # m, p + d/2
@@ -53,7 +53,7 @@ def run(change: Change, seconds: float, use: bool, seed: int = 4) -> tuple[np.nd
         law.observe(angle + random.normal(0.0, COUNT), math.nan, True, wanted, 0.0)
         sigma = law.sigma
         reported = round((tau_m + random.normal(0.0, 2e-3)) * 1e3) * 1e-3
-        estimator.update(sigma, omega, math.nan, reported, tau_j + random.normal(0.0, 5e-3), True)
+        estimator.update(Sample(sigma, omega, math.nan, reported, tau_j + random.normal(0.0, 5e-3), True))
         if use:
             law.set_parameters(estimator.friction_angle, estimator.pretension)
         tau_m = law.update(wanted, math.nan, math.nan, t, 1.0)

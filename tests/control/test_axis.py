@@ -184,7 +184,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     assert calls == [
         ("law", 0.44),
         ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 0.34, pytest.approx(expected, rel=1e-12)),
-        ("estimator", 1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32),
+        ("estimator", (1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32)),
         ("guard", 0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0),
     ]
     assert axis.terms.theta == 1.5
@@ -214,7 +214,7 @@ def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: py
     axis.image.fresh = False
     axis.follow(2.0)
     assert [call[0] for call in calls] == ["law", "estimator", "guard"]
-    assert calls[1][6] is False
+    assert calls[1][1].admit is False
     assert axis.supervisor.fault is None
 
 

@@ -14,7 +14,7 @@ from tests.control.sliding import PERIOD, actuator
 from tests.virtual.joints import GAIT, play, sine
 from tsa_ctrl.control.attribution import Attribution
 from tsa_ctrl.control.by_stretch import ByStretch
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
 X, TENSION = 0.26, 45.0
@@ -38,7 +38,7 @@ def estimator(seen: Seen, **settings: Any) -> ByStretch:
 
 def run(chosen: ByStretch, seconds: float, admit: bool = True) -> None:
     for _ in range(round(seconds / PERIOD)):
-        chosen.update(1.0, 1.0, math.nan, 0.0, math.nan, admit)
+        chosen.update(Sample(1.0, 1.0, math.nan, 0.0, math.nan, admit))
 
 
 def test_the_product_goes_where_the_user_says() -> None:

@@ -13,7 +13,7 @@ from tests.model.capstan import Pair
 from tests.model.test_curvature import S_BENT
 from tsa_ctrl.control.attribution import Attribution, Split
 from tsa_ctrl.control.bare import why_not
-from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, EstimatorSettings, Fixed
+from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, EstimatorSettings, Fixed, Sample
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
@@ -24,7 +24,7 @@ X, PRETENSION = MODEL.friction_angle, MODEL.pretension
 
 def feed(estimator: Recursive, data: Sliding) -> None:
     for sigma, omega, tau_m, tau_j in data.samples():
-        estimator.update(sigma, omega, math.nan, tau_m, tau_j, True)
+        estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True))
 
 
 @pytest.mark.parametrize("change", [0.7, 0.9, 1.1, 1.4])
@@ -69,7 +69,7 @@ def test_one_direction_is_too_little() -> None:
     estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for sigma, omega, tau_m, tau_j in Sliding(1.3 * X, PRETENSION, seconds=8.0).samples():
         if sigma > 0.0:
-            estimator.update(sigma, omega, math.nan, tau_m, tau_j, True)
+            estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True))
     assert estimator.state is EstimateState.UNESTIMATED
     assert (estimator.friction_angle, estimator.pretension) == (X, PRETENSION)
 
@@ -80,8 +80,8 @@ def test_frozen_without_excitation() -> None:
     feed(estimator, Sliding(1.2 * X, PRETENSION, seconds=12.0))
     before = estimator.half_loop, estimator.state
     for _ in range(5000):
-        estimator.update(0.0, 0.0, math.nan, 0.3, 5.0, True)
-        estimator.update(1.0, 1.0, math.nan, 0.3, 5.0, False)
+        estimator.update(Sample(0.0, 0.0, math.nan, 0.3, 5.0, True))
+        estimator.update(Sample(1.0, 1.0, math.nan, 0.3, 5.0, False))
     assert (estimator.half_loop, estimator.state) == before
 
 
@@ -92,7 +92,7 @@ def test_wild_data_is_invalid_and_returns_to_nominal() -> None:
     noise = np.random.default_rng(5)
     for sigma, omega, tau_m, _ in Sliding(X, PRETENSION, seconds=20.0).samples():
         slow = 2.0 * math.sin(1e-3 * noise.integers(0, 10_000)) if noise.random() < 0.02 else 1.5
-        estimator.update(sigma, omega, math.nan, tau_m, slow * (1.0 + math.sin(3.0 * omega)), True)
+        estimator.update(Sample(sigma, omega, math.nan, tau_m, slow * (1.0 + math.sin(3.0 * omega)), True))
     assert estimator.state is EstimateState.INVALID
     assert estimator.friction_angle == pytest.approx(X)
     assert estimator.pretension == pytest.approx(PRETENSION)
@@ -103,7 +103,7 @@ def test_stuck_sensor_is_invalid(stuck: float) -> None:
     """A torque sensor that always says the same wants a friction beyond the bounds: invalid."""
     estimator = Recursive(MODEL, EstimatorSettings(kind="sensor", use=True), PERIOD)
     for sigma, omega, tau_m, _ in Sliding(X, PRETENSION, seconds=20.0).samples():
-        estimator.update(sigma, omega, math.nan, tau_m, stuck, True)
+        estimator.update(Sample(sigma, omega, math.nan, tau_m, stuck, True))
     assert estimator.state is EstimateState.INVALID
 
 
@@ -111,7 +111,7 @@ def test_missing_sensor_value_does_not_poison() -> None:
     """nan from the sensor for a while is survived."""
     estimator = Recursive(MODEL, EstimatorSettings(kind="sensor"), PERIOD)
     for n, (sigma, omega, tau_m, tau_j) in enumerate(Sliding(X, PRETENSION, seconds=16.0).samples()):
-        estimator.update(sigma, omega, math.nan, tau_m, math.nan if 2000 < n < 2500 else tau_j, True)
+        estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan if 2000 < n < 2500 else tau_j, True))
     assert estimator.state is EstimateState.ESTIMATED
     assert estimator.friction_angle == pytest.approx(X, rel=0.02)
 
@@ -126,7 +126,7 @@ def test_moves_no_faster_than_its_rate_and_stays_in_bounds(kind: str) -> None:
     for _ in range(20_000):
         sign = 1.0 if random.random() < 0.5 else -1.0
         estimator.update(
-            sign, sign * 2.0, math.nan, float(random.normal(0.0, 1.0)), float(random.normal(0.0, 5.0)), True
+            Sample(sign, sign * 2.0, math.nan, float(random.normal(0.0, 1.0)), float(random.normal(0.0, 5.0)), True)
         )
         now = estimator.friction_angle, estimator.pretension
         assert abs(now[0] - last[0]) <= 0.3 * X * PERIOD * (1.0 + 1e-9)
@@ -149,7 +149,7 @@ def test_map_follows_bending_by_its_equations() -> None:
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map", rate=10.0), PERIOD)
     theta = MODEL.bending_angle + 0.02
     for _ in range(2000):
-        estimator.update(0.0, 0.0, theta, 0.0, 0.0, True)
+        estimator.update(Sample(0.0, 0.0, theta, 0.0, 0.0, True))
     slope = MODEL.axial_stiffness / MODEL.unstrained_length * (MODEL.contact_offset + MODEL.diameter / 2.0)
     assert estimator.friction_angle == pytest.approx(MODEL.friction_coefficient * theta)
     assert estimator.pretension == pytest.approx(PRETENSION + slope * 0.02)
@@ -162,19 +162,19 @@ def test_map_stops_at_its_bounds_and_says_so(theta: float) -> None:
     settings = EstimatorSettings(kind="map", rate=10.0, bounds=0.6)
     estimator, most = ConfigurationMap(MODEL, settings, PERIOD), ConfigurationMap(MODEL, settings, PERIOD)
     for _ in range(2000):
-        estimator.update(0.0, 0.0, theta * MODEL.bending_angle, 0.0, 0.0, True)
-        most.update(0.0, 0.0, 1.6 * MODEL.bending_angle, 0.0, 0.0, True)
+        estimator.update(Sample(0.0, 0.0, theta * MODEL.bending_angle, 0.0, 0.0, True))
+        most.update(Sample(0.0, 0.0, 1.6 * MODEL.bending_angle, 0.0, 0.0, True))
     assert (estimator.friction_angle, estimator.pretension) == (most.friction_angle, most.pretension)
     assert estimator.friction_angle == pytest.approx(1.6 * X)
     assert (estimator.state, most.state) == (EstimateState.INVALID, EstimateState.ESTIMATED)
-    estimator.update(0.0, 0.0, MODEL.bending_angle, 0.0, 0.0, True)
+    estimator.update(Sample(0.0, 0.0, MODEL.bending_angle, 0.0, 0.0, True))
     assert estimator.state is EstimateState.ESTIMATED
 
 
 def test_map_without_bending_angle_is_invalid_and_frozen() -> None:
     """A missing angle freezes the map and says so."""
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map"), PERIOD)
-    estimator.update(0.0, 0.0, math.nan, 0.0, 0.0, True)
+    estimator.update(Sample(0.0, 0.0, math.nan, 0.0, 0.0, True))
     assert estimator.state is EstimateState.INVALID
     assert (estimator.friction_angle, estimator.pretension) == (X, PRETENSION)
 
@@ -253,7 +253,7 @@ def test_what_the_effects_take_is_not_taken_for_the_sheaths(names: tuple[str, ..
     model, samples = with_effects(*names)
     estimator = Recursive(model, EstimatorSettings(kind="sensor", attribute=Attribution.FRICTION), PERIOD)
     for sigma, omega, tau_m, tau_j, angle in samples:
-        estimator.update(sigma, omega, math.nan, tau_m, tau_j, True, angle)
+        estimator.update(Sample(sigma, omega, math.nan, tau_m, tau_j, True, angle))
     assert estimator.state is EstimateState.ESTIMATED
     assert estimator.friction_angle == pytest.approx(1.2 * X, rel=0.02)
 
@@ -265,7 +265,7 @@ def test_kind_motor_knows_what_the_joint_takes() -> None:
     estimator = Recursive(model, settings, PERIOD)
     for sigma, omega, tau_m, _ in Sliding(1.2 * X, PRETENSION, seconds=14.0, load=0.0).samples():
         tau_m += R_M / R_J * FRICTION * omega / math.cosh(1.2 * X)
-        estimator.update(sigma, omega, math.nan, tau_m, math.nan, True)
+        estimator.update(Sample(sigma, omega, math.nan, tau_m, math.nan, True))
     assert estimator.state is EstimateState.ESTIMATED
     assert estimator.friction_angle == pytest.approx(1.2 * X, rel=0.02)
 

@@ -32,6 +32,8 @@ WALK = {  # statusword after a controlword, by state
     (SWITCHED_ON, 0x06): READY,
 }
 MOST_CYCLES = 20_000
+CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
+BARE = ("# compensation = 0.95", "compensation = 0.0")  # a motor gets r_M/r_J of it, whatever the friction
 TICK = 2e-5  # s that the clock moves with each look at it
 
 

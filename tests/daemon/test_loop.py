@@ -12,14 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon.machine import ENABLED, Drive, Machine
+from tests.daemon.machine import BARE, CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 
 Build = Callable[..., Machine]
-CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
-BARE = ("# compensation = 0.95", "compensation = 0.0")  # the motor gets r_M/r_J of it, whatever the friction
 
 
 @pytest.fixture

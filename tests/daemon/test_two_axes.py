@@ -7,11 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon.machine import ENABLED, Drive, Machine
+from tests.daemon.machine import BARE, CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.bus.wire.seam import Frame
 
-CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
-BARE = ("# compensation = 0.95", "compensation = 0.0")  # the motors get r_M/r_J of it, whatever the friction
 RATE = ("rate = 1000.0", "rate = 500.0")
 SECOND = (
     "[[axis]]",

@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
-from tests.daemon.machine import Drive, Machine
+from tests.daemon.machine import CONSTANT, Drive, Machine
 from tests.fuzz.frames import STATUSWORDS, any_frame, spoil
 from tests.fuzz.part import Holdings, Part
 from tsa_ctrl.bus.wire.seam import Frame
@@ -26,7 +26,6 @@ AFTERWARDS = 60  # cycles that are still watched after the first fault
 TOLERATED = 2  # cycles without answers; the default of the configuration
 HEARTBEAT = 0.2 + 1e-3  # s; the default, and a period
 LENGTHS = {0x181: 8, 0x281: 7, 0x1A0: 4}  # answers without which an axis is not fresh
-CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
 FOLLOWING = 0x1000
 
 

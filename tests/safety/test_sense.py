@@ -67,8 +67,9 @@ def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
         assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
 
 
-@pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True)])
+@pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True), (3.5, False)])
 def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> None:
+    """By more than three times is no torque constant wrong: that is a hand that moves the limb."""
     said = run(Sense(2.0, GEARED, PERIOD), gain=gain)
     assert isinstance(said, str) is found
     if found:

@@ -79,7 +79,7 @@ def test_the_log_and_the_estimator_take_the_serial_values(machine: Machine) -> N
     seen: list[float] = []
     machine.axis.instruments.connect({"tau_j": lambda now: 0.25, "t1": lambda now: 40.0, "t3": lambda now: math.nan})
     update = machine.axis.estimator.update
-    machine.axis.estimator.update = lambda *a: (seen.append(a[4]), update(*a))[1]  # type: ignore[assignment]
+    machine.axis.estimator.update = lambda sample: (seen.append(sample.tau_j), update(sample))[1]  # type: ignore[assignment]
     machine.run(seconds=0.3)
     records = machine.records()
     assert set(records["tau_j"]) == {0.25}

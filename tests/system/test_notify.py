@@ -13,13 +13,12 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
-from tests.daemon.machine import Machine
+from tests.daemon.machine import CONSTANT, Machine
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.system.notify import LONGEST, Notifier
 
 UNIT = ROOT / "config" / "tsa.service"
-CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
 
 
 class Manager:

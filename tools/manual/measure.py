@@ -39,7 +39,7 @@ def measured(measure: Measure, runs: int, out: Path) -> Row:
     for number in range(1 if measure.deterministic else runs):
         printed, seconds = _printed(line, number)
         value = measure.read(printed)
-        values.append(value / seconds if measure.unit == "times" else value)
+        values.append(value / seconds if measure.per_second else value)
     return {
         "value": statistics.median(values),
         "low": min(values),

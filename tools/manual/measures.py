@@ -28,6 +28,7 @@ class Measure:
     unit: str
     deterministic: bool = False  # in virtual time: the same command gives the same figure
     long: bool = False  # takes minutes
+    per_second: bool = False  # what is read, over the time that the command took
 
 
 def _json(*path: str | int, factor: float = 1.0) -> Callable[[str], float]:
@@ -107,6 +108,7 @@ MEASURES: tuple[Measure, ...] = (
         (TSA, "simulate-loop", "{config}/controller.toml", "{config}/plant.toml", "--seconds", "20", "--json"),
         lambda text: 20.0,
         "times",
+        per_second=True,
     ),
     Measure(
         "demo-vcan",

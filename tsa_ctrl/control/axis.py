@@ -12,7 +12,7 @@ from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound
 from tsa_ctrl.control.delivered import delivered_of
-from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, toward
+from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Sample, toward
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
@@ -187,7 +187,7 @@ class ControlAxis:
             if wrong is not None:
                 self.supervisor.trip(wrong, now)
         self.estimator.update(
-            terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh, terms.q_j, image.q_m
+            Sample(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh, terms.q_j, image.q_m)
         )
         self.adapt()
         self._watch()

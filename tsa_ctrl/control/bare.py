@@ -13,7 +13,7 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
 from tsa_ctrl.model.effects.specification import Stage
-from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.effects.state import unmoved
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -33,19 +33,8 @@ class Bare:
 
     def reset(self) -> None:
         """Forget the last velocity."""
-        nan = math.nan
-        self._state: State[float] = State(
-            t=0.0,
-            omega=0.0,
-            acceleration=0.0,
-            q_j=nan,
-            q_m=nan,
-            temperature=nan,
-            theta=self._theta,
-            sigma=0.0,
-            start=0.0,
-        )
-        self._last = nan
+        self._state = unmoved(self._theta)
+        self._last = math.nan
 
     def measure(self, sigma: float, omega_j: float, q_j: float, q_m: float) -> None:
         """One cycle's motion: 1, rad/s, rad, rad."""

@@ -9,11 +9,10 @@ stretch (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid: it cannot
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from tsa_ctrl.control.attribution import Split
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, toward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import stretch_line
@@ -57,20 +56,10 @@ class ByStretch:
         self.residual = 0.0  # (N*m)^2 at the joint
         self._until = _EVERY
 
-    def update(
-        self,
-        sigma: float,
-        omega_j: float,
-        theta: float,
-        tau_m: float,
-        tau_j: float,
-        admit: bool,
-        q_j: float = math.nan,
-        q_m: float = math.nan,
-    ) -> None:
+    def update(self, seen: Sample) -> None:
         """One cycle; the observer has already seen its measurements."""
         observer = self._observer
-        if admit and observer.state is StretchState.TOLD:
+        if seen.admit and observer.state is StretchState.TOLD:
             error = self._per_stretch * observer.innovation
             self.residual += self._forget * (error * error - self.residual)
             self._until -= 1

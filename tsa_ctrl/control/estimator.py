@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from enum import Enum
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal, NamedTuple, Protocol
 
 import msgspec
 from msgspec import Meta
@@ -49,6 +49,19 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     most_acceleration: Annotated[float, Meta(gt=0.0, le=1e6)] = 10.0  # rad/s^2, kind "motor": above is not admitted
 
 
+class Sample(NamedTuple):
+    """What one cycle tells an estimator; nan where it is not measured."""
+
+    sigma: float  # 1, direction of the tendon
+    omega_j: float  # rad/s
+    theta: float  # rad, bending angle
+    tau_m: float  # N*m
+    tau_j: float  # N*m
+    admit: bool  # false while the drive is off or a value is stale
+    q_j: float = math.nan  # rad
+    q_m: float = math.nan  # rad
+
+
 class Estimator(Protocol):
     """What the cycle asks of any kind."""
 
@@ -58,17 +71,7 @@ class Estimator(Protocol):
     use: bool  # whether the law may use the two
     sure: float  # 1, of the half loop estimated, that is there at least
 
-    def update(
-        self,
-        sigma: float,
-        omega_j: float,
-        theta: float,
-        tau_m: float,
-        tau_j: float,
-        admit: bool,
-        q_j: float = ...,
-        q_m: float = ...,
-    ) -> None: ...
+    def update(self, seen: Sample) -> None: ...
 
     def reset(self) -> None: ...
 
@@ -84,17 +87,7 @@ class Fixed:
         self.friction_angle = model.friction_angle
         self.pretension = model.pretension
 
-    def update(
-        self,
-        sigma: float,
-        omega_j: float,
-        theta: float,
-        tau_m: float,
-        tau_j: float,
-        admit: bool,
-        q_j: float = math.nan,
-        q_m: float = math.nan,
-    ) -> None:
+    def update(self, seen: Sample) -> None:
         """Nothing changes."""
 
     def reset(self) -> None:
@@ -127,18 +120,9 @@ class ConfigurationMap:
         self.pretension = self._pretension
         self.state = EstimateState.UNESTIMATED
 
-    def update(
-        self,
-        sigma: float,
-        omega_j: float,
-        theta: float,
-        tau_m: float,
-        tau_j: float,
-        admit: bool,
-        q_j: float = math.nan,
-        q_m: float = math.nan,
-    ) -> None:
-        """Follow `theta` (rad) at no more than the rate."""
+    def update(self, seen: Sample) -> None:
+        """Follow the bending angle at no more than the rate."""
+        theta = seen.theta
         if theta != theta:
             self.state = EstimateState.INVALID
             return

@@ -16,7 +16,7 @@ import math
 
 from tsa_ctrl.control.attribution import Split
 from tsa_ctrl.control.bare import Bare
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, toward
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, toward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 
@@ -72,18 +72,9 @@ class Recursive:
         if self._bare is not None:
             self._bare.reset()
 
-    def update(
-        self,
-        sigma: float,
-        omega_j: float,
-        theta: float,
-        tau_m: float,
-        tau_j: float,
-        admit: bool,
-        q_j: float = math.nan,
-        q_m: float = math.nan,
-    ) -> None:
-        """One cycle's data; `admit` is false while the drive is off or a value is stale."""
+    def update(self, seen: Sample) -> None:
+        """One cycle's data."""
+        sigma, omega_j, _, tau_m, tau_j, admit, q_j, q_m = seen
         bare = self._bare
         if bare is not None:
             bare.measure(sigma, omega_j, q_j, q_m)

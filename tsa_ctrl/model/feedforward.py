@@ -13,7 +13,7 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
 from tsa_ctrl.model.effects.memory import PreslidingState
-from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.effects.state import State, unmoved
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -48,20 +48,9 @@ class Feedforward:
 
     def reset(self) -> None:
         """Forget everything measured: the friction state, the start of the time, the held values."""
-        nan = math.nan
-        self._state: State[float] = State(
-            t=0.0,
-            omega=0.0,
-            acceleration=0.0,
-            q_j=nan,
-            q_m=nan,
-            temperature=nan,
-            theta=self._model.bending_angle,
-            sigma=0.0,
-            start=0.0,
-        )
+        self._state = unmoved(self._model.bending_angle)
         self._started = False
-        self._last_omega = nan
+        self._last_omega = math.nan
         self._presliding: PreslidingState | None = None
         self._by_motor = False
         self._use_effects()

@@ -53,7 +53,7 @@ class Sense:
         """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s."""
         self._limit = limit
         self._least = (RIPPLE * limit) ** 2
-        self._most = EXCESS * geared
+        self._geared = geared
         self._period = period
         self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
         self._memory = 1.0 - math.exp(-period / MEMORY)
@@ -128,11 +128,11 @@ class Sense:
             )
         gain = self._tj / self._tt
         held = now - self._moved > MEMORY
-        excessive = self._most < gain < self._most / EXCESS * FAR
+        excessive = EXCESS * self._geared < gain < FAR * self._geared
         if self._excessive.update(now, held and by_sensor > CLEAR and excessive):
             return (
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
-                f"{self._most / EXCESS:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
+                f"{self._geared:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
             )
         return None
 

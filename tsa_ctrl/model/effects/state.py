@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Generic
 
@@ -24,3 +25,11 @@ class State(Generic[F]):
     theta: F  # rad, bending angle before any effect
     sigma: F  # 1, direction: sign of omega, or the friction state z in [-1, 1]
     start: float  # s, the log's first sample
+
+
+def unmoved(theta: float) -> State[float]:
+    """At `theta`, rad, when nothing is measured yet."""
+    nan = math.nan
+    return State(
+        t=0.0, omega=0.0, acceleration=0.0, q_j=nan, q_m=nan, temperature=nan, theta=theta, sigma=0.0, start=0.0
+    )

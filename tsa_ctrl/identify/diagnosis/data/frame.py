@@ -87,6 +87,11 @@ class Frame:
         edges = np.concatenate([[0], np.cumsum([run.count for run in self.runs])])
         return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
+    def logs(self, used: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Number of the log of each used sample, counted from 0 over the logs that have one."""
+        log = np.repeat(np.arange(len(self.runs)), [run.count for run in self.runs])
+        return np.asarray(np.unique(log[used], return_inverse=True)[1], dtype=np.int64)
+
     def __len__(self) -> int:
         return sum(run.count for run in self.runs)
 

@@ -163,9 +163,8 @@ def _tangents(problem: Problem, learned: Fit, predicted: Array) -> Array:
 
 def _folds(problem: Problem, fitting: NDArray[np.bool_], blocks: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number of the part that each sample is left out with: whole logs where there are enough of them."""
-    logs = np.concatenate([np.full(part.stop - part.start, k) for k, part in enumerate(problem.frame.slices)])
-    own = np.unique(logs[fitting], return_inverse=True)[1]
-    return np.asarray(own if own[-1] + 1 >= FOLDS else blocks % FOLDS, dtype=np.int64)
+    own = problem.frame.logs(fitting)
+    return own if own[-1] + 1 >= FOLDS else blocks % FOLDS
 
 
 def _selected(columns: Array, residual: Array, folds: NDArray[np.int64], always: Array) -> list[int]:

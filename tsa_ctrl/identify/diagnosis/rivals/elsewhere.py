@@ -70,8 +70,5 @@ def elsewhere(problem: Problem, found: Fit, reversals: bool) -> Elsewhere:
 
 def _folds(problem: Problem) -> NDArray[np.int64]:
     """Number of the part that each sample that counts is left out with, (m,)."""
-    log = np.concatenate([np.full(part.stop - part.start, k) for k, part in enumerate(problem.frame.slices)])
-    own = np.unique(log[problem.mask], return_inverse=True)[1]
-    if int(own[-1]) + 1 >= FOLDS:
-        return np.asarray(own % FOLDS, dtype=np.int64)
-    return np.asarray(problem.blocks % FOLDS, dtype=np.int64)
+    own = problem.frame.logs(problem.mask)
+    return (own if own[-1] + 1 >= FOLDS else problem.blocks) % FOLDS
