@@ -18,6 +18,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candid
 from tsa_ctrl.identify.diagnosis.parameters.formula import formula_of_what_is_left
 from tsa_ctrl.identify.diagnosis.parameters.held_out import held_out
 from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
+from tsa_ctrl.identify.diagnosis.parameters.proportion import in_proportion
 from tsa_ctrl.identify.diagnosis.parameters.refit import refit
 from tsa_ctrl.identify.diagnosis.refusals import (
     UNSUITED,
@@ -83,6 +84,7 @@ def diagnose(
             groups = (*groups[:worthless], *groups[worthless + 1 :])
             errors = held_out(selection.problem, base, selection.fitted, data, share)
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
+        reported = in_proportion(data.frame, reported)
         refuse_unrelated(problem, data.held, errors, share)
         refuse_useless(problem, bool(selection.fitted.names), errors)
         formula = formula_of_what_is_left(selection.problem, selection.fitted, data) if share > 0.0 else None

@@ -10,15 +10,13 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
+from tsa_ctrl.identify.diagnosis.parameters.proportion import SPLIT, at_bounds, parted
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
 from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
 from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, told_torque, what_is_left
 from tsa_ctrl.model.parameters import Model, RigidDrive
-
-BENDING_VARIED = 0.05  # of the bending angle: less is one configuration
-PARTED = 0.5  # of [uncertainty]: x and T_p are named apart when their intervals are narrower
 
 
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
@@ -62,6 +60,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
         gain=min(errors.gain, 1.0) if causes else 0.0,
         model=model if worse else reported.fitted.hypothesis.model(reported.fitted.point),
+        at_bounds={} if worse else at_bounds(reported),
         formula=None if worse else outcome.formula,  # which stands beside recalibrated numbers
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
@@ -103,14 +102,5 @@ def _parameter_errors(reported: Refit, frame: Frame, model: Model) -> dict[str, 
     out = {name: ParameterError(nominal, quantity) for name, (nominal, quantity) in quantities.items()}
     if isinstance(model, RigidDrive):
         return out
-    angles = [run.signals.theta for run in frame.runs if run.signals.theta is not None]
-    varied = bool(angles) and float(np.ptp(np.concatenate(angles))) > BENDING_VARIED * model.bending_angle
-    for name, width in (
-        ("friction_angle", model.friction_angle_uncertainty),
-        ("pretension", model.pretension_uncertainty),
-    ):
-        quantity = out[name].found
-        half = 0.5 * (quantity.high - quantity.low) / max(quantity.value, 1e-12)
-        if not varied or half > PARTED * width or half == 0.0:
-            del out[name]
-    return out
+    told_apart = parted(frame, reported)
+    return {name: error for name, error in out.items() if name not in SPLIT or name in told_apart}

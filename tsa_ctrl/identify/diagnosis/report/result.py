@@ -84,8 +84,9 @@ class Diagnosis:
     """Result of `diagnose`; `to_json` is the contents of diagnosis.json; `report.page.write` makes the whole report.
 
     `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
-    named, or the given one when the logs say nothing. `formula`: what it leaves, where that follows one. `details`
-    holds the curves that `report.pictures.plot` draws.
+    named, or the given one when the logs say nothing. `at_bounds`: (value, low, high, unit) of its friction angle or
+    pretension where [uncertainty] holds it. `formula`: what it leaves, where that follows one. `details` holds the
+    curves that `report.pictures.plot` draws.
     """
 
     verdict: Verdict
@@ -99,6 +100,7 @@ class Diagnosis:
     rms: Rms
     gain: float
     model: Model
+    at_bounds: Mapping[str, tuple[float, float, float, str]] = field(default_factory=dict)
     formula: Formula | None = None
     details: Details | None = field(default=None, compare=False, repr=False)
 
@@ -132,6 +134,10 @@ class Diagnosis:
                 "noise_floor": _rounded(self.rms.noise_floor),
                 "unit": "N*m",
                 "held_out": True,
+            },
+            "at_bounds": {
+                name: {"value": _rounded(value), "low": _rounded(low), "high": _rounded(high), "unit": unit}
+                for name, (value, low, high, unit) in self.at_bounds.items()
             },
             "formula": None if self.formula is None else _formula(self.formula),
             "simulated": {"rms": _rounded(self.rms.simulated), "unit": "N*m"},

@@ -81,6 +81,12 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         out.append(f"The causes gain {result.gain:.0%} of what could be explained.")
     if result.unexplained:
         out.append(f"{result.unexplained[0].upper()}{result.unexplained[1:]}.")
+    for name, (value, low, high, unit) in result.at_bounds.items():
+        unit = "" if unit == "1" else f" {unit}"
+        out.append(
+            f"The {spoken(name)} of the model that is written, {value:.4g}{unit}, is at its bound: the file's "
+            f"[uncertainty] allows {low:.4g} to {high:.4g}{unit}; it is no measurement."
+        )
     if result.formula:
         found = result.formula
         out.append(

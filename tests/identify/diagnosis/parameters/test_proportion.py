@@ -1,0 +1,76 @@
+"""x and T_p of the model that a diagnosis writes: in the file's proportion, and a bound that holds them is said."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.identify import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report.words import remarks
+from tsa_ctrl.model.parameters import TendonSheath, model_from
+
+T = np.arange(0.0, 20.0, 0.005)
+X, PRETENSION, R_J, R_M = 0.26, 45.0, 0.025, 0.02
+MODEL = """
+[actuator]
+motor_pulley_radius = 0.02
+joint_pulley_radius = 0.025
+[tendon]
+axial_stiffness = 6e4
+unstrained_length = 1.2
+diameter = 6e-4
+[sheath]
+friction_coefficient = 0.1
+bending_angle = 2.6
+[pretension]
+value = 45.0
+"""
+
+
+def diagnosed(x: float, pretension: float, gain: float = 1.0) -> tuple[Diagnosis, TendonSheath]:
+    """Of a log by (3.55) in one configuration, and the model that is written. `gain`: of the slope alone."""
+    rng = np.random.default_rng(3)
+    omega = np.cos(2.0 * np.pi * 0.4 * T)
+    tau_m = 0.4 * np.sin(2.0 * np.pi * 0.17 * T) + 0.1
+    tau_j = R_J * (gain * tau_m / R_M * math.cosh(x) - 2.0 * pretension * np.sign(omega) * math.sinh(x))
+    columns = {
+        "t": T,
+        "tau_m": tau_m + 1e-3 * rng.normal(size=T.size),
+        "omega_j": omega,
+        "tau_j": tau_j + 0.05 * rng.normal(size=T.size),
+    }
+    model = model_from(tomllib.loads(MODEL), "nominal.toml")
+    assert isinstance(model, TendonSheath)
+    result = diagnose([columns], model)
+    assert isinstance(result.model, TendonSheath)
+    return result, result.model
+
+
+def half_loop(x: float, pretension: float) -> float:
+    return 2.0 * pretension * R_J * math.sinh(x)
+
+
+@pytest.mark.slow
+def test_a_slope_that_is_slightly_off_does_not_drive_the_pretension_to_its_bound() -> None:
+    """A torque channel that reads 1.2 % less: least squares would pay with x for it, and with T_p for x."""
+    result, written = diagnosed(0.28, 42.75, gain=0.988)
+    assert written.pretension / PRETENSION == pytest.approx(written.friction_angle / X, rel=1e-6)
+    assert half_loop(written.friction_angle, written.pretension) == pytest.approx(half_loop(0.28, 42.75), rel=0.02)
+    assert not result.at_bounds
+    assert "bound" not in " ".join(remarks(result))
+    assert {"friction_angle", "pretension"}.isdisjoint(result.parameter_errors)
+
+
+@pytest.mark.slow
+def test_a_bound_that_holds_x_and_pretension_is_said() -> None:
+    """Friction beyond what [uncertainty] allows of both."""
+    result, written = diagnosed(X * 1.45, PRETENSION * 1.3)
+    assert set(result.at_bounds) == {"friction_angle", "pretension"}
+    assert written.pretension == pytest.approx(1.25 * PRETENSION, rel=1e-4)
+    said = " ".join(remarks(result))
+    assert "The pretension of the model that is written, 56.25 N, is at its bound" in said
+    assert "allows 36 to 56.25 N" in said
+    assert result.to_dict()["at_bounds"]["pretension"]["high"] == pytest.approx(56.25)
