@@ -18,7 +18,7 @@ from tsa_ctrl.bus.wire.link import Interface
 from tsa_ctrl.cli import main
 from tsa_ctrl.cli.demo import LOADS
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.demo import bus_choice, rig
+from tsa_ctrl.demo import bus_choice, rig, run
 from tsa_ctrl.demo.bus_choice import VIRTUAL, BusChoice, choose
 from tsa_ctrl.demo.motion import PERIOD, from_file, gait, play_for
 from tsa_ctrl.demo.outcome import Course, Outcome
@@ -152,11 +152,11 @@ def course(error: float) -> Course:
 
 
 def test_reduction_compares_the_rms_errors(tmp_path: Path) -> None:
-    outcome = Outcome("vcan0", "imposed", course(0.5), course(0.1), tmp_path / "demo.png")
+    outcome = Outcome("vcan0", "imposed", course(0.5), course(0.1), tmp_path / "demo.png", 1000.0)
     assert outcome.reduction == pytest.approx(80.0)
     data = outcome.to_dict()
     assert data["cycles"] == {"planned": 20, "sent": 18, "late": 2, "missed_pdo": 4}
-    assert set(data) == {"schema", "bus", "load", "rms", "reduction_percent", "picture", "log", "cycles"}
+    assert set(data) == {"schema", "bus", "load", "rate", "rms", "reduction_percent", "picture", "log", "cycles"}
     outcome.draw(PERIOD)
     assert outcome.picture.read_bytes().startswith(b"\x89PNG")
 
@@ -201,6 +201,35 @@ def test_the_torque_of_a_demo_moves_the_joint_of_a_load_that_moves(
     assert not np.array_equal(columns["q_j"], without["q_j"])
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("options", "rate"), [((), 500.0), (("--rate", "1000"), 1000.0)])
+def test_a_machine_that_is_too_slow_shows_the_demo_at_half_the_rate_unless_one_was_asked_for(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    options: tuple[str, ...],
+    rate: float,
+) -> None:
+    on = run.runs_on
+
+    def slow(bus: BusChoice) -> Any:
+        def play(folder: Path, name: str, *how: Any) -> dict[str, Any]:
+            summary = on(bus)(folder, name, *how)
+            if load_configuration(folder / f"controller-{name}.toml").file.controller.rate > 700.0:
+                summary["cycles"]["sent"] //= 2
+            return summary
+
+        return play
+
+    monkeypatch.setattr(run, "runs_on", slow)
+    with pytest.raises(SystemExit) as stop:
+        main(["demo", "--virtual", "--out", str(tmp_path), "--seconds", "3", *options])
+    assert stop.value.code == 0
+    said = capsys.readouterr().out
+    assert ("does not keep 1000 Hz" in said) is (rate == 500.0)
+    assert load_configuration(tmp_path / "controller-with.toml").file.controller.rate == rate
+
+
 @pytest.mark.parametrize("options", [["--bus", "vcan0"], ["--load", "limp"], ["--full", "--load", "limb"]])
 def test_what_virtual_time_and_loads_do_not_go_with_is_one_line(
     options: list[str], capsys: pytest.CaptureFixture[str]
@@ -219,9 +248,9 @@ def test_what_virtual_time_and_loads_do_not_go_with_is_one_line(
 @pytest.mark.soak  # what compensation gains is seen in virtual time, the way through processes by tests/daemon
 def test_the_whole_system_reduces_the_error_by_four_fifths(tmp_path: Path, vcan: str) -> None:
     command = [sys.executable, "-m", "tsa_ctrl", "demo", "--bus", vcan, "--out", str(tmp_path), "--json"]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-    assert run.returncode == 0, run.stderr
-    data = json.loads(run.stdout)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+    assert done.returncode == 0, done.stderr
+    data = json.loads(done.stdout)
     assert data["bus"] == vcan
     assert data["reduction_percent"] >= 80.0
     assert Path(data["picture"]).read_bytes().startswith(b"\x89PNG")

@@ -246,6 +246,13 @@ class TestMeasurements:
             found = feedforward.update(0.0, 1.0, 2.0 * i * PERIOD)
         assert found == pytest.approx(plain.update(0.2, 1.0, 0.4), rel=1e-6)
 
+    def test_periods_without_an_update_do_not_raise_the_acceleration(self) -> None:
+        """Each third one comes; the time says it."""
+        feedforward = Feedforward(with_effect("inertia", inertia=0.1), PERIOD)
+        for i in range(0, 300, 3):
+            found = feedforward.update(0.0, 1.0, 2.0 * i * PERIOD, t=i * PERIOD)
+        assert found == pytest.approx(Feedforward(ACTUATOR, PERIOD).update(0.2, 1.0, 0.4), rel=1e-6)
+
 
 class TestSettings:
     """Changes while running, and forgetting."""

@@ -74,6 +74,38 @@ def test_a_stiffness_that_is_off_is_learned(tmp_path: Path, case: str) -> None:
 
 
 @pytest.mark.slow
+def test_periods_without_a_cycle_count_for_what_the_motor_s_inertia_takes(tmp_path: Path) -> None:
+    """On a machine that skips each second one the acceleration was taken for twice of what it is: error three times."""
+    axis = play_case(tmp_path, "gait", plant=OFF).axes[0]
+    rows = list(zip(*(axis.log[name].tolist() for name in ("tau_m", "omega_m", "q_m", "q_j")), strict=True))
+    kept = axis.counted & (axis.log["t"] > SETTLED)
+
+    def error(every: int, told: int) -> float:
+        seen = StretchObserver(NOMINAL, 1e-3, COUNTS, 1e-4)
+        found = []
+        for place in range(0, len(rows), every):
+            seen.update(*rows[place])
+            seen.pass_over(told)
+            if kept[place]:
+                found.append(seen.torque - axis.delivered[place])
+        return rms(np.array(found))
+
+    assert error(2, 1) < 1.5 * error(1, 0)
+    assert error(2, 0) > 2.0 * error(2, 1)
+
+
+def test_a_long_time_without_a_cycle_is_one_without_measurements() -> None:
+    seen = StretchObserver(NOMINAL, 1e-3, COUNTS, 1e-4)
+    for _ in range(3):
+        seen.update(0.1, 0.0, 0.2, 0.1)
+    assert math.isfinite(seen.torque)
+    seen.pass_over(round(0.9 * LONGEST_GAP / 1e-3))
+    assert math.isfinite(seen.torque)
+    seen.pass_over(round(0.2 * LONGEST_GAP / 1e-3))
+    assert math.isnan(seen.torque)
+
+
+@pytest.mark.slow
 def test_the_line_alone_is_far_off_on_a_held_joint(tmp_path: Path) -> None:
     """What the slip fronts are worth."""
     from tsa_ctrl.model.stretch import stretch_line

@@ -211,6 +211,7 @@ class ControlAxis:
     def pass_over(self, periods: int) -> None:
         """So many periods had no cycle, as the machine stood still: what counts cycles counts these, too."""
         self.law.pass_over(periods)
+        self.joint_torque.pass_over(periods)
         if self._enabled_at is not None:  # the guard begins with the torque
             self.guard.pass_over(periods)
 

@@ -35,6 +35,12 @@ class Course:
     def rms(self) -> float:
         return float(np.sqrt(np.mean(np.square(self.error))))
 
+    @property
+    def left_out(self) -> float:
+        """Share of the cycles that the loop left out, as the machine woke it after their time."""
+        cycles = self.summary["cycles"]
+        return 1.0 - float(cycles["sent"]) / max(float(cycles["planned"]), 1.0)
+
 
 def course_of(folder: Path, summary: dict[str, Any], seconds: float) -> Course:
     """A run's log from the end of the fade-in to the begin of the stop, `seconds` s after the enable.
@@ -55,6 +61,7 @@ class Outcome:
     without: Course
     compensated: Course
     picture: Path
+    rate: float  # of the loop, Hz
 
     @property
     def reduction(self) -> float:
@@ -68,6 +75,7 @@ class Outcome:
             "schema": 1,
             "bus": self.bus,
             "load": self.load,
+            "rate": self.rate,
             "rms": {
                 "wanted": float(np.sqrt(np.mean(np.square(self.compensated.wanted)))),
                 "without": self.without.rms,

@@ -13,6 +13,9 @@ from tsa_ctrl.demo.outcome import Course, Outcome, course_of
 from tsa_ctrl.demo.stage import runs_on
 
 COMPENSATION = 0.95
+RATE = 1000.0  # Hz
+SLOWEST = 250.0  # Hz, that a demo falls back to: a machine that keeps not even this shows nothing of the controller
+LEFT_OUT = 0.1  # of the cycles: a stall now and then stays below 0.02, a machine that is too slow leaves out a third
 
 Progress = Callable[[str, float], None]
 
@@ -22,22 +25,32 @@ def demo(
     bus: BusChoice,
     play: Play,
     seconds: float,
-    rate: float,
+    rate: float | None,
     tendon: str,
     say: Progress,
     load: str = "imposed",
 ) -> Outcome:
     """Run both and measure; everything is left in `folder`. `say(what, share)` reports progress.
 
-    `seconds` of torque per run; `rate` of the loop in Hz; `tendon` is the plant's kind ("full" or "distributed") and
-    `load` what the joint drives. Raises BusError when plant or daemon fail.
+    `seconds` of torque per run; `rate` of the loop in Hz, None for RATE or the half or quarter of it that this machine
+    keeps; `tendon` is the plant's kind ("full" or "distributed") and `load` what the joint drives. Raises BusError when
+    plant or daemon fail.
     """
-    controllers = {
-        name: rig.controller(bus, name, rate, "nominal.toml", compensation)
-        for name, compensation in (("without", 0.0), ("with", COMPENSATION))
-    }
-    courses = compare(folder, bus, play, rig.plant(bus, tendon, load=load), controllers, seconds, say)
-    outcome = Outcome(bus.name, load, courses["without"], courses["with"], folder / "demo.png")
+    taken, plant = rate or RATE, rig.plant(bus, tendon, load=load)
+
+    def kept(course: Course) -> bool:
+        return rate is not None or taken <= SLOWEST or course.left_out <= LEFT_OUT
+
+    while True:
+        controllers = {
+            name: rig.controller(bus, name, taken, "nominal.toml", compensation)
+            for name, compensation in (("without", 0.0), ("with", COMPENSATION))
+        }
+        courses = compare(folder, bus, play, plant, controllers, seconds, say, kept)
+        if "with" in courses:
+            break
+        taken *= 0.5
+    outcome = Outcome(bus.name, load, courses["without"], courses["with"], folder / "demo.png", taken)
     outcome.draw(play.shown)
     return outcome
 
@@ -50,8 +63,12 @@ def compare(
     controllers: Mapping[str, rig.Tables],
     seconds: float,
     say: Progress,
+    kept: Callable[[Course], bool] = lambda course: True,
 ) -> dict[str, Course]:
-    """Each controller for `seconds` on a plant that starts anew, with the same motion; their courses by name."""
+    """Each controller for `seconds` on a plant that starts anew, with the same motion; their courses by name.
+
+    A course that is not to be `kept` is the last.
+    """
     rig.write(folder, play, plant_tables, controllers)
     run = runs_on(bus)
     courses = {}
@@ -59,6 +76,8 @@ def compare(
         say(f"{name} compensation: starting the plant", number / len(controllers))
         summary = run(folder, name, seconds, partial(_tick, say, name, number, len(controllers)))
         courses[name] = course_of(folder, summary, seconds)
+        if not kept(courses[name]):
+            break
     return courses
 
 

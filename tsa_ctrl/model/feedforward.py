@@ -17,6 +17,7 @@ from tsa_ctrl.model.effects.state import State, unmoved
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
+MOST_PERIODS = 1000.0  # between two updates; after more the watchdogs have taken the torque away
 LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which only overflow is left
 
 _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
@@ -32,7 +33,6 @@ class Feedforward:
 
     def __init__(self, model: TendonSheath, period: float, signals: Collection[str] = _OPTIONAL) -> None:
         self._model = model
-        self._gain = period / (ACCELERATION_TIME + period)
         self._period = period
         custom = Stack.of(model.effects, model.source).custom
         if custom is not None:  # up to twice what both tendons carry without slack
@@ -159,7 +159,11 @@ class Feedforward:
             self._use_effects()
         if isfinite(theta):
             state.theta = theta
+        elapsed = self._period
         if isfinite(t):
+            periods = (t - state.t) / self._period
+            if self._started and 1.5 < periods < MOST_PERIODS:  # some had no cycle
+                elapsed *= round(periods)
             state.t = t
             if not self._started:
                 self._started, state.start = True, t
@@ -168,8 +172,8 @@ class Feedforward:
         if isfinite(acceleration_j):
             state.acceleration = acceleration_j
         elif self._last_omega == self._last_omega:
-            derivative = (omega_j - self._last_omega) / self._period
-            state.acceleration += self._gain * (derivative - state.acceleration)
+            derivative = (omega_j - self._last_omega) / elapsed
+            state.acceleration += elapsed / (ACCELERATION_TIME + elapsed) * (derivative - state.acceleration)
         self._last_omega = omega_j
         lag = self._stack.velocity_lag
         state.omega = omega_j if lag is None else lag.true_velocity(omega_j, state.acceleration)

@@ -63,6 +63,11 @@ class JointTorque:
         if self.stretch is not None:
             self.stretch.set_pretension(pretension)
 
+    def pass_over(self, periods: int) -> None:
+        """So many periods had no cycle."""
+        if self.stretch is not None:
+            self.stretch.pass_over(periods)
+
     def update(self, image: Measured, omega_j: float, tau_j: float) -> None:
         """One cycle: what drive and encoder say, the joint's velocity (rad/s), the sensor's torque (N*m or nan)."""
         tau_m, omega_m, fresh = image.tau_m, image.omega_m, image.fresh

@@ -181,23 +181,30 @@ class StretchObserver:
     def _grip(self) -> None:
         tendons.spread(self._pairs, float(self._memory[tendons.ANGLE]), 1.0)
 
+    def pass_over(self, periods: int) -> None:
+        """So many periods had no cycle: the motor had their time, too, to reach the speed that it has at the next."""
+        self._wait(periods * self._period)
+
+    def _wait(self, seconds: float) -> None:
+        self._gap += seconds
+        if self._gap > RESTART:
+            self.reset()
+        elif self._gap > LONGEST_GAP:
+            self._lose()
+
     def update(self, tau_m: float, omega_m: float, q_m: float, q_j: float, fresh: bool = True) -> None:
         """One cycle's measurements, N*m, rad/s and rad; those that are not `fresh` or not finite are passed over."""
         way = self._r_j * q_j
         stretch = self._r_m * q_m - way
         if not fresh or not math.isfinite(stretch + tau_m + omega_m):
-            self._gap += self._period
-            if self._gap > RESTART:
-                self.reset()
-            elif self._gap > LONGEST_GAP:
-                self._lose()
+            self._wait(self._period)
             return
-        self._gap = 0.0
+        elapsed, self._gap = self._period + self._gap, 0.0
         if self._last != self._last:
             self._last, self._omega = way, omega_m
             self._begin(stretch)
             return
-        taken = self._inertia * (omega_m - self._omega) / self._period
+        taken = self._inertia * (omega_m - self._omega) / elapsed
         difference = (tau_m - taken) / self._r_m
         memory = self._memory
         tensions, deviation, code = tendons.observe(
