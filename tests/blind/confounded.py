@@ -255,18 +255,10 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
     row = ROWS[name]
     for attempt in range(200):
         rng = generator("confounded", name, seed, attempt)
-        bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
-        ratio = log_uniform(rng, *row.ratio)
-        noise = bench.reading * log_uniform(rng, 0.005, 0.02)
-        parameters = _parameters(rng, row, bench, noise * (1.0 if row.absorbed else ratio))
-        if parameters is None:
+        found = drawn(rng, row, short)
+        if found is None:
             continue
-        effects = {row.truth: parameters}
-        reached = size(bench, effects)
-        if not row.absorbed:
-            noise = reached / ratio
-        if not 1.5e-3 * bench.reading < noise < 0.08 * bench.reading or not in_domain(bench, effects):
-            continue
+        bench, effects, noise = found
         case = finish(rng, "confounded", name, seed, bench, effects, noise, row.recipe.get("motion", "rich"))
         case.truth.twins, case.truth.exact = row.twins, row.exact
         if row.parted_by is None:
@@ -284,6 +276,23 @@ def confounded_case(name: str, seed: int, short: bool = False) -> Case:
         case.experiment.model = case.model
         return case
     raise RuntimeError(f"no case of {name} for seed {seed}")
+
+
+def drawn(rng: np.random.Generator, row: Row, short: bool) -> tuple[Bench, dict[str, dict[str, Any]], float] | None:
+    """A bench, the effect that a row hides in it, and the torque's noise (N*m); None where this draw has none."""
+    bench = draw_bench(rng, Recipe(**row.recipe, bare=True, short=short, sign_noise=0.5))
+    ratio = log_uniform(rng, *row.ratio)
+    noise = bench.reading * log_uniform(rng, 0.005, 0.02)
+    parameters = _parameters(rng, row, bench, noise * (1.0 if row.absorbed else ratio))
+    if parameters is None:
+        return None
+    effects = {row.truth: parameters}
+    reached = size(bench, effects)
+    if not row.absorbed:
+        noise = reached / ratio
+    if not 1.5e-3 * bench.reading < noise < 0.08 * bench.reading or not in_domain(bench, effects):
+        return None
+    return bench, effects, noise
 
 
 def _parameters(rng: np.random.Generator, row: Row, bench: Bench, wanted: float) -> dict[str, Any] | None:

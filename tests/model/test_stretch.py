@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from tests.control.sliding import actuator
@@ -11,7 +12,9 @@ from tests.model.capstan import Pair
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.curvature import NAMED, Points
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.stretch import compliance_centre, stretch_line, why_not
+from tsa_ctrl.model.predict import predict, stretching
+from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.model.stretch import compliance_centre, compliances, stretch_line, why_not
 
 S_BENT: Points = ((0.0, 0.0), (0.2, 0.5), (0.7, 0.5), (1.0, 1.0))
 
@@ -67,3 +70,33 @@ def test_bends_at_the_joint_are_refused_with_the_reason() -> None:
 def test_angles_become_stretch() -> None:
     line = stretch_line(actuator())
     assert line.stretch(1.0, 0.5) == pytest.approx(0.020 - 0.0125)
+
+
+@pytest.mark.parametrize("points", [NAMED["joint_end"], NAMED["uniform"], NAMED["motor_end"], S_BENT])
+@pytest.mark.parametrize("x", [1e-6, 0.26, 0.9])
+@pytest.mark.parametrize("sigma", [-1.0, 1.0])
+def test_the_ends_of_the_tendons_make_the_stretch(points: Points, x: float, sigma: float) -> None:
+    """For every shape, all at the joint as well, but for a constant: by the capstan, in both directions."""
+    pair = Pair(points, x)
+    by_motor, by_joint = compliances(model_of(points, x))
+
+    def stretch(tau_m: float) -> float:
+        return pair.motor_tensions(tau_m, sigma)[1] * pair.along(-sigma * x)[1] - 45.0 * pair.along(0.0)[1]
+
+    told = [by_motor * tau_m / 0.020 + by_joint * pair.joint_torque(tau_m, sigma) / 0.025 for tau_m in (0.4, -0.3)]
+    assert told == pytest.approx([stretch(0.4), stretch(-0.3)], abs=1e-9)
+
+
+def test_what_stretches_the_tendons_is_before_the_joint_and_counts_a_tendon_alone_twice() -> None:
+    """A weight on the joint is not in it, friction in the motor is; beyond 2 T_p r_M = 1.8 N*m a tendon is slack."""
+    still = np.zeros(4)
+    signals = Signals(t=np.arange(4.0), tau_m=np.array([0.4, -0.4, 2.4, -2.4]), omega_j=still + 0.5, q_j=still)
+    plain = actuator()
+    motor, joint = stretching(plain, signals)
+    assert motor == pytest.approx(signals.tau_m / 0.020)
+    assert joint == pytest.approx(predict(plain, signals) / 0.025)
+    loaded = plain.with_effects({"torque_offset": {"offset": 0.3}, "motor_side_friction": {"coulomb": 0.05}})
+    assert stretching(loaded, signals)[0] == pytest.approx((signals.tau_m - 0.05) / 0.020)
+    assert stretching(loaded, signals)[1] == pytest.approx((predict(loaded, signals) - 0.3) / 0.025)
+    slack = stretching(plain.with_effects({"tendon_slack": {}}), signals)[0]
+    assert slack == pytest.approx([20.0, -20.0, 2.0 * (120.0 - 45.0), -2.0 * (120.0 - 45.0)])

@@ -68,14 +68,41 @@ def _tendon_torque(
     model: TendonSheath, stack: Stack, transmission: Transmission, state: State[Array], tau_m: Array
 ) -> Array:
     """From the reported motor torque to what friction in the joint leaves of it, N*m."""
-    for effect in stack.motor_torque:
-        tau_m = effect.apply(ARRAYS, tau_m, state)
-    if (custom := stack.custom_at("motor")) is not None:
-        tau_m = tau_m - custom.taken(tau_m, state)
+    tau_m = _on_the_tendons(stack, state, tau_m)
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     x = friction_angle(ARRAYS, model, stack, state, theta)
     torque = transmission.torque(ARRAYS, tau_m, state.sigma, x, pretension)
     return torque if stack.load is None else stack.load.apply(ARRAYS, torque, state.sigma)
+
+
+def _on_the_tendons(stack: Stack, state: State[Array], tau_m: Array) -> Array:
+    """What of the reported motor torque acts on the pulley, N*m."""
+    for effect in stack.motor_torque:
+        tau_m = effect.apply(ARRAYS, tau_m, state)
+    if (custom := stack.custom_at("motor")) is not None:
+        tau_m = tau_m - custom.taken(tau_m, state)
+    return tau_m
+
+
+def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
+    """What stretches the tendons: twice the change of tendon b's tension, at the motor and at the joint, N, (n,) each.
+
+    T3 - T1 and T4 - T2 while both tendons pull; of a tendon that pulls alone twice what it has over the pretension.
+    What enters behind the tendons (joint, load-dependent friction, play, delay) is not in them. Raises as `predict`.
+    """
+    stack = Stack.of(model.effects, model.source)
+    _require_columns(model, signals)
+    state = _joint_state(model, stack, signals)
+    tau_m = _on_the_tendons(stack, state, signals.tau_m)
+    theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
+    x = friction_angle(ARRAYS, model, stack, state, theta)
+    torque = stack.transmission(model).torque(ARRAYS, tau_m, state.sigma, x, pretension)
+    ends = tau_m / model.motor_pulley_radius, torque / model.joint_pulley_radius
+    if stack.slack is None:
+        return ends
+    alone = np.abs(ends[0]) > 2.0 * pretension
+    motor, joint = (np.where(alone, 2.0 * (end - np.sign(ends[0]) * pretension), end) for end in ends)
+    return motor, joint
 
 
 def beyond_slack(model: Model, signals: Signals) -> float:

@@ -71,6 +71,23 @@ def stretch_line(model: TendonSheath) -> StretchLine:
     return StretchLine(r_j * model.tendon_stiffness * share, ratio * r_j / r_m, r_m, r_j, centre)
 
 
+def compliances(model: TendonSheath) -> tuple[float, float]:
+    """m/N by which T3 - T1 and T4 - T2 stretch the tendons while both slide: s = c_M (T3 - T1) + c_J (T4 - T2).
+
+    `stretch_line` solved for s, for any shape: c_M = Q r_M/P, c_J = r_J/P; together 1/(2 k_t) but for x^2, and c_J = 0
+    with all bends at the joint.
+    """
+    x, softness = model.friction_angle, 1.0 / model.tendon_stiffness
+    if x < _SMALL:
+        centre = compliance_centre(model)
+        return 0.5 * softness * centre, 0.5 * softness * (1.0 - centre)
+    alpha, beta = _elongations(model, x), _elongations(model, -x)
+    grown, decayed = math.exp(x) / alpha, math.exp(-x) / beta
+    motor, joint = grown - decayed, 1.0 / beta - 1.0 / alpha
+    whole = (grown + decayed) * joint + motor * (1.0 / alpha + 1.0 / beta)
+    return softness * motor / whole, softness * joint / whole
+
+
 def why_not(model: TendonSheath) -> str:
     """Why the stretch cannot tell the joint torque of this model; empty where it can."""
     centre = compliance_centre(model)

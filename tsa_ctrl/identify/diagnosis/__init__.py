@@ -11,7 +11,8 @@ fitting     a hypothesis against the data (`problem`, `fit`), one projection per
             that the whole catalogue leaves (`noise_model`), the error that a user sees (`simulation_error`)
 selection   `forward`: causes enter, leave and are swapped by `step`s; `entry`: the tests; `detection_limits`
 residual    what is left: `dependence` on signals (`features`), `changes` in time, whether it decides (`structure`)
-rivals      the names that these logs cannot exclude (`groups`), and what is done about them (`alternatives`)
+rivals      the names that these logs cannot exclude (`groups`), what is done about them (`alternatives`), and which of
+            them the tendons' stretch contradicts where both pulleys' angles are logged (`stretched`)
 parameters  the numbers reported (`refit`, `profile_refinement`), and what they gain on `held_out` data
 refusals    logs that cannot tell, which is the verdict `insufficient` and no error
 report      `conclude`: the `result` as data; `words`, `pictures` and `page` of it, and the next `experiment`

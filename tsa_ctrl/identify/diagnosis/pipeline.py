@@ -34,6 +34,7 @@ from tsa_ctrl.identify.diagnosis.report.details import Outcome
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
 from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
+from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select, without_causes
 from tsa_ctrl.model.parameters import Model
@@ -75,6 +76,7 @@ def diagnose(
         selection, findings = residual_structure(selection, testable.catalogue, rng)
         say("what cannot be told apart")
         selection, groups = alternatives(selection, testable.catalogue, findings)
+        selection, groups = parted(selection, testable.catalogue, findings, groups)
         say("parameters and gain")
         base = fit(selection.problem, base.hypothesis, base.point)
         share = structure_share(findings)

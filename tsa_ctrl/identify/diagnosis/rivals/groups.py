@@ -47,7 +47,7 @@ class Rival:
     `limit`: the named cause is a limit of this one, which needs further parameters for nothing, or this one has
     vanished. `within_structure`: most of what is left is structure, and the simulation
     error does not tell them apart. On samples that no fit has seen this one `fails_elsewhere`, as it leaves visibly
-    more than the named cause, or `wins_elsewhere`.
+    more than the named cause, or `wins_elsewhere`. `against_stretch`: the angles of both pulleys contradict it.
     """
 
     name: str
@@ -58,11 +58,12 @@ class Rival:
     within_structure: bool = False
     fails_elsewhere: bool = False
     wins_elsewhere: bool = False
+    against_stretch: bool = False
     share: float | None = None  # of what the cause takes off the error there, that this one does; None: not compared
 
     @property
     def excluded(self) -> bool:
-        if self.limit or self.fails_elsewhere:
+        if self.limit or self.fails_elsewhere or self.against_stretch:
             return True
         return self.worse > BY_NOISE + self.tolerance and not self.within_structure
 

@@ -1,0 +1,110 @@
+"""Confounded cases once more, with the angles of both pulleys in the log: what the tendons' stretch tells beside.
+
+The stretch is that of the four tensions of `plant`: a tendon's elongation is its tension summed along it, where the
+sheath bends at the joint, evenly or at the motor. The model file says where (within its [uncertainty]), unless it is
+the shape that is hidden. Nothing here is shared with the package under test.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from . import sensors
+from .bench import Bench, Run
+from .cases import Case, finish, generator
+from .confounded import ROWS, drawn
+from .plant import Effects, Tensions
+from .rig import Rig
+
+Array = np.ndarray
+SHAPES = ("joint", "even", "motor")
+_PROFILES = {"even": "uniform", "motor": "motor_end"}
+_COURSE = np.linspace(0.0, 1.0, 201)  # along the sheath; the strain is summed by trapezia
+_AT_JOINT = "bending_centre = 0.99\n"  # as near to 1 as a file may say
+_ONLY_AT_JOINT = {"elongation_coupling", "sheath_asymmetry"}  # they are, or exclude, another shape
+
+
+def names() -> tuple[str, ...]:
+    """ROW:SHAPE, for all that can be."""
+    out = [f"{name}:joint" for name in ROWS]
+    for shape in _PROFILES:
+        out += [f"{name}:{shape}" for name, row in ROWS.items() if not _ONLY_AT_JOINT & set(row.twins)]
+    return tuple(out)
+
+
+def stretch(rig: Rig, tensions: Tensions, shape: str) -> Array:
+    """r_M q_M - r_J q_J, m: half the difference of elongations, or what one tendon alone has over the pretension's."""
+    share = {"joint": 0.0 * _COURSE, "even": _COURSE, "motor": 0.0 * _COURSE + 1.0}[shape]
+    spring = 1.0 / rig.series_stiffness if rig.series_stiffness else 0.0
+    a, b = (
+        _elongation(rig, near, far, share) + spring * near
+        for near, far in ((tensions.t1, tensions.t2), (tensions.t3, tensions.t4))
+    )
+    half = 0.5 * (b - a)
+    path = rig.pretension / rig.tendon_stiffness  # that each has without torque, at the rig's bending
+    return np.where(tensions.t1 <= 0.0, b - path, np.where(tensions.t3 <= 0.0, path - a, half))
+
+
+def _elongation(rig: Rig, near: Array, far: Array, share: Array) -> Array:
+    """m: the integral of the strain from the motor to the joint."""
+    growth = np.log(np.maximum(far, 1e-12) / np.maximum(near, 1e-12))
+    factor = np.zeros_like(near)
+    for weight, place in zip(np.gradient(_COURSE) * _ends_half(len(_COURSE)), share, strict=True):
+        factor += weight * np.exp(growth * place)
+    return near * factor * rig.length / rig.axial_stiffness
+
+
+def _ends_half(count: int) -> Array:
+    weights = np.ones(count)
+    weights[[0, -1]] = 0.5
+    return weights
+
+
+def two_encoder_case(name: str, seed: int, short: bool = False) -> Case:
+    """A row of twins on a sheath of a shape ("ROW:SHAPE"); the logs have q_j and q_m. `without` takes them out."""
+    label, _, shape = name.partition(":")
+    row = ROWS[label]
+    for attempt in range(200):
+        rng = generator("two_encoders", name, seed, attempt)
+        found = drawn(rng, row, short)
+        if found is not None:
+            break
+    else:
+        raise RuntimeError(f"no case of {name} for seed {seed}")
+    bench, hidden, noise = found
+    effects: dict[str, dict[str, Any]] = dict(hidden)
+    if shape in _PROFILES:
+        effects["elongation_coupling"] = {"curvature_profile": _PROFILES[shape]}
+    case = finish(rng, "two_encoders", name, seed, bench, effects, noise, row.recipe.get("motion", "rich"))
+    bends = {"uniform": "even", "motor_end": "motor"}.get(
+        str(effects.get("elongation_coupling", {}).get("curvature_profile")), "joint"
+    )
+    for log, run in zip(case.logs, bench.runs, strict=True):
+        _add_angles(rng, bench, run, effects, bends, log.columns)
+    case.truth.effects = {key: value for key, value in case.truth.effects.items() if key in hidden}
+    case.truth.twins, case.truth.exact = row.twins, False
+    if shape in _PROFILES:
+        case.model += f'\n[effects.elongation_coupling]\ncurvature_profile = "{_PROFILES[shape]}"\n'
+    elif "elongation_coupling" not in row.twins:
+        case.model = case.model.replace("[sheath]\n", f"[sheath]\n{_AT_JOINT}")
+    return case
+
+
+def without_motor_angle(case: Case) -> Case:
+    """The same rig and logs before it had an encoder at the motor."""
+    logs = [replace(log, columns={k: v for k, v in log.columns.items() if k != "q_m"}) for log in case.logs]
+    return replace(case, logs=logs)
+
+
+def _add_angles(
+    rng: np.random.Generator, bench: Bench, run: Run, effects: Effects, bends: str, columns: dict[str, Array]
+) -> None:
+    rig = bench.rig
+    q_j = run.pick(run.scene.q)
+    s = stretch(rig, run.simulate(rig, effects, bench.motor_angle), bends)
+    offset = rng.uniform(-0.3, 0.3)
+    columns["q_j"] = sensors.encoder(rng, q_j, bench.counts)
+    columns["q_m"] = sensors.encoder(rng, offset + (s + rig.joint_radius * q_j) / rig.motor_radius, 4 * bench.counts)
