@@ -509,16 +509,25 @@ def test_a_power_stage_that_is_off_at_the_next_enable_is_a_lost_state() -> None:
     assert (bench.permitted, bench.cause) == (False, Cause.STATE_LOST)
 
 
-def test_a_drive_that_never_shows_voltage_and_remote_runs_without() -> None:
+def test_a_drive_that_never_shows_voltage_and_remote_runs_without(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some leave bits 4 and 9 low for ever."""
-    before = WORDS[PowerState.OPERATION_ENABLED]
-    try:
-        WORDS[PowerState.OPERATION_ENABLED] = 0x1027
-        bench = enabled()
-        bench.step(Request.ENABLE, 5)
-    finally:
-        WORDS[PowerState.OPERATION_ENABLED] = before
+    for state, word in WORDS.items():
+        monkeypatch.setitem(WORDS, state, word & ~0x0210)
+    bench = enabled()
+    bench.step(Request.ENABLE, 5)
     assert bench.permitted
+
+
+@pytest.mark.parametrize("low", [0x0010, 0x0200])
+def test_a_power_stage_that_is_off_at_the_first_enable_is_a_lost_state(
+    monkeypatch: pytest.MonkeyPatch, low: int
+) -> None:
+    """It had its voltage while the drive was ready; a stage that flaps may be off just then."""
+    monkeypatch.setitem(WORDS, PowerState.OPERATION_ENABLED, WORDS[PowerState.OPERATION_ENABLED] & ~low)
+    bench = Bench()
+    bench.step(Request.DISABLE, 5)
+    bench.step(Request.ENABLE, 10)
+    assert (bench.permitted, bench.cause) == (False, Cause.STATE_LOST)
 
 
 def test_an_event_that_is_no_fault_leaves_the_torque() -> None:

@@ -24,6 +24,7 @@ from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
+from tsa_ctrl.safety.unheard import Unheard
 
 BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times the angle and 1.8 times the pretension
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
@@ -86,6 +87,7 @@ class ControlAxis:
         self.plausibility = plausibility
         self.joint_torque = joint_torque
         self.sense = Sense(limiter.torque, model.joint_pulley_radius / model.motor_pulley_radius, period)
+        self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
         limiter.ceiling = self.sense.ceiling
         self.most_age = most_age
         self.request = Request.DISABLE
@@ -173,6 +175,9 @@ class ControlAxis:
             self.release()
             return
         self.law.applied(terms.tau_m_cmd)
+        unheard = self._unheard.update(now)
+        if unheard is not None:
+            self.supervisor.trip(unheard, now)
         if terms.reason in _TRIPPING:
             self.supervisor.trip(f"{terms.reason.name.lower().replace('_', '-')} at the limiter", now)
         if image.fresh:
@@ -230,6 +235,7 @@ class ControlAxis:
         self.law.bound = self._bounded()
         self.plausibility.reset()
         self.sense.reset()
+        self._unheard.reset()
         self.limiter.ceiling = self.sense.ceiling
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)

@@ -1,4 +1,4 @@
-"""Says it when a bus loses more answers than it should, but not so many that the torque has to end."""
+"""Says it when a bus loses more answers or commands than it should, but not so many that the torque has to end."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from tsa_ctrl.daemon.events import Events
 
 TOLD = 0.05  # of the cycles since the last look: a sound bus loses fewer than one in 10,000
 AGAIN = 10.0  # s between two remarks on one axis
+LEAST = 2  # commands that a drive did not hear; one may be lost with an error
 
 
 class Losses:
@@ -19,12 +20,15 @@ class Losses:
         self._events = events
         self._cycles = 0
         self._missed = [0] * len(axes)
+        self._heard = [(0, 0)] * len(axes)
         self._said = [-AGAIN] * len(axes)
+        self._said_unheard = [-AGAIN] * len(axes)
 
     def update(self, t: float, cycles: int) -> None:
         """`t` in s of the log; `cycles` run by now."""
         run, self._cycles = cycles - self._cycles, cycles
         for index, axis in enumerate(self._axes):
+            self._hear(t, index, axis)
             missed = axis.image.missed
             lost, self._missed[index] = missed - self._missed[index], missed
             if lost < TOLD * run or t - self._said[index] < AGAIN or not axis.terms.permitted:
@@ -37,3 +41,18 @@ class Losses:
                 f"{lost} of the last {run} cycles were without all answers (since the start: {nodes}); look at the "
                 "cable, the bus load, and collect in [controller]",
             )
+
+    def _hear(self, t: float, index: int, axis: ControlAxis) -> None:
+        """What the drive heard of its commands."""
+        hearing = axis.io.hearing
+        before, self._heard[index] = self._heard[index], (hearing.asked, hearing.unheard)
+        asked, unheard = hearing.asked - before[0], hearing.unheard - before[1]
+        if unheard < max(LEAST, TOLD * asked) or t - self._said_unheard[index] < AGAIN or not axis.terms.permitted:
+            return
+        self._said_unheard[index] = t
+        self._events.add(
+            t,
+            axis.name,
+            f"{axis.image.nodes[0]} held an older command {unheard} of the last {asked} times that 0x6071 was read "
+            "back: commands are lost; look at the cable, the bus load, and the drive's cycle",
+        )

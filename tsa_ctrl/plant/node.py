@@ -45,6 +45,8 @@ class Node:
         self.node_id = node_id
         self.powered = True
         self.deaf = False  # RPDOs are lost on their way
+        self.lost_in_a_row = 0  # of the commands, before one is heard again
+        self._lost = 0
         self.unhearing = False  # and everything else, too
         self.state = NmtState.BOOT_UP
         self.transmit: Send = send
@@ -221,6 +223,10 @@ class Node:
         def handle(data: bytes, now: float) -> None:
             if self.state is not NmtState.OPERATIONAL or self.deaf:
                 return
+            if self.lost_in_a_row:
+                self._lost = (self._lost + 1) % (self.lost_in_a_row + 1)
+                if self._lost:
+                    return
             if len(data) < rpdo.packing.size:
                 self.communication_error(EmcyCode.PDO_TOO_SHORT)
                 return

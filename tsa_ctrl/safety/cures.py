@@ -34,6 +34,10 @@ CURES: Mapping[str, str] = MappingProxyType(
             "then recover"
         ),
         "the joint torque sensor follows": "torque constant and rated torque of the motor, gain of the sensor",
+        "held an older command": (
+            "commands are lost on their way, or the drive looks for them too seldom: bus load (tsa doctor), its cycle "
+            "against rate in [controller]; if it only shows 0x6071 late: lost_share in [bus.supervision]; then recover"
+        ),
         Cause.BUS_FAULT.value: f"cable, termination, bit rate, or the interface was taken down; {_BRING_UP}",
         Cause.SECOND_MASTER.value: f"another program commands this bus: end it (who sends is said above); {_BRING_UP}",
         Cause.ALTERED.value: f"another tool wrote to it, or it lost its settings by itself: end that; {_BRING_UP}",

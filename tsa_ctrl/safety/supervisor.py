@@ -121,7 +121,7 @@ class Supervisor:
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
         self._running_mask = cia402.STATE_BITS | self._following_mask
         self._running_word = _ENABLED_BITS | self._following_mask
-        self._power_bits = 0  # those of the power bits that this drive showed at an enable, ever
+        self._power_bits = 0  # those of the power bits that this drive ever showed before it was enabled
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
         self._lost = 0  # cycles without all answers, and commands that were not sent
@@ -173,6 +173,8 @@ class Supervisor:
         self._reset_edge = request is Request.RESET and self._last_request is not Request.RESET
         self._last_request = request
         self._watch(image, now)
+        if self.phase in (Phase.STANDBY, Phase.ENABLING) and image.fresh:
+            self._power_bits |= image.statusword & _POWER_BITS
         self.cut_off = False
         if self.phase is Phase.FAULT or self.phase is Phase.RESETTING:
             return self._in_fault(image, state, now), False, self.fault
@@ -280,7 +282,6 @@ class Supervisor:
         in_mode = image.mode == Mode.CYCLIC_SYNC_TORQUE
         following = image.statusword & self._following_mask == self._following_mask
         if state is PowerState.OPERATION_ENABLED and in_mode and following and image.fresh:
-            self._power_bits |= image.statusword & _POWER_BITS
             self._enter(Phase.ENABLED, now)
         elif now - self._since > self._settings.enable_timeout:
             waited, late = self._settings.enable_timeout, self._shows_late

@@ -9,7 +9,8 @@ import pytest
 
 from tsa_ctrl.bus.canopen.objects import Object, Type
 from tsa_ctrl.bus.drive.report import NodeReport, Report, Row
-from tsa_ctrl.bus.live.read_back import Held, ReadBack, held_by
+from tsa_ctrl.bus.live.hearing import Hearing
+from tsa_ctrl.bus.live.read_back import Heard, Held, ReadBack, held_by
 
 TIMER, CLAMP = Object(0x1400, 5, Type.U16, "RPDO event timer"), Object(0x6072, 0, Type.U16, "max torque")
 HELD = (Held(1, TIMER, 20), Held(1, CLAMP, 3000))
@@ -112,3 +113,37 @@ def test_what_the_loop_writes_itself_and_what_is_not_there_is_not_asked_for() ->
     target, mode = Object(0x6871, 0, Type.I16, "target torque"), Object(0x6060, 0, Type.I8, "mode of operation")
     rows = [Row(TIMER, 0, 20), Row(CLAMP, None, None), Row(target, 0, 0), Row(mode, 0, 10)]
     assert held_by(Report((NodeReport("drive", 1, rows=rows),))) == (HELD[0],)
+
+
+def test_the_drives_are_asked_by_turns_what_they_heard_between_the_other_questions() -> None:
+    asked: list[tuple[int, int]] = []
+
+    class Drives:
+        def send(self, can_id: int, data: bytes) -> bool:
+            asked.append((can_id, struct.unpack_from("<H", data, 1)[0]))
+            return True
+
+    drives = [Heard(node, Object(0x6071 + 0x800 * place, 0, Type.I16, "target torque"), Hearing())
+              for place, node in enumerate((1, 2))]  # fmt: skip
+    reader = ReadBack(Drives(), 1_000_000, HELD, drives, 0.2)  # type: ignore[arg-type]
+    assert [each.hearing.too_many for each in drives] == [5, 5]
+    for cycle in range(1000):
+        count = len(asked)
+        reader.update(1e-3 * cycle)
+        if len(asked) > count:
+            can_id, index = asked[-1]
+            digits = 17 if index in (0x6071, 0x6871) else {0x1400: 20, 0x6072: 3000}[index]
+            subindex = 5 if index == 0x1400 else 0
+            reader.answer(can_id - 0x600, struct.pack("<BHBHxx", 0x4B, index, subindex, digits))
+    commands = [each for each in asked if each[1] in (0x6071, 0x6871)]
+    assert commands[:4] == [(0x601, 0x6071), (0x602, 0x6871)] * 2
+    assert 46 <= len(commands) <= 49
+    assert len(asked) - len(commands) == pytest.approx(50, abs=1)
+    assert [each.hearing.asked for each in drives] == pytest.approx([24, 24], abs=1)
+    assert reader.altered == {}
+
+
+def test_of_a_slow_bus_a_few_unheard_commands_are_not_yet_too_many() -> None:
+    drive = Heard(1, Object(0x6071, 0, Type.I16, "target torque"), Hearing())
+    ReadBack(Node(), 125_000, HELD, [drive], 0.2)  # type: ignore[arg-type]
+    assert drive.hearing.too_many == 3

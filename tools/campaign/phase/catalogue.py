@@ -57,9 +57,17 @@ _BLIND = (
     "a weight or a spring, no torque sensor: up to 0.8 J by a quarter more torque than wanted, within what the stretch "
     "leaves out; a joint torque sensor, a counterweight"
 )
+_MORE = (
+    "no torque sensor, a free joint: 2.2 rad/s and 0.5 rad beyond; what follows the command and gives 40 % more is a "
+    "motor with another torque constant; a joint torque sensor, or a weight on the joint when it is put into use"
+)
+_WANDERS = (
+    "a weight is given 0.11 J more before motor and joint are 0.3 rad apart: until then tendons that stretch look the "
+    "same; a second encoder"
+)
 _STUCK = (
-    "a limb is given 0.26 J more, at 2.6 rad/s, before motor and joint are 0.3 rad apart: tendons that give, on a "
-    "joint that is held, look the same until then; a second encoder"
+    "a limb or a weight is given 0.27 J more, at 3.2 rad/s, before motor and joint are 0.3 rad apart: tendons that "
+    "give, on a joint that is held, look the same until then; a second encoder"
 )
 _TURNED = (
     "a spring's joint is 2 rad/s faster before motor and joint are 0.3 rad apart, sooner than the 0.1 s for which the "
@@ -114,6 +122,10 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("heartbeat of the encoder lost", NOBODY, "heartbeat lost", ("heartbeat_lost node=encoder",)),
     # wires
     Hazard("commands (RPDOs) lost", OLD, "0x8250|drive fault|enable|confirm|reports", ("rpdo_lost",)),
+    Hazard("every other command lost", OLD, "held an older command", ("sparse_rpdo value=1",), lie=True),
+    Hazard("two of three commands lost", OLD, "held an older command", ("sparse_rpdo value=2",), lie=True),
+    Hazard("nineteen of twenty commands lost", OLD, "held an older command|drive fault|emergency",
+           ("sparse_rpdo value=19",), lie=True),
     Hazard("the drive hears nothing", OLD, _LOST + "|enable|reset", ("deaf",)),
     Hazard("nothing is heard of the drive", OLD, _LOST + "|enable", ("missing_tpdo", "heartbeat_lost")),
     Hazard("error frame: bus-off", NOBODY, "bus fault", ("error_frame value=64",)),
@@ -138,7 +150,7 @@ HAZARDS: tuple[Hazard, ...] = (
     # motor
     Hazard("motor turns the wrong way", MOVES, "", ("reversed_sign",), lie=True),
     Hazard("polarity turned", MOVES, "", ("polarity",), lie=True, open=_TURNED),
-    Hazard("motor gives 1.4 times", MOVES, "", ("torque_gain value=1.4",), lie=True, residual=_UNSEEN),
+    Hazard("motor gives 1.4 times", MOVES, "", ("torque_gain value=1.4",), lie=True, residual=_UNSEEN, open=_MORE),
     Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN, open=_LATE),
     Hazard("drive's clock drifts by 1 %", OLD, "", ("clock_drift duration=0.3",), goes_on="a value is a period old"),
     # tendons
@@ -146,12 +158,12 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("tendon a tears", MOVES, "", ("torn_tendon value=0",), lie=True, stays=True, residual=_TORN),
     Hazard("slack: a tenth of the pretension", MOVES, "", ("slack",), lie=True, released=True, open=_SLACK),
     Hazard("slack: half of the pretension", MOVES, "", ("slack value=0.5",), lie=True, released=True, open=_BLIND),
-    Hazard("fraying: pretension goes down", MOVES, "", ("fraying",), lie=True, released=True),
+    Hazard("fraying: pretension goes down", MOVES, "", ("fraying",), lie=True, released=True, open=_BLIND),
     Hazard("friction half", MOVES, "", ("friction value=0.5",), lie=True, released=True, open=_BLIND),
     Hazard("sheath 20 % straighter", MOVES, "", ("bending value=0.8",), lie=True, released=True, open=_BLIND),
     # sensors
     Hazard("joint encoder jumps", MOVES, "", ("encoder_jump",), lie=True),
-    Hazard("joint encoder wanders", MOVES, "", ("encoder_drift",), lie=True),
+    Hazard("joint encoder wanders", MOVES, "", ("encoder_drift",), lie=True, open=_WANDERS),
     Hazard("joint encoder noisy", MOVES, "", ("encoder_noise",), lie=True),
     Hazard("joint encoder's coupling slips", MOVES, "", ("encoder_slip",), lie=True),
     Hazard("torque sensor stuck", OTHER, "", ("torque_sensor_stuck",), lie=True),

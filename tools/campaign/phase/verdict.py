@@ -124,7 +124,7 @@ class Judge:
     def _torque(self) -> list[str]:
         """What is wrong with when there was torque."""
         seen, trial, rows = self._seen, self._trial, self._rows
-        asked_since = seen.asked > self._since  # somebody asked for torque after the fault: it may come back
+        asked_since = seen.asked >= self._since  # somebody asked for torque after the fault, or by it: it may come back
         wrong = []
         if rows and rows[-1] > min(seen.stopped, 1e9) + STOP_TIME + self._bound:
             wrong.append(f"torque {1e3 * (rows[-1] - seen.stopped):.0f} ms after the stop was asked for")

@@ -12,6 +12,7 @@ from tsa_ctrl.bus.canopen.pdo import Pdo
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.scale import DriveScale, drive_scale, encoder_scale
+from tsa_ctrl.bus.live.hearing import Hearing
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.live.tracker import PositionTracker
 from tsa_ctrl.bus.settings import AxisNodes, NodeSettings, Role
@@ -108,7 +109,8 @@ class Axis:
     """One axis: its process image and its command. SI at the motor pulley and the joint.
 
     `shared`: inboxes of other axes by identifier; an encoder that one of them has already is taken from there.
-    `stands_off`: nothing is commanded, as it is not known that the drive is ours and mapped as we think.
+    `stands_off`: nothing is commanded, as it is not known that the drive is ours and mapped as we think. `target`: the
+    object that holds the torque which its drive heard last.
     """
 
     def __init__(
@@ -128,6 +130,7 @@ class Axis:
         self.tau_m_sent = 0.0  # N*m, the last command as the drive was given it
         self.stands_off = True
 
+        self.target = objects.TARGET_TORQUE.of(drive.slot)
         layout = layout_of(drive, profile)
         health = _health(Role.DRIVE, drive)
         health.told = frozenset(profile.warnings)
@@ -181,6 +184,8 @@ class Axis:
         self._send = bus.send
         self.rpdo_id = layout.rpdo_id
         self._pack = pdo.COMMAND.struct.pack
+        self.hearing = Hearing()
+        self._note = self.hearing.sent.append
 
     def command(self, controlword: int, tau_m: float) -> bool:
         """Send one RPDO: `controlword`, and `tau_m` (N*m at the motor pulley) clamped to the drive's limit.
@@ -201,6 +206,7 @@ class Axis:
         self.tau_m_sent = raw * self._torque
         if self._send(self.rpdo_id, self._pack(controlword, raw)):
             self.image.drops = 0
+            self._note(raw)
             return True
         self.image.drops += 1
         self.image.dropped += 1

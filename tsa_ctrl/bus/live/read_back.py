@@ -2,7 +2,8 @@
 
 A write by SDO that the bus carries is seen at once (`Rig`); this finds what was changed out of sight, by a tool on
 another port, or lost by the node itself, among it the watchdogs and the torque clamp. One question every 20 ms, at less
-than 1 Mbit/s that much more seldom: 80 objects of an axis are through in 2 s.
+than 1 Mbit/s that much more seldom: 80 objects of an axis are through in 2 s. As often a drive is asked which command
+it heard last (`Hearing`), the drives by turns.
 """
 
 from __future__ import annotations
@@ -10,16 +11,21 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.cia301 import SDO_REQUEST
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.drive.report import Report
+from tsa_ctrl.bus.live.hearing import Hearing
 from tsa_ctrl.bus.wire.seam import Bus
 
 INTERVAL = 0.02  # s between two questions at `BITRATE`: question and answer are 1.3 % of the bus then
+# s between two questions for a command, no multiple of any cycle: else the same of those that a drive hears by turns
+# would be met each time. The part beyond 20 ms is the golden ratio's of a millisecond.
+LISTEN = 0.020618
+LEAST_UNHEARD = 3  # commands within a second, where few are asked for: one that is lost with an error stops nothing
 BITRATE = 1_000_000  # bit/s
 PATIENCE = 1.0  # s for an answer; what does not come is asked again in the next round
 _MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, objects.MODE.name})  # others write them, too
@@ -50,27 +56,54 @@ def held_by(report: Report) -> tuple[Held, ...]:
     return tuple(dict.fromkeys(rows))
 
 
+@dataclass(frozen=True)
+class Heard:
+    """Where a drive shows the command that it heard last."""
+
+    node_id: int
+    entry: Object
+    hearing: Hearing
+
+
 class ReadBack:
     """Asks and compares; `altered` says for each node what it no longer holds as it was written."""
 
-    def __init__(self, bus: Bus, bitrate: int, held: Iterable[Held]) -> None:
-        """`bitrate` in bit/s."""
+    def __init__(
+        self, bus: Bus, bitrate: int, held: Iterable[Held], heard: Sequence[Heard] = (), lost_share: float = 1.0
+    ) -> None:
+        """`bitrate` in bit/s; `lost_share`: 1, of the commands asked for in a second that may be older ones."""
         self.altered: dict[int, str] = {}
         self._send = bus.send
-        self._interval = INTERVAL * max(1.0, BITRATE / bitrate)
+        slower = max(1.0, BITRATE / bitrate)
+        self._interval, self._listen = INTERVAL * slower, LISTEN * slower
         self._round = itertools.cycle(tuple(held))
-        self._asked: Held | None = None
+        self._drives = itertools.cycle(heard)
+        self._asked: Held | Heard | None = None
         self._again: Held | None = None  # differed, and is asked once more before it counts
         self._next = -math.inf
-        self._late = math.inf
+        self._next_heard = -math.inf if heard else math.inf
+        self._asked_at = -math.inf
+        for each in heard:
+            asked = 1.0 / (self._listen * len(heard))  # in a second
+            each.hearing.begin(max(LEAST_UNHEARD, math.ceil(lost_share * asked)))
 
     def update(self, now: float) -> None:
         """Ask for the next object when it is due; `now` in s, monotonic."""
-        if now < self._next or (self._asked is not None and now < self._late):
+        if now < self._next and now < self._next_heard:
             return
-        self._next, self._late = now + self._interval, now + PATIENCE
-        self._asked = held = self._again or next(self._round)
-        self._send(SDO_REQUEST + held.node_id, _QUESTION.pack(_UPLOAD, *held.entry.key))
+        if self._asked is not None and now < self._asked_at + PATIENCE:
+            return
+        asked: Held | Heard
+        if now >= self._next:
+            self._next = now + self._interval
+            asked = self._again or next(self._round)
+        else:
+            behind = now - self._next_heard  # of a grid that is no cycle's
+            self._next_heard = now + self._listen - (behind if behind < self._listen else 0.0)
+            asked = next(self._drives)
+            asked.hearing.ask()
+        self._asked, self._asked_at = asked, now
+        self._send(SDO_REQUEST + asked.node_id, _QUESTION.pack(_UPLOAD, *asked.entry.key))
 
     def answer(self, node_id: int, data: bytes) -> bool:
         """An SDO answer of a node; True when it shows for the second time what was not written."""
@@ -78,7 +111,12 @@ class ReadBack:
         if asked is None or asked.node_id != node_id or len(data) != 8 or _KEY.unpack_from(data) != asked.entry.key:
             return False
         self._asked = None
-        if data[0] & _EXPEDITED_BITS != _EXPEDITED:  # an abort, or more than fits: nothing is known
+        known = data[0] & _EXPEDITED_BITS == _EXPEDITED  # else an abort, or more than fits
+        if isinstance(asked, Heard):
+            if known:
+                asked.hearing.answered(asked.entry.decode(data[4:8]))
+            return False
+        if not known:
             self._again = None
             return False
         found = asked.entry.decode(data[4:8])

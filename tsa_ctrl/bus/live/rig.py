@@ -16,7 +16,7 @@ from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
-from tsa_ctrl.bus.live.read_back import ReadBack, held_by
+from tsa_ctrl.bus.live.read_back import Heard, ReadBack, held_by
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.system.sleep import Lead
@@ -120,8 +120,10 @@ class Rig:
         """Read back now and then, from the next `start` on, what the nodes were given at a bring-up."""
         held = held_by(report)
         if held:
-            self._read_back = ReadBack(self.bus, self._settings.bitrate, held)
-            for node_id in {each.node_id for each in held}:
+            settings = self._settings
+            heard = [Heard(axis.nodes.drive.node_id, axis.target, axis.hearing) for axis in self.axes]
+            self._read_back = ReadBack(self.bus, settings.bitrate, held, heard, settings.supervision.lost_share)
+            for node_id in {each.node_id for each in held} | {each.node_id for each in heard}:
                 self._messages[cia301.SDO_ANSWER + node_id] = partial(self._compare, node_id)
 
     def read_back(self, now: float) -> None:

@@ -1,0 +1,83 @@
+"""Which command a drive heard, told by what it held and by what was sent; nothing else is known of the drive."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import pytest
+
+from tsa_ctrl.bus.live.hearing import Hearing
+
+CYCLES = 2000
+
+
+def play(hearing: Hearing, commands: Iterator[int], hears: int, lag: int = 1, wait: int = 0) -> float:
+    """Share of the answers that count as unheard; the drive takes each `hears`-th command, and shows it `lag` later.
+
+    It is asked every 20 or 21 cycles, and answers what it held `wait` cycles later.
+    """
+    before = hearing.asked, hearing.unheard
+    shown = [0] * (lag + 1)
+    due, asked = 20.6, -1
+    for cycle in range(CYCLES):
+        command = next(commands)
+        hearing.sent.append(command)
+        shown = [*shown[1:], command if cycle % hears == 0 else shown[-1]]
+        if asked < 0 and cycle >= due:
+            hearing.ask()
+            asked, due = cycle, due + 20.6
+        if 0 <= asked <= cycle - wait:
+            hearing.answered(shown[0])
+            asked = -1
+    answers, unheard = hearing.asked - before[0], hearing.unheard - before[1]
+    assert answers > 90
+    return unheard / answers
+
+
+@pytest.mark.parametrize("lag", [0, 1, 5])
+@pytest.mark.parametrize("wait", [0, 3])
+def test_a_drive_that_hears_all_is_never_accused_however_late_it_shows_them(lag: int, wait: int) -> None:
+    assert play(Hearing(), itertools.count(), 1, lag, wait) == 0.0
+
+
+@pytest.mark.parametrize(("hears", "share"), [(2, 0.5), (3, 0.67), (20, 0.95)])
+def test_of_a_drive_that_hears_each_nth_command_the_others_count(hears: int, share: float) -> None:
+    """From the start, or after it heard all of them."""
+    assert play(Hearing(), itertools.count(), hears) == pytest.approx(share, abs=0.1)
+    hearing, commands = Hearing(), itertools.count()
+    play(hearing, commands, 1)
+    assert play(hearing, commands, hears) == pytest.approx(share, abs=0.1)
+
+
+def test_what_a_drive_holds_before_it_heard_anything_is_no_measure_of_it() -> None:
+    """The first questions come before the first commands have arrived."""
+    hearing, commands = Hearing(), itertools.chain([0], itertools.count())
+    for _ in range(3):
+        hearing.sent.append(next(commands))
+        hearing.ask()
+        hearing.answered(0)
+    assert play(hearing, commands, 1, lag=3) == 0.0
+
+
+def test_a_command_that_rests_or_trembles_shows_nothing() -> None:
+    assert play(Hearing(), itertools.repeat(70), 20) == 0.0
+    assert play(Hearing(), itertools.cycle((70, 71)), 20) == 0.0
+
+
+def test_what_was_never_sent_says_nothing() -> None:
+    """A drive that rounds or clamps what it is given."""
+    hearing = Hearing()
+    for command in range(0, 100, 2):
+        hearing.sent.append(command)
+        hearing.ask()
+        hearing.answered(command - 3)
+    assert (hearing.asked, hearing.unheard) == (50, 0)
+
+
+def test_after_a_new_bring_up_the_drive_may_be_a_slower_one() -> None:
+    hearing, commands = Hearing(), itertools.count()
+    play(hearing, commands, 1, lag=0)
+    hearing.begin(7)
+    assert hearing.too_many == 7
+    assert play(hearing, commands, 1, lag=4) == 0.0

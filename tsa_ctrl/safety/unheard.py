@@ -1,0 +1,40 @@
+"""Commands that a drive does not hear, too many of them within a second: its torque is then that of some cycles ago."""
+
+from __future__ import annotations
+
+from tsa_ctrl.bus.live.hearing import Hearing
+from tsa_ctrl.safety.leaky import Often
+
+
+class Unheard:
+    """One axis' check; `update` while torque is permitted, `reset` when it is not."""
+
+    def __init__(self, hearing: Hearing, name: str) -> None:
+        """`name` of the drive, for people."""
+        self._hearing = hearing
+        self._name = name
+        self.reset()
+
+    def reset(self) -> None:
+        """Torque is not permitted: the next enable starts afresh."""
+        self._seen = self._hearing.unheard
+        self._begin()
+
+    def _begin(self) -> None:
+        self._most = self._hearing.too_many
+        self._often = Often(self._most)
+
+    def update(self, now: float) -> str | None:
+        """What is wrong, in words; `now` in s."""
+        hearing = self._hearing
+        if hearing.unheard == self._seen:
+            return None
+        self._seen = hearing.unheard
+        if hearing.too_many != self._most:  # configured since
+            self._begin()
+        if not self._often.happened(now):
+            return None
+        return (
+            f"{self._name} held an older command {hearing.unheard} of {hearing.asked} times that 0x6071 was read back, "
+            f"{hearing.too_many} within a second"
+        )
