@@ -15,7 +15,7 @@ from tests.identify.test_calibrate_cli import write_csv
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.identify.trend import ALARM, Run, judged, trend
+from tsa_ctrl.identify.trend import ALARM, Run, judged, measured, trend
 from tsa_ctrl.model.parameters import load_tendon_sheath
 
 RUNS, WORN = 8, 5
@@ -117,3 +117,24 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"none of 1 logs tells half loop or stiffness; .*broken.csv") as caught:
         trend(logs, model)
     assert "\n" not in str(caught.value)
+
+
+def test_the_lever_is_told_where_the_bending_varied(tmp_path: Path) -> None:
+    """k_t = EA/l of a rig by independent code, at the true friction coefficient; a softer tendon is a change."""
+    rng = np.random.default_rng(8)
+    rig: Rig = draw_rig(rng, "joint_end")
+    runs = []
+    for number, share in enumerate((1.0,) * 4 + (0.8,) * 4):
+        today = dataclasses.replace(rig, ea=share * rig.ea)
+        path = tmp_path / f"run{number}.csv"
+        write_csv(path, record(today, rng, seconds=20.0, rate=100.0, theta_swing=0.6))
+        (tmp_path / "actuator.toml").write_text(model_text(rig, rng), encoding="utf-8")
+        nominal = load_tendon_sheath(tmp_path / "actuator.toml")
+        model = dataclasses.replace(nominal, friction_coefficient=rig.mu)
+        runs.append(dataclasses.replace(measured(path, model), started=f"2026-01-0{number + 1}"))
+    first = runs[0].quantities["tension_per_path"]
+    assert first.value == pytest.approx(rig.ea / rig.length, rel=0.1)
+    assert first.low < rig.ea / rig.length < first.high
+    (change,) = [change for change in judged(runs).changes if change.quantity == "tension_per_path"]
+    assert change.since == "run4.csv"
+    assert change.after / change.before == pytest.approx(0.8, abs=0.05)

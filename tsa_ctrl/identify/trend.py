@@ -1,4 +1,4 @@
-"""A rig's health over its runs: half loop, stiffness, inertia and zero of each log with intervals, and what changed.
+"""A rig's health over its runs: half loop, stiffness, lever and zero of each log with intervals, and what changed.
 
 A change is told by the largest two-sample t statistic over all places at which the runs, in their order, may be cut in
 two. How large it gets by chance alone, whatever the scatter from run to run is, follows from runs of plain noise drawn
@@ -34,10 +34,18 @@ LEAST = 0.02  # 1, of the value: less matters to nobody
 WARMTH = 2.0  # K that the runs' temperatures must span for the friction to be taken against them
 DRAWS = 20_000  # of plain noise; the quantile is then known to a thirtieth
 SIDE = 2  # runs on either side of a change
+SWING = 0.05  # 1, of the bending angle, that a log must span to tell the lever
+SLIDING = 0.05  # 1, of the fastest: slower, the direction of the friction is not sure
+PARTS = 10  # of a log, each left out once for the lever's interval
+T_OF_PARTS = 2.262  # Student's t of 95 % at 9 degrees of freedom
 WORDS = {  # of a change up and down
     "half_loop_torque": (
         "more friction: a liner wears or is dirty, the sheath is bent more, or the tensioner is tighter",
         "less friction: a tendon has stretched, the tensioner gave way, or the sheath is bent less",
+    ),
+    "tension_per_path": (
+        "the pretension follows the bending more: a stiffer tendon, or a series spring is blocked",
+        "the pretension follows the bending less: a softer tendon, or the tensioner gives way",
     ),
     "axial_stiffness": ("stiffer tendons: another tendon, or a series spring is blocked", "softer tendons: one frays"),
     "zero": ("a pulley slipped, a tendon crept, or an encoder begins anew at every start",) * 2,
@@ -139,7 +147,7 @@ def measured(path: Path, model: TendonSheath) -> Run:
         return Run(path.name, started, math.nan, {}, (str(error),))
     quantities: dict[str, Quantity] = {}
     notes = []
-    for find in (_by_sensor, _by_stretch):
+    for find in (_by_sensor, _by_bending, _by_stretch):
         try:
             for name, quantity in find(log, model):
                 quantities.setdefault(name, quantity)
@@ -152,6 +160,30 @@ def measured(path: Path, model: TendonSheath) -> Run:
 def _by_sensor(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
     if "tau_j" in log:
         yield "half_loop_torque", calibrate([log], model).half_loop_torque
+
+
+def _by_bending(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
+    """The lever k_t of (3.56), N/m, at the file's friction coefficient: (3.55) with T_p0 + k_t (p + d/2) dTheta.
+
+    Its interval is that of the log; an error of mu is one of all runs alike.
+    """
+    if not {"tau_j", "theta", "omega_j"} <= log.columns.keys() or not model.lever > 0.0:
+        return
+    theta, omega = log["theta"], log["omega_j"]
+    if np.ptp(theta) < SWING * model.bending_angle:
+        return
+    x = model.friction_coefficient * theta
+    loop = -2.0 * model.joint_pulley_radius * np.sign(omega) * np.sinh(x)
+    turned = model.joint_pulley_radius / model.motor_pulley_radius * np.cosh(x) * log["tau_m"]
+    rows = np.column_stack([turned, loop, loop * model.lever * (theta - model.bending_angle), np.ones(len(x))])
+    part = np.arange(len(x)) * PARTS // len(x)
+    slides = np.abs(omega) > SLIDING * np.max(np.abs(omega))
+    grams = [(rows[k].T @ rows[k], rows[k].T @ log["tau_j"][k]) for k in (slides & (part == n) for n in range(PARTS))]
+    gram, right = (sum(each[place] for each in grams) for place in range(2))
+    value = float(np.linalg.lstsq(gram, right, rcond=None)[0][2])
+    without = [float(np.linalg.lstsq(gram - a, right - b, rcond=None)[0][2]) for a, b in grams]
+    half = T_OF_PARTS * math.sqrt((PARTS - 1) * float(np.var(without)))
+    yield "tension_per_path", Quantity(value, value - half, value + half, "N/m")
 
 
 def _by_stretch(log: Dataset, model: TendonSheath) -> Iterator[tuple[str, Quantity]]:
