@@ -23,6 +23,7 @@ from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills import trials
 from tsa_ctrl.drills import verify as verifying
 from tsa_ctrl.drills.loop import under_trial
+from tsa_ctrl.drills.pull import Pull
 from tsa_ctrl.drills.samples import Timing, Watchdog
 from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial
 from tsa_ctrl.drills.verify import trial_torque, verify
@@ -105,6 +106,8 @@ def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatc
 
     class Listener:
         def ask(self, word: str) -> object:
+            if word == "pull":
+                return {"knee": {"stretch": 0.9, "sensor": None, "gain": None, "geared": 1.25}}
             return {"1": next(torques)} if word == "torque" else True
 
     loop = "import sys, time; print('0.1 s: knee: stale PDO', file=sys.stderr, flush=True); time.sleep(60)"
@@ -121,6 +124,24 @@ def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatc
     configuration = load_configuration(folder / "controller.toml")
     with pytest.raises(BusError, match=r"torque was lost before anything was done .* knee: stale PDO"):
         trials.run_trial(configuration, Listener(), trials.Trial.KILL, 0.1)  # type: ignore[arg-type]
+
+
+def test_a_motor_that_pulls_the_wrong_way_is_said_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loop stops it at the first enable, and waits: without a word of it the trial would wait for torque."""
+
+    class Listener:
+        def ask(self, word: str) -> object:
+            if word == "pull":
+                return {"knee": {"stretch": -0.9, "sensor": None, "gain": None, "geared": 1.25}}
+            return {"1": 0.0} if word == "torque" else True
+
+    start = subprocess.Popen
+    monkeypatch.setattr(
+        trials.subprocess, "Popen", lambda command, **options: start([sys.executable, "-c", "input()"], **options)
+    )
+    configuration = load_configuration(folder / "controller.toml")
+    with pytest.raises(BusError, match=r"axis 'knee': motor and joint answer the motor's torque the wrong way round"):
+        trials.run_trial(configuration, Listener(), trials.Trial.WITHHOLD, 0.1)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("given", "code"), [("0.1", 2), ("0.3", 0)])
@@ -154,6 +175,7 @@ def test_a_drive_that_keeps_its_torque_is_exit_code_1(
                 safe=safe,
                 timing=found,
                 watchdog=Watchdog(acted=None, after=None, warning=""),
+                pull=Pull(stretch=0.9, sensor=None, gain=None, geared=1.25),
                 samples=[],
             )
         ]

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 def command(controller: Path, torque: float | None, record: Path | None, yes: bool, as_json: bool) -> int:
     """Hang and kill the loop at a small torque, withhold its heartbeat, and time the drive's own reaction.
 
+    While that torque begins, motor, joint and joint torque sensor show whether it pulls the right way, and as much.
     A process apart from the loop listens on the bus and takes the time until the drive reports no torque. Leaves a
     dated record. Exit code 1 when a drive takes longer than [safety] zero_torque_within.
     """
@@ -66,7 +67,7 @@ def _show(found: Verification) -> None:
     from tsa_ctrl.drills.trials import Trial
 
     words = {trial.key: trial.words for trial in Trial}
-    table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "by", "")
+    table = Table("trial", "axis", "torque before", "zero after", "allowed", "seen by", "by", "motor pulls", "")
     for outcome in found.outcomes:
         timing = outcome.timing
         before = "none" if timing.torque_before is None else f"{timing.torque_before:.3f} N*m"
@@ -74,7 +75,9 @@ def _show(found: Verification) -> None:
         verdict = "[green]in time[/green]" if outcome.safe else "[bold red]NOT SAFE[/bold red]"
         allowed = f"{1e3 * outcome.limit:.0f} ms"
         seen = (timing.source or "-").upper()
-        table.add_row(words[outcome.trial], outcome.axis, before, zero, allowed, seen, _acted(outcome), verdict)
+        table.add_row(
+            words[outcome.trial], outcome.axis, before, zero, allowed, seen, _acted(outcome), str(outcome.pull), verdict
+        )
     Console().print(table)
     for outcome in found.outcomes:
         if outcome.watchdog.warning:

@@ -1,10 +1,12 @@
 """A process of its own that watches the drives: `python -m tsa_ctrl.drills.listener CONTROLLER.toml`.
 
-It is told one word per line on stdin and answers each with one line of JSON: `torque` (the last of each node), `guard`
-(begin to keep what is seen), `quiet` (what was seen; no longer on guard), `armed` (the time-outs that the drives hold),
-`end`. Drives report on SYNC, which ends with the loop, and it must not be replaced: there are drives whose RPDO timer
-acts on SYNC alone. So a drive that sends no TPDOs is asked by SDO, which changes nothing there. A drive that still has
-torque when the guard ends is switched off.
+It is told one word per line on stdin and answers each with one line of JSON: `torque` (the last of each node), `begin`
+(another loop is started), `pull` (which way and how much its motors pull), `guard` (begin to keep what is seen),
+`quiet` (what was seen; no longer on guard), `armed` (the time-outs that the drives hold), `end`.
+
+Drives report on SYNC, which ends with the loop, and it must not be replaced: there are drives whose RPDO timer acts on
+SYNC alone. So a drive that sends no TPDOs is asked by SDO, which changes nothing there. A drive that still has torque
+when the guard ends is switched off.
 """
 
 from __future__ import annotations
@@ -26,9 +28,11 @@ from tsa_ctrl.bus.canopen.cia402 import Controlword
 from tsa_ctrl.bus.canopen.pdo import DriveLayout
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.scale import drive_scale
+from tsa_ctrl.bus.live.axis import Axis
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.drills.pull import Pull, Watch
 from tsa_ctrl.drills.samples import Said, Sample
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.system.signals import ignore
@@ -74,7 +78,9 @@ class Listener:
         self._tpdo: dict[int, Drive] = {}
         self._sdo: dict[int, list[Drive]] = {}
         self._emcy: dict[int, int] = {}
-        for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
+        self._watches: dict[str, Watch] = {}  # by axis
+        for index, (axis, profile) in enumerate(zip(configuration.file.axes, configuration.profiles, strict=True)):
+            self._watches[axis.name] = Watch(configuration, index, Axis(axis, profile, bus, clock))
             settings = axis.drive
             scale = drive_scale(settings, profile, f"axis '{axis.name}'")
             rated = settings.rated_torque * settings.gear_ratio
@@ -83,13 +89,22 @@ class Listener:
             self._tpdo[drive.layout.tpdo_ids[0]] = drive
             self._sdo.setdefault(cia301.SDO_ANSWER + drive.node, []).append(drive)
             self._emcy[cia301.EMCY + drive.node] = drive.node
-        bus.accept([*self._tpdo, *self._sdo, *self._emcy])
+        watched = {can_id for watch in self._watches.values() for can_id in watch.can_ids}
+        bus.accept([*self._sdo, *self._emcy, *(watched | set(self._tpdo))])
         self._guard = False
         self.samples: list[Sample] = []
         self.said: list[Said] = []
 
     def torques(self) -> dict[str, float | None]:
         return {axis: drive.last for axis, drive in self._drives.items()}
+
+    def begin(self) -> None:
+        for watch in self._watches.values():
+            watch.begin()
+
+    def pulls(self) -> dict[str, Pull]:
+        """What each axis showed since then."""
+        return {axis: watch.seen() for axis, watch in self._watches.items()}
 
     def guard(self) -> None:
         self._guard = True
@@ -140,6 +155,9 @@ class Listener:
         self._bus.send(cia301.SDO_REQUEST + drive.node, _UPLOAD.pack(0x40, *key))
 
     def _take(self, can_id: int, data: bytes, now: float) -> None:
+        if not self._guard:
+            for watch in self._watches.values():
+                watch.take(can_id, data, now)
         drive = self._tpdo.get(can_id)
         if drive is not None:
             if len(data) == drive.layout.motion.length:
@@ -221,6 +239,11 @@ def _answer(listener: Listener, word: str) -> object:
         return {"samples": samples, "said": said}
     if word == "armed":
         return listener.armed()
+    if word == "begin":
+        listener.begin()
+        return True
+    if word == "pull":
+        return listener.pulls()
     return listener.torques()
 
 

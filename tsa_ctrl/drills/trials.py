@@ -20,6 +20,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.drills.listener import READY, ZERO_SHARE
+from tsa_ctrl.drills.pull import Pull
 from tsa_ctrl.drills.samples import Said, Sample, Timing, Watchdog, timing, watchdog
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.safety.shut_down import shut_down
@@ -61,6 +62,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     safe: bool
     timing: Timing
     watchdog: Watchdog
+    pull: Pull
     samples: list[Sample]
 
 
@@ -112,6 +114,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
     """One trial, all axes at once, with `torque` in N*m at each motor. Raises BusError when no torque comes."""
     limit = configuration.zero_torque_within
     loop = None
+    listener.ask("begin")
     try:
         with terminal_blocked():
             loop = subprocess.Popen(
@@ -123,6 +126,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
             )
         _await_torque(loop, listener, torque)
         time.sleep(SETTLED)
+        pulls = _pulls(listener)
         listener.ask("guard")
         time.sleep(0.05)
         if not _all_pull(listener, torque):
@@ -152,6 +156,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
                 limit=limit,
                 safe=safe,
                 timing=found,
+                pull=pulls[axis.name],
                 watchdog=watchdog(said, drive.node_id, stopped, armed[axis.name], trial is not Trial.WITHHOLD),
                 samples=[msgspec.structs.replace(sample, clock=sample.clock - stopped) for sample in mine],
             )
@@ -159,11 +164,21 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
     return outcomes
 
 
+def _pulls(listener: ListenerProcess) -> dict[str, Pull]:
+    """By axis, what the torque showed. Raises BusError when one pulls the wrong way, or another torque than it says."""
+    found = msgspec.convert(listener.ask("pull"), dict[str, Pull])
+    for axis, each in found.items():
+        if each.wrong:
+            raise BusError(f"axis '{axis}': {each.wrong}; nothing else was tried")
+    return found
+
+
 def _await_torque(loop: subprocess.Popen[bytes], listener: ListenerProcess, torque: float) -> None:
     end = time.monotonic() + STARTED
     while not _all_pull(listener, torque):
         if loop.poll() is not None:
             raise BusError(f"the loop ended before there was torque: {_first_words(loop)}")
+        _pulls(listener)
         if time.monotonic() > end:
             raise BusError(
                 f"the drives do not report {torque:g} N*m within {STARTED:g} s; watch `tsa run`, or give more --torque"

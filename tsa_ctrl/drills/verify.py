@@ -50,6 +50,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
             data |= data.pop("timing")
             found = data.pop("watchdog")
             data |= {"watchdog": found["acted"], "watchdog_after": found["after"], "warning": found["warning"] or None}
+            data["pull"] |= {"shown": str(outcome.pull)}
             kept = data.pop("samples")
             trials.append({**data, "samples": kept} if samples else data)
         head = {name: getattr(self, name) for name in ("date", "version", "configuration", "sha256", "bus", "rate")}

@@ -1,0 +1,93 @@
+"""Which way and how much a motor pulls, by what the plant's nodes say while the torque of a trial begins."""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.drills.test_listener import Bench
+from tests.virtual.joints import play
+from tsa_ctrl.drills.pull import Pull, pull
+
+GEARED = 1.25  # of the shipped actuator
+RATED = 1.0  # N*m
+
+
+def seen(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1) -> Pull:
+    """Of half a second of a trial's torque, N*m at the motor, faded in within 0.2 s without compensation."""
+    axis = {"law": {"fade_in": 0.2}, "plausibility": {"joint_torque": 100.0}, "encoder": {"node_id": 32}}
+    setpoint = {"kind": "constant", "offset": torque * GEARED}
+    result = play(folder, load, setpoint, 0.6, axis=axis, compensation=0.0, faults=[f"{fault}@0"] if fault else [])
+    log = result.axes[0].log
+    apart = log["q_m"] - GEARED * log["q_j"]
+    joint = log["tau_j"] if sensor else np.full_like(apart, math.nan)
+    return pull(list(zip(log["tau_m"].tolist(), apart.tolist(), joint.tolist(), strict=True)), RATED, GEARED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("load", "sensor"), [("free", True), ("held", True), ("spring", True), ("weight", False)])
+def test_a_healthy_rig_pulls_the_right_way_and_not_too_much(tmp_path: Path, load: str, sensor: bool) -> None:
+    found = seen(tmp_path, load, sensor=sensor)
+    assert found.wrong == ""
+    assert str(found).startswith("right")
+    assert (found.sensor is not None) is sensor
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["free", "held", "spring", "weight"])
+def test_a_motor_that_turns_the_wrong_way_is_found(tmp_path: Path, load: str) -> None:
+    found = seen(tmp_path, load, "reversed_sign")
+    assert "the wrong way round" in found.wrong
+    assert str(found) == "WRONG"
+
+
+@pytest.mark.slow
+def test_a_healthy_motor_gives_the_sensor_what_the_pulleys_do(tmp_path: Path) -> None:
+    found = seen(tmp_path, "free", torque=0.8)
+    assert found.gain == pytest.approx(GEARED, rel=0.03)
+    assert found.wrong == ""
+
+
+@pytest.mark.slow
+def test_a_motor_that_gives_twice_what_it_says_is_found_by_the_sensor(tmp_path: Path) -> None:
+    """With enough of it: what a held joint gets of less, the sheath's friction keeps."""
+    found = seen(tmp_path, "held", "torque_gain", torque=0.8)
+    assert "the joint torque sensor follows the motor's torque by" in found.wrong
+
+
+def test_without_torque_or_without_anything_that_moves_nothing_is_said() -> None:
+    flat = [(0.001 * (n % 2), 0.01 * n, math.nan) for n in range(100)]
+    still = [(0.01 * n, 0.5, math.nan) for n in range(100)]
+    for rows in ([], flat, still, [(0.1 * n, 0.1 * n, 0.1 * n) for n in range(19)]):
+        found = pull(rows, RATED, GEARED)
+        assert (found.stretch, found.sensor, found.gain, found.wrong, str(found)) == (None, None, None, "", "not shown")
+
+
+@pytest.mark.parametrize(("gain", "wrong"), [(1.0, False), (1.6, False), (1.65, True), (3.7, True), (3.8, False)])
+def test_a_sensor_that_follows_by_more_than_the_pulleys_give_is_wrong_up_to_three(gain: float, wrong: bool) -> None:
+    """Beyond three times as much it is a hand at the joint."""
+    rows = [(0.01 * n, 0.02 * n, gain * 0.01 * n) for n in range(50)]
+    assert bool(pull(rows, RATED, GEARED).wrong) is wrong
+
+
+def test_the_listener_takes_what_answers_one_sync_for_one_sample(tmp_path: Path) -> None:
+    """In SI, of all nodes of the axis; a cycle in which one is silent, and what comes on guard, are left out."""
+    bench = Bench(tmp_path)
+    bench.hear((0x080, b""))
+    for n in range(40):
+        frames = [
+            (0x181, struct.pack("<Hhi", 0x1237, 4 * n, 0)),
+            (0x281, struct.pack("<ibH", 8 * n, 10, 0)),
+            (0x1A0, struct.pack("<I", 1000)),
+            (0x1C0, struct.pack("<i", 4000 * n)),
+        ]
+        bench.hear(*(frames if n % 4 else frames[:-1]), (0x080, b""))
+    found = bench.listener.pulls()["knee"]
+    assert found.gain == pytest.approx(1.0)
+    assert found.stretch == pytest.approx(1.0)
+    bench.listener.begin()
+    assert bench.listener.pulls()["knee"].stretch is None

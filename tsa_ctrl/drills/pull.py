@@ -1,0 +1,130 @@
+"""Whether a motor pulls the way it says, and as much, by what its nodes say while a small torque begins.
+
+The tendons stretch by the torque, so that motor and joint move apart with its sign, held or free; the joint torque
+sensor, where there is one, follows it by r_J/r_M at most. Both are straight lines through all that was seen: the loop
+under trial judges by a filter of its own (`safety.sense`), this is said of the whole pull.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from tsa_ctrl.bus.canopen import cia301
+from tsa_ctrl.bus.live.axis import Axis
+from tsa_ctrl.config import Configuration
+from tsa_ctrl.safety.sense import CLEAR, EXCESS, FAR, SHOWN
+
+KEPT = 4000  # samples of each axis: the last seconds
+LEAST = 20  # samples
+HALF = 0.5  # of the largest torque
+MOVED = 0.03  # of rated torque that it must have moved by, to show anything
+
+
+class Pull(msgspec.Struct, frozen=True, kw_only=True):
+    """What was seen of one axis; correlations are 1, None where there is nothing to see it by."""
+
+    stretch: float | None  # of the motor's torque with how far motor and joint are apart
+    sensor: float | None  # with the joint torque sensor
+    gain: float | None  # N*m at the joint per N*m of the motor, where the sensor follows clearly
+    geared: float  # r_J/r_M: the most that the pulleys give
+
+    @property
+    def wrong(self) -> str:
+        """In words; empty when nothing contradicts."""
+        shown = self.stretch if self.stretch is not None else self.sensor
+        if shown is not None and shown < -SHOWN:
+            return (
+                "motor and joint answer the motor's torque the wrong way round: torque_sign and position_sign of the "
+                "drive, sign of the encoder, crossed tendons or motor wires"
+            )
+        if self.gain is not None and EXCESS * self.geared < self.gain < FAR * self.geared:
+            return (
+                f"the joint torque sensor follows the motor's torque by {self.gain:.2f}, the pulleys give "
+                f"{self.geared:.2f} at most: torque constant and rated torque of the motor, gain of the sensor"
+            )
+        return ""
+
+    def __str__(self) -> str:
+        """For a table."""
+        shown = self.stretch if self.stretch is not None else self.sensor
+        if self.wrong:
+            return "WRONG"
+        if shown is None or shown < SHOWN:
+            return "not shown"
+        return "right" if self.gain is None else f"right, gain {self.gain:.2f} of {self.geared:.2f}"
+
+
+def pull(rows: Sequence[tuple[float, float, float]], rated: float, geared: float) -> Pull:
+    """`rows`: the motor's torque, N*m, how far motor and joint are apart, rad, joint torque, N*m; nan: not there."""
+    torques = [torque for torque, _, _ in rows]
+    if len(rows) < LEAST or max(torques) - min(torques) < MOVED * rated:
+        return Pull(stretch=None, sensor=None, gain=None, geared=geared)
+    stretch, _ = _line(torques, [apart for _, apart, _ in rows])
+    most = max(map(abs, torques))
+    upper = [row for row in rows if abs(row[0]) > HALF * most]  # below it the sheath's friction may keep all of it
+    sensor, slope = _line([torque for torque, _, _ in upper], [joint for _, _, joint in upper])
+    clear = sensor is not None and sensor > CLEAR
+    return Pull(stretch=stretch, sensor=sensor, gain=slope if clear else None, geared=geared)
+
+
+def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float | None]:
+    """Correlation and slope; None for a quantity that is not there or does not move."""
+    if not all(map(math.isfinite, y)):
+        return None, None
+    mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
+    xx = math.fsum((value - mean_x) ** 2 for value in x)
+    yy = math.fsum((value - mean_y) ** 2 for value in y)
+    xy = math.fsum((one - mean_x) * (other - mean_y) for one, other in zip(x, y, strict=True))
+    return (xy / math.sqrt(xx * yy), xy / xx) if xx * yy > 0.0 else (None, None)
+
+
+class Watch:
+    """Hears the nodes of one axis beside its loop; `take` every frame, SYNC among them."""
+
+    def __init__(self, configuration: Configuration, index: int, axis: Axis) -> None:
+        """`axis`: one of ours, which commands nothing."""
+        model, drive = configuration.models[index], axis.nodes.drive
+        self._axis = axis
+        self._geared = model.joint_pulley_radius / model.motor_pulley_radius
+        self._rated = drive.rated_torque * drive.gear_ratio
+        self._inboxes = dict(zip(axis.tpdo_ids, axis.inboxes, strict=True))
+        self._rows: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._arm()
+
+    @property
+    def can_ids(self) -> Iterable[int]:
+        """What it has to hear."""
+        return (cia301.SYNC, *self._inboxes)
+
+    def begin(self) -> None:
+        """Another loop is started."""
+        self._rows.clear()
+
+    def take(self, can_id: int, data: bytes, now: float) -> None:
+        """`now` in s."""
+        if can_id == cia301.SYNC:
+            self._close(now)
+            return
+        inbox = self._inboxes.get(can_id)
+        if inbox is not None and len(data) == inbox.length:
+            inbox.store(inbox.unpack(data))
+            inbox.armed = False
+
+    def _close(self, now: float) -> None:
+        """Everything that answered the last SYNC is one sample."""
+        image = self._axis.image
+        if not any(inbox.armed for inbox in self._inboxes.values()):
+            self._axis.settle(now, True)
+            self._rows.append((image.tau_m, image.q_m - self._geared * image.q_j, image.tau_j))
+        self._arm()
+
+    def _arm(self) -> None:
+        for inbox in self._inboxes.values():
+            inbox.armed = True
+
+    def seen(self) -> Pull:
+        return pull(tuple(self._rows), self._rated, self._geared)
