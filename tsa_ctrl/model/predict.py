@@ -7,7 +7,7 @@ memory load compiled loops when first used.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,12 +17,14 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
 from tsa_ctrl.model.effects.memory import integrate
 from tsa_ctrl.model.effects.state import State
-from tsa_ctrl.model.effects.transmission import Transmission
+from tsa_ctrl.model.effects.transmission import FourTensions, Transmission
 from tsa_ctrl.model.functions import ARRAYS, Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.signals import Signals, hold_direction
 
-KEPT = 8  # friction states of one log that are kept
+# Friction states and exponentials of one log that are kept, and their bytes at most: a search asks for the same grid of
+# states with every fit, and an hour at 1 kHz must stay below a gigabyte
+KEPT, KEPT_BYTES, FEWEST_KEPT = 128, 24_000_000, 2
 BLOCK = 8192  # samples at a time: temporaries stay in the cache, a third of the time for whole columns
 _ABSENT: Array = np.asarray(np.nan)
 
@@ -48,11 +50,13 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
     _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
     played_out = None if stack.backlash is None else stack.backlash.inside(state.q_j)
+    growth = _growth(model, stack, transmission, signals, state)
     tau_j = np.empty(len(signals))
     for start in range(0, len(signals), BLOCK):
         block = slice(start, start + BLOCK)
         part = _part(state, block)
-        torque = _tendon_torque(model, stack, transmission, part, signals.tau_m[block])
+        known = None if growth is None else growth[block]
+        torque = _tendon_torque(model, stack, transmission, part, signals.tau_m[block], known)
         if played_out is not None:
             torque = np.where(played_out[block], 0.0, torque)
         tendons = torque
@@ -65,13 +69,21 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
 
 
 def _tendon_torque(
-    model: TendonSheath, stack: Stack, transmission: Transmission, state: State[Array], tau_m: Array
+    model: TendonSheath,
+    stack: Stack,
+    transmission: Transmission,
+    state: State[Array],
+    tau_m: Array,
+    growth: Array | None = None,
 ) -> Array:
-    """From the reported motor torque to what friction in the joint leaves of it, N*m."""
+    """From the reported motor torque to what friction in the joint leaves of it, N*m. `growth`: where it is known."""
     tau_m = _on_the_tendons(stack, state, tau_m)
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
-    x = friction_angle(ARRAYS, model, stack, state, theta)
-    torque = transmission.torque(ARRAYS, tau_m, state.sigma, x, pretension)
+    if growth is not None and isinstance(transmission, FourTensions):
+        torque = transmission.grown(ARRAYS, tau_m, growth, pretension)
+    else:
+        x = friction_angle(ARRAYS, model, stack, state, theta)
+        torque = transmission.torque(ARRAYS, tau_m, state.sigma, x, pretension)
     return torque if stack.load is None else stack.load.apply(ARRAYS, torque, state.sigma)
 
 
@@ -179,14 +191,34 @@ def _joint_state(model: TendonSheath, stack: Stack, signals: Signals) -> State[A
 
 def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -> Array:
     """sigma, or z along `path` in its place; kept with the signals, since fits ask for the same one many times."""
-    key = (stack.velocity_lag, stack.presliding)
+
+    def compute() -> Array:
+        if stack.presliding is None:
+            return hold_direction(omega)
+        assert path is not None
+        return stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
+
+    return _kept(signals, ("sigma", stack.velocity_lag, stack.presliding), compute)
+
+
+def _growth(
+    model: TendonSheath, stack: Stack, transmission: Transmission, signals: Signals, state: State[Array]
+) -> Array | None:
+    """exp(sigma x), (n,), which is what costs, where no effect changes x: most candidates share it. Else None."""
+    plain = isinstance(transmission, FourTensions) and transmission.symmetric
+    if not plain or stack.bending or stack.friction:
+        return None
+    key = ("growth", stack.velocity_lag, stack.presliding, model.friction_coefficient, model.bending_angle)
+    theta = np.maximum(state.theta, 0.0)
+    return _kept(signals, key, lambda: ARRAYS.exp(state.sigma * friction_angle(ARRAYS, model, stack, state, theta)))
+
+
+def _kept(signals: Signals, key: Hashable, compute: Callable[[], Array]) -> Array:
+    """What `compute` gives, (n,), from the log's memo where it was computed before."""
     known = signals.memo.get(key)
     if known is None:
-        known = hold_direction(omega)
-        if stack.presliding is not None:
-            assert path is not None
-            known = stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
-        while len(signals.memo) >= KEPT:
+        known = compute()
+        while len(signals.memo) >= min(KEPT, max(FEWEST_KEPT, KEPT_BYTES // known.nbytes)):
             del signals.memo[next(iter(signals.memo))]
         signals.memo[key] = known
     return known

@@ -95,20 +95,32 @@ class FourTensions:
     slack: TendonSlack | None = None
     tension_dependence: TensionDependentFriction | None = None
 
+    @property
+    def symmetric(self) -> bool:
+        """Whether both tendons' tensions grow by the same exp(sigma x)."""
+        return self.asymmetry is None and self.tension_dependence is None
+
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
         """B, N*m."""
-        r_m, r_j = self.radii
-        t1, t3 = transmission.motor_tensions(tau_m, pretension, r_m)
-        if self.slack is not None:
-            t1, t3 = self.slack.clip(functions, t1, t3)
-        if self.asymmetry is None and self.tension_dependence is None:
-            growth = functions.exp(sigma * x)
-            return transmission.torque_between(t1 * growth, t3 / growth, r_j)  # the exponential is what costs
+        if self.symmetric:
+            return self.grown(functions, tau_m, functions.exp(sigma * x), pretension)  # the exponential is what costs
+        t1, t3 = self._tensions(functions, tau_m, pretension)
         x_a, x_b = (x, x) if self.asymmetry is None else self.asymmetry.angles(x)
         if self.tension_dependence is not None:
             x_a = x_a * self.tension_dependence.factor(functions, t1)
             x_b = x_b * self.tension_dependence.factor(functions, t3)
-        return transmission.torque_between(t1 * functions.exp(sigma * x_a), t3 * functions.exp(-sigma * x_b), r_j)
+        return transmission.torque_between(
+            t1 * functions.exp(sigma * x_a), t3 * functions.exp(-sigma * x_b), self.radii[1]
+        )
+
+    def grown(self, functions: Functions[F], tau_m: F, growth: F, pretension: F) -> F:
+        """B, N*m, of a `symmetric` pair at growth = exp(sigma x)."""
+        t1, t3 = self._tensions(functions, tau_m, pretension)
+        return transmission.torque_between(t1 * growth, t3 / growth, self.radii[1])
+
+    def _tensions(self, functions: Functions[F], tau_m: F, pretension: F) -> tuple[F, F]:
+        t1, t3 = transmission.motor_tensions(tau_m, pretension, self.radii[0])
+        return (t1, t3) if self.slack is None else self.slack.clip(functions, t1, t3)
 
     def motor_torque(self, torque: float, sigma: float, x: float, pretension: float) -> float:
         """tau_M, N*m, for which `torque` gives B: closed, or at most `ITERATIONS` steps with tension dependence."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, hold_direction
 
 BLOCKS = 24  # for block-robust statistics
+SHORT_BIN = 8  # samples, below which column sums take a quarter of the time of means over rows, in the same order
 
 
 @dataclass(frozen=True)
@@ -64,8 +66,13 @@ class Run:
 
     def average(self, y: Array) -> Array:
         """Means over bins: shape (count,) from (n,), or (count, k) from (n, k)."""
-        whole = self.count * self.bin
-        return np.asarray(y[:whole].reshape(self.count, self.bin, *y.shape[1:]).mean(axis=1))
+        bins = y[: self.count * self.bin].reshape(self.count, self.bin, *y.shape[1:])
+        if self.bin >= SHORT_BIN or y.ndim > 1:
+            return np.asarray(bins.mean(axis=1))
+        total = bins[:, 0] + 0.0  # as a mean begins: -0.0 is 0.0
+        for k in range(1, self.bin):
+            total += bins[:, k]
+        return np.asarray(total / self.bin)
 
 
 @dataclass(frozen=True)
@@ -81,7 +88,7 @@ class Frame:
         """Of the score samples, s."""
         return self.runs[0].period
 
-    @property
+    @cached_property
     def slices(self) -> list[slice]:
         """Where each run stands in a stacked array."""
         edges = np.concatenate([[0], np.cumsum([run.count for run in self.runs])])
@@ -106,8 +113,9 @@ class Frame:
     def has(self, name: str) -> bool:
         return all(getattr(run.signals, name) is not None for run in self.runs)
 
-    @property
+    @cached_property
     def target(self) -> Array:
+        """N*m, measured, at the score rate, (n,)."""
         return self.stack([run.target for run in self.runs])
 
     @property

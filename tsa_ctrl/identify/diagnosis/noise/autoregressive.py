@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +51,20 @@ class Noise:
             out[part] = _filtered(self.filter, piece) / self.deviation
             head = min(lags, len(piece))
             if head:
-                factor = cholesky(toeplitz(self.covariance[:head]), lower=True)
-                out[part.start : part.start + head] = solve_triangular(factor, piece[:head], lower=True)
+                out[part.start : part.start + head] = solve_triangular(self._factor(head), piece[:head], lower=True)
         return out
+
+    def _factor(self, size: int) -> Array:
+        """Cholesky factor of the covariance of so many first samples of a run, (size, size)."""
+        known = self._factors.get(size)
+        if known is None:
+            known = self._factors[size] = cholesky(toeplitz(self.covariance[:size]), lower=True)
+        return known
+
+    @cached_property
+    def _factors(self) -> dict[int, Array]:
+        """By size: all runs but the shortest start alike."""
+        return {}
 
     def whiten_short(self, start: int, values: Array, part: slice) -> tuple[int, Array]:
         """White version of a column that is 0 but for `values` from stacked sample `start` on, within one run.

@@ -8,6 +8,7 @@ from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from tsa_ctrl.identify.diagnosis.report.details import Curves, Details
@@ -43,9 +44,19 @@ def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
     made = {}
     for name, caption, make in pictures:
         path = folder / name
-        make(result, result.details).savefig(path, dpi=DPI, metadata={"Software": None})
+        _save(make(result, result.details), path)
         made[caption] = path
     return made
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write a figure that is laid out once: savefig would draw a whole figure for the layout and throw it away."""
+    canvas = FigureCanvasAgg(figure)
+    figure.set_dpi(DPI)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+        figure.set_layout_engine("none")
+    canvas.print_png(path, metadata={"Software": None})
 
 
 def _figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
