@@ -1,0 +1,88 @@
+"""Joint torque of a measured cable drive from the angles and the torque of its motor: what the stretch tells there.
+
+Usage: tools/run measured/stretch
+One load level, then one frequency, is left out in turn; the rest gives the numbers of a line, the trials left out its
+error, all samples, reversals included, pooled. Lines: a constant; motor torque and direction, which is (3.55) with
+free numbers; the stretch s = r_M q_M - r_J q_J; stretch and motor torque, tau_J = P s - Q tau_M as in
+`tsa_ctrl/model/stretch.py`; and with the joint's angle, which is a spring at the joint or a pulley's radius that is
+off: only the ratio of the radii is known. No line knows friction, pretension or, but for the second, direction. The
+data are looked for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tools import command
+from tools.measured.diagnose import FOLDS
+from tsa_ctrl.identify.dataset import Dataset, load_log, matches
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+
+EVERY = 10  # samples of 1 kHz, of which one is taken: the motion is below 1 Hz
+LINES: dict[str, tuple[str, ...]] = {
+    "a constant": (),
+    "motor torque and direction": ("tau_m", "direction"),
+    "stretch": ("stretch",),
+    "stretch and motor torque": ("stretch", "tau_m"),
+    "stretch and joint angle": ("stretch", "q_j"),
+    "stretch, motor torque and joint angle": ("stretch", "tau_m", "q_j"),
+}
+
+
+def columns(log: Dataset, model: TendonSheath) -> dict[str, np.ndarray]:
+    """What the lines are made of, and the torque that was measured."""
+    stretch = model.motor_pulley_radius * log["q_m"] - model.joint_pulley_radius * log["q_j"]
+    found = {name: log[name] for name in ("tau_m", "q_j", "tau_j")}
+    found |= {"stretch": stretch, "direction": np.sign(log["omega_j"]), "one": np.ones_like(stretch)}
+    return {name: values[::EVERY] for name, values in found.items()}
+
+
+def rows(logs: list[dict[str, np.ndarray]], names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    table = [np.column_stack([log[name] for name in (*names, "one")]) for log in logs]
+    return np.concatenate(table), np.concatenate([log["tau_j"] for log in logs])
+
+
+def left_out(logs: dict[str, dict[str, np.ndarray]], names: tuple[str, ...], split: str) -> float:
+    """RMS error on what the line was not fitted on, mN*m."""
+    errors = []
+    for pattern in FOLDS[split]:
+        inside = [log for name, log in logs.items() if not matches(name, pattern)]
+        outside = [log for name, log in logs.items() if matches(name, pattern)]
+        matrix, torque = rows(inside, names)
+        numbers = np.linalg.lstsq(matrix, torque, rcond=None)[0]
+        matrix, torque = rows(outside, names)
+        errors.append(torque - matrix @ numbers)
+    return 1e3 * float(np.sqrt(np.mean(np.square(np.concatenate(errors)))))
+
+
+def main() -> int:
+    command.parser(__name__, __doc__).parse_args()
+    data = command.measured_data(__name__)
+    if data is None:
+        return 0
+    model = load_tendon_sheath(data / "actuator.toml")
+    logs = {path.name: columns(load_log(path), model) for path in sorted(Path(data).glob("load*.csv.gz"))}
+    everything = rows(list(logs.values()), ())[1]
+    table = Table("tau_J by", "load left out, mN·m", "frequency left out, mN·m")
+    for label, names in LINES.items():
+        table.add_row(label, *(f"{left_out(logs, names, split):.1f}" for split in ("load", "frequency")))
+    console = Console(width=110)
+    console.print(table)
+    names = LINES["stretch, motor torque and joint angle"]
+    numbers = np.linalg.lstsq(*rows(list(logs.values()), names), rcond=None)[0]
+    ratio = -numbers[1] * model.motor_pulley_radius / model.joint_pulley_radius  # s_c / (1 - s_c)
+    centre = ratio / (1.0 + ratio)
+    stiffness = numbers[0] * (1.0 - centre) / (2.0 * model.joint_pulley_radius)
+    count = 2.0 * np.pi * np.hypot(model.motor_pulley_radius / 8192, model.joint_pulley_radius / 4000) / np.sqrt(12.0)
+    console.print(
+        f"torque to be told: {1e3 * np.sqrt(np.mean(everything**2)):.1f} mN·m RMS. The last line on all trials: "
+        f"P = {numbers[0]:.0f} N, Q = {-numbers[1]:.2f}, that is s_c = {centre:.2f} and k_t = "
+        f"{1e-3 * stiffness:.1f} kN/m; {1e3 * numbers[2]:.0f} mN·m/rad of the joint's angle; the encoders' counts make "
+        f"{1e3 * numbers[0] * count:.2f} mN·m of the error"
+    )
+    print("data: O'Neill, Stephens, Kowalewski, IEEE RA-L 3(4):3027-3034, 2018 (Open Database License 1.0)")
+    return 0
