@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from tsa_ctrl.system.compile_cache import choose
 from tsa_ctrl.version import __version__
 
+TYPE_CHECKING = False  # as in typing, which takes 5 ms to load: until `tsa` is there Ctrl-C is a traceback
 if TYPE_CHECKING:
     from tsa_ctrl.errors import LeaseLostError
     from tsa_ctrl.ipc.client import Client

@@ -12,6 +12,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from tests.conftest import ROOT
 from tsa_ctrl.cli import VERBS, cli, main
 
 LISTED = cli.list_commands(click.Context(cli))
@@ -143,3 +144,10 @@ entry()
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (1, "", "tsa: interrupted\n")
+
+
+def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
+    """What stands before `entry` in the script `tsa`: until then the interpreter answers with a traceback."""
+    code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import tsa_ctrl.__main__; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-SE", "-c", code], capture_output=True, text=True, check=True)
+    assert {"typing", "tempfile", "shutil", "click", "tsa_ctrl.cli"}.isdisjoint(loaded.stdout.split())

@@ -19,6 +19,7 @@ from tsa_ctrl.errors import UsageError
 if TYPE_CHECKING:
     from tsa_ctrl.identify.calibrate import Calibration
     from tsa_ctrl.identify.calibrate.stretch import StretchFit
+    from tsa_ctrl.identify.quantity import Quantity
     from tsa_ctrl.model.parameters import TendonSheath
 
 
@@ -171,7 +172,7 @@ def _show(result: Calibration, done: list[str], nominal: TendonSheath) -> None:
     for name, given, quantity in rows:
         value = "" if given is None else f"{given:.4g}"
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
-        table.add_row(name, value, f"{quantity.value:.4g}", interval, quantity.unit)
+        table.add_row(name, value, f"{quantity.value:.4g}", interval, _unit(quantity))
     console = Console()
     console.print(table)
     if result.split:
@@ -197,6 +198,13 @@ def _show(result: Calibration, done: list[str], nominal: TendonSheath) -> None:
         click.echo(f"calibrated, the simulation is WORSE than as given: {result.worse}; tsa diagnose names what lacks")
 
 
+def _unit(quantity: Quantity) -> str:
+    """As people read it: nothing for a plain number."""
+    from tsa_ctrl.identify.quantity import spelled
+
+    return "" if quantity.unit == "1" else spelled(quantity.unit)
+
+
 def _show_stretch(fit: StretchFit) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -205,7 +213,7 @@ def _show_stretch(fit: StretchFit) -> None:
     rows = {**fit.quantities, **{f"zero of s in {name}": quantity for name, quantity in fit.zeros.items()}}
     for name, quantity in rows.items():
         interval = f"{quantity.low:.4g} to {quantity.high:.4g}"
-        table.add_row(name.replace("_", " "), f"{quantity.value:.4g}", interval, quantity.unit)
+        table.add_row(name.replace("_", " "), f"{quantity.value:.4g}", interval, _unit(quantity))
     console = Console()
     console.print(table)
     for note in fit.notes:

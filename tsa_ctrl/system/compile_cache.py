@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import stat
 import sys
-import tempfile
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
@@ -36,6 +35,8 @@ def _usable(folder: Path) -> bool:
 
 def _temporary() -> Path:
     """This user's own folder among the temporary ones; never one that somebody else may have made."""
+    import tempfile  # 8 ms in which Ctrl-C is still a traceback: only here is it needed
+
     folder = Path(tempfile.gettempdir(), f"tsa-ctrl-numba-{os.getuid()}")
     try:
         folder.mkdir(mode=0o700)
