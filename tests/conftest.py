@@ -31,12 +31,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     Tests that talk on a bus share one: two at once would hear each other. So do those that share a fixture of their
     module: it is made once. Groups come first, the largest one at once, then what is slow: no worker ends alone.
+    With TSA_HALF=1/2 or 2/2 only the modules of that half of the tests on a vcan: each has a vcan and a processor.
     """
     for item in items:
         if item.get_closest_marker("hil"):
             item.add_marker(pytest.mark.xdist_group("bus"))
         elif item.get_closest_marker("xdist_group") is None and _shares_a_fixture(item):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+    if half := os.environ.get("TSA_HALF"):
+        mine = set(_half([item for item in items if _in_real_time(item)], int(half[0])))
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid.partition("::")[0] not in mine])
+        items[:] = [item for item in items if item.nodeid.partition("::")[0] in mine]
     if hasattr(config, "workerinput"):
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
 
@@ -100,6 +105,25 @@ def _shares_a_fixture(item: pytest.Item) -> bool:
         return False
     found = (each for made in item._fixtureinfo.name2fixturedefs.values() for each in made)
     return any(each.scope == "module" for each in found)
+
+
+def _in_real_time(item: pytest.Item) -> bool:
+    return bool(item.get_closest_marker("vcan")) and not item.get_closest_marker("soak")
+
+
+def _half(items: list[pytest.Item], which: int) -> list[str]:
+    """The modules of one half (1 or 2) of `items`: the largest first, each to the half that has less until then."""
+    weights: dict[str, float] = {}
+    for item in items:  # those marked slow run daemon and plant, ten seconds and more; the others take a tenth of one
+        module = item.nodeid.partition("::")[0]
+        weights[module] = weights.get(module, 0.0) + (1.0 if item.get_closest_marker("slow") else 0.01)
+    halves: tuple[list[str], list[str]] = ([], [])
+    loads = [0.0, 0.0]
+    for module in sorted(weights, key=lambda module: (-weights[module], module)):
+        less = loads.index(min(loads))
+        halves[less].append(module)
+        loads[less] += weights[module]
+    return halves[which - 1]
 
 
 def _browser() -> str | None:
