@@ -49,7 +49,15 @@ class Played:
 
     def _axis(self, index: int, t: float) -> tuple[AxisStatus, Parameters]:
         wanted = math.sin(2.0 * t)
-        axis = QUARTERS._replace(t=t, tau_j_des=wanted, tau_j=0.9 * wanted, tau_m_cmd=0.7 * wanted)
+        axis = QUARTERS._replace(
+            t=t,
+            tau_j_des=wanted,
+            tau_j=0.9 * wanted,
+            tau_m_cmd=0.7 * wanted,
+            tau_j_stretch=0.88 * wanted,
+            tau_j_stretch_low=0.88 * wanted - 0.1,
+            tau_j_stretch_high=0.88 * wanted + 0.1,
+        )
         return axis, (self.compensation[index], 45.0)
 
     def fail(self, text: str) -> None:

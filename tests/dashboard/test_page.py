@@ -154,6 +154,19 @@ def test_every_plot_has_one_unit(page: Page) -> None:
     page.until(f"{last.format(kind='power')} !== 0")
 
 
+def test_the_torque_by_stretch_has_its_band(page: Page) -> None:
+    """Filled between its two ends, which hold it."""
+    page.until("axes.get('knee').data.torque[0].length > 3")
+    assert page.evaluate("axes.get('knee').charts.torque.bands.length") == 1
+    upper, lower = page.evaluate("axes.get('knee').charts.torque.bands[0].series")
+    last = "axes.get('knee').data.torque[{}].at(-1)"
+    assert page.evaluate(f"{last.format(lower)} < {last.format(upper)}")
+    labels = page.evaluate("axes.get('knee').charts.torque.series.map((line) => line.label)")
+    by_stretch = labels.index("delivered, by stretch")
+    assert page.evaluate(f"{last.format(lower)} <= {last.format(by_stretch)}")
+    assert page.evaluate(f"{last.format(by_stretch)} <= {last.format(upper)}")
+
+
 def test_daemon_that_is_gone_is_seen(page: Page, daemon: Played) -> None:
     """In red, and what to do."""
     daemon.end()

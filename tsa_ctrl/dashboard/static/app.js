@@ -6,12 +6,16 @@ const SECONDS = 20; // of the charts
 const STALE = 0.5; // s without news from the loop
 const REFRESH = 1000 / 30; // ms between two looks of the charts
 const TENFOLD = 10; // of the smallest step that a number field knows per press of an arrow
-// kind: unit, height in px, lines (field or function of the axis, words, colour); a line whose field is not there is left out
+const EDGE = "#12a59455"; // of the band around the torque by stretch
+// kind: unit, height in px, lines (field or function of the axis, words, colour); a line whose field is not there is left out;
+// band: words of the lines, upper and lower, between which it is filled
 const CHARTS = {
   torque: { unit: "N·m", height: 260, lines: [
     ["tau_j_des", "wanted", "#888"], ["tau_j", "delivered, by sensor", "#1f77d4"],
     ["tau_j_stretch", "delivered, by stretch", "#12a594"], ["tau_m_cmd", "command (motor)", "#d35400"],
-    ["friction_term", "friction term", "#8e44ad"]] },
+    ["friction_term", "friction term", "#8e44ad"],
+    [(axis) => axis.tau_j_stretch?.high ?? null, "by stretch, upper", EDGE],
+    [(axis) => axis.tau_j_stretch?.low ?? null, "by stretch, lower", EDGE]], band: ["by stretch, upper", "by stretch, lower"] },
   angle: { unit: "rad", height: 150, lines: [["q_j", "joint angle", "#2e9d38"]] },
   speed: { unit: "rad/s", height: 150, lines: [["omega_j", "joint speed", "#2e9d38"]] },
   power: { unit: "W", height: 150, lines: [[(axis) => product(delivered(axis), axis.omega_j), "power to the joint", "#c2185b"]] },
@@ -50,8 +54,12 @@ function value_of(axis, field) {
   return found?.value ?? found ?? null; // of a quantity its value
 }
 
+function spelled(unit) { // as people read it
+  return unit === "1" ? "" : unit.replaceAll("*", "·");
+}
+
 function band(found) { // a value between its ends
-  return found ? `${number(found.value, 3)} (${number(found.low, 3)} to ${number(found.high, 3)}) ${found.unit}` : "–";
+  return found ? `${number(found.value, 3)} (${number(found.low, 3)} to ${number(found.high, 3)}) ${spelled(found.unit)}` : "–";
 }
 
 async function ask(path, body) {
@@ -71,11 +79,12 @@ function addAxis(axis) {
   const shown = { article, charts: {}, data: {}, lines: {}, sliders: new Map() };
   const colour = getComputedStyle(document.documentElement).getPropertyValue("--plain");
   const style = { stroke: colour, grid: { stroke: "#8884", width: 1 }, ticks: { stroke: "#8884", width: 1 } };
-  for (const [kind, { unit, height, lines }] of Object.entries(CHARTS)) {
+  for (const [kind, { unit, height, lines, band: ends }] of Object.entries(CHARTS)) {
     const target = article.querySelector(".charts").appendChild(element("div", { className: `chart ${kind}` }));
     const known = lines.filter(([field]) => typeof field === "function" || field in axis);
     shown.lines[kind] = known;
     shown.data[kind] = [[], ...known.map(() => [])];
+    const series = (ends || []).map((words) => 1 + known.findIndex(([, label]) => label === words));
     shown.charts[kind] = new uPlot(
       {
         width: target.clientWidth || 900,
@@ -83,6 +92,7 @@ function addAxis(axis) {
         scales: { x: { time: false } },
         axes: [{ ...style, label: kind === "torque" ? "s" : undefined }, { ...style, label: unit, size: 64 }],
         series: [{ label: "s" }, ...known.map(([, label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
+        bands: ends ? [{ series, fill: "#12a59433" }] : [],
       },
       shown.data[kind],
       target,
@@ -122,7 +132,7 @@ function addParameters(axis, shown) {
       "tr", {},
       element("th", { textContent: name }),
       now,
-      element("td", { textContent: figures.unit === "1" ? "" : figures.unit }),
+      element("td", { textContent: spelled(figures.unit) }),
       element("td", {}, slider),
       element("td", {}, wanted),
       element("td", { className: "decide" }, apply, " ", cancel),
@@ -154,7 +164,7 @@ async function change(name, value, remember) {
   try {
     const answer = await ask("set", { name, value });
     if (remember) changes.push({ name, before: answer.before, value: answer.value, unit: answer.unit });
-    say(`${name}: ${number(answer.before)} → ${number(answer.value)} ${answer.unit}`);
+    say(`${name}: ${number(answer.before)} → ${number(answer.value)} ${spelled(answer.unit)}`);
   } catch (error) {
     say(String(error.message), true);
   }
@@ -164,7 +174,7 @@ async function change(name, value, remember) {
 function showChanges() {
   const last = changes[changes.length - 1];
   $("changes").hidden = !last;
-  if (last) $("last-change").textContent = `${last.name}: back from ${number(last.value)} to ${number(last.before)} ${last.unit}`;
+  if (last) $("last-change").textContent = `${last.name}: back from ${number(last.value)} to ${number(last.before)} ${spelled(last.unit)}`;
 }
 
 $("undo").addEventListener("click", () => {
