@@ -7,6 +7,7 @@ one; it has its own /dev/shm, TMPDIR, processes and network, and one processor).
 Without any of them: one line and exit status 77.
 
   TSA_VCAN          name of the interface; default a vcan that is up, else vcan0
+  TSA_VCAN_ALONE    1: not the machine's own, which others may use at the same time
   TSA_REQUIRE_VCAN  1: without a vcan the exit status is 1, not 77
   TSA_VCAN_TIMEOUT  seconds after which COMMAND is ended, with exit status 124; default none
   TSA_VCAN_MEMORY   of the guest, as 512M or 4G; default 2G
@@ -51,7 +52,7 @@ def run(arguments: list[str]) -> int:
     if shutil.which(arguments[0]) is None:
         end(NOT_FOUND, f"{arguments[0]}: no such command")
     name = os.environ.get("TSA_VCAN", "")
-    if interface := found_or_created(name):
+    if os.environ.get("TSA_VCAN_ALONE") != "1" and (interface := found_or_created(name)):
         run_here(arguments, interface, limits)
     name = name or DEFAULT
     if namespace.possible(name):

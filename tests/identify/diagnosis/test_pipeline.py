@@ -298,3 +298,19 @@ def test_the_page_shows_in_a_browser_without_sideways_scrolling(
             "document.body.innerText.replace(/\\s+/g, ' ')"
         )
         assert page.errors == []
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_the_page_prints_on_a4(written: Path, browser: str, tmp_path: Path) -> None:
+    """182 mm of 210 and 269 of 297 are left by the margins, at 96 pixels an inch: nothing is wider, no picture taller."""
+    with chromium(browser, tmp_path) as page:
+        page.resize(687)
+        page.open((written / "report.html").as_uri())
+        page.call("Emulation.setEmulatedMedia", media="print")
+        page.until("document.readyState == 'complete' && document.images.length > 0")
+        assert page.evaluate("document.documentElement.scrollWidth") <= 687
+        heights = page.evaluate("[...document.querySelectorAll('figure')].map(each => each.offsetHeight)")
+        assert 0 < max(heights) <= 1016
+        inside = "[...document.querySelectorAll('figure')].map(each => getComputedStyle(each).breakInside)"
+        assert set(page.evaluate(inside)) == {"avoid"}
