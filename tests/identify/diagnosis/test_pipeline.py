@@ -303,7 +303,7 @@ def test_the_page_shows_in_a_browser_without_sideways_scrolling(
 @pytest.mark.slow
 @pytest.mark.browser
 def test_the_page_prints_on_a4(written: Path, browser: str, tmp_path: Path) -> None:
-    """182 mm of 210 and 269 of 297 are left by the margins, at 96 pixels an inch: nothing is wider, no picture taller."""
+    """The margins leave 182 mm by 269, 96 pixels an inch: nothing is wider, no picture taller."""
     with chromium(browser, tmp_path) as page:
         page.resize(687)
         page.open((written / "report.html").as_uri())
