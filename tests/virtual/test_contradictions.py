@@ -130,7 +130,7 @@ def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lost", [1, 2, 19])
+@pytest.mark.parametrize("lost", [4, 19])
 def test_a_drive_that_hears_only_some_commands_stops_the_axis(tmp_path: Path, lost: int) -> None:
     """Its RPDO timer, 20 ms, is kept quiet by each command that it does hear."""
     result = play(tmp_path, "held", sine(0.8, 1.0), 2.4, faults=[f"sparse_rpdo value={lost}@0.8"])
@@ -140,10 +140,10 @@ def test_a_drive_that_hears_only_some_commands_stops_the_axis(tmp_path: Path, lo
 
 
 @pytest.mark.slow
-def test_a_tenth_of_the_commands_lost_is_told_and_goes_on(tmp_path: Path) -> None:
-    """Each 10 ms one is lost, at a drawn moment of them."""
+def test_some_commands_lost_now_and_then_are_told_and_the_axis_goes_on(tmp_path: Path) -> None:
+    """Each 33 ms five in a row are lost, at a drawn moment: a tenth of what is held is three behind."""
     rng = np.random.default_rng(1)
-    losses = [f"rpdo_lost duration=0.001@{0.8 + 0.01 * n + rng.uniform(0.0, 0.009):.6f}" for n in range(250)]
+    losses = [f"rpdo_lost duration=0.005@{0.8 + 0.033 * n + rng.uniform(0.0, 0.028):.6f}" for n in range(75)]
     result = play(tmp_path, "held", sine(0.8, 1.0), 3.6, faults=losses)
     said = [event.text for event in result.summary.events if "times that 0x6071 was read back" in event.text]
     assert not result.axes[0].faults

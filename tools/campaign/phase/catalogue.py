@@ -122,8 +122,8 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("heartbeat of the encoder lost", NOBODY, "heartbeat lost", ("heartbeat_lost node=encoder",)),
     # wires
     Hazard("commands (RPDOs) lost", OLD, "0x8250|drive fault|enable|confirm|reports", ("rpdo_lost",)),
-    Hazard("every other command lost", OLD, "held an older command", ("sparse_rpdo value=1",), lie=True),
-    Hazard("two of three commands lost", OLD, "held an older command", ("sparse_rpdo value=2",), lie=True),
+    Hazard("two of three commands lost", OLD, "", ("sparse_rpdo value=2",), goes_on="a command is two periods old"),
+    Hazard("four of five commands lost", OLD, "held an older command", ("sparse_rpdo value=4",), lie=True),
     Hazard("nineteen of twenty commands lost", OLD, "held an older command|drive fault|emergency",
            ("sparse_rpdo value=19",), lie=True),
     Hazard("the drive hears nothing", OLD, _LOST + "|enable|reset", ("deaf",)),

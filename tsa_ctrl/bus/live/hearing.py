@@ -2,14 +2,17 @@
 
 A command that is lost on its way, or in a drive that looks at its PDOs too seldom, tells nothing: the RPDO timer counts
 only those that are lost in a row. How far behind its question an answer may lie is the drive's own, a SYNC or a cycle
-of its firmware, and is learned as the least that was ever seen. What rests, or comes back to a value that it had, shows
-nothing, and does no harm either.
+of its firmware, and is learned as the least that was ever seen; a little more (JITTER) is no loss. What rests, or comes
+back to a value that it had, shows nothing, and does no harm either.
 """
 
 from __future__ import annotations
 
 from collections import deque
 
+# commands beyond its usual that a drive may show late: its PDOs and its SDO server are often two tasks, neither in step
+# with SYNC; two periods are no danger either, and a drive that hears each fifth command passes them half the time
+JITTER = 2
 HISTORY = 64  # commands that are remembered: more than a drive may miss before its RPDO timer ends, at 1 kHz
 
 
@@ -50,4 +53,4 @@ class Hearing:
         whole = len(since) < HISTORY and ages[-1] < len(everything) - 1  # or it may be of a command before these
         if whole:
             self._usual = min(self._usual, ages[-1])
-        self.unheard += ages[0] - len(since) > self._usual
+        self.unheard += ages[0] - len(since) > self._usual + JITTER
