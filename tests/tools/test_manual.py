@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
-from tools.manual import parts
+from tools.manual import parts, tables
 from tools.manual.write import PAGES, differing, rewritten
+from tsa_ctrl.errors import UsageError
 
 PRESENT = [name for name in PAGES if (ROOT / name).is_file()]
 
@@ -50,3 +51,47 @@ def test_the_error_of_the_simplified_slope_evenly_bent(x: float, slope: float) -
     found, _ = parts.slope_and_half_loop(parts.SHAPES["evenly"], x)
     assert found == pytest.approx(1.0, abs=1e-12)
     assert f"{slope:+.1f}" in parts.errors()
+
+
+MARKDOWN = """seed 8000
+| | found | x |
+| --- | --- | --- |
+| none | 0/400 | |
+| one | 669/690 | a |
+
+slowest: 3 s
+"""
+DRAWN = """
+┏━━━━━━┳━━━━━━━━━┳━━━┓
+┃      ┃ found   ┃ x ┃
+┡━━━━━━╇━━━━━━━━━╇━━━┩
+│ none │ 0/400   │   │
+│ one  │ 669/690 │ a │
+└──────┴─────────┴───┘
+"""
+COLUMNS = """which   found    x
+none    0/400    -
+one     669/690  a
+
+slowest: 3 s
+"""
+
+
+@pytest.mark.parametrize("printed", [MARKDOWN, DRAWN, COLUMNS], ids=["markdown", "drawn", "columns"])
+def test_a_table_that_a_benchmark_printed_is_taken(printed: str) -> None:
+    row = tables.taken("blind", printed)
+    assert (row["head"][1:], row["command"]) == (["found", "x"], tables.COMMANDS["blind"])
+    assert [cells[:2] for cells in row["rows"]] == [["none", "0/400"], ["one", "669/690"]]
+    assert row["date"]
+    assert row["commit"]
+
+
+def test_a_run_that_printed_no_table_is_refused() -> None:
+    with pytest.raises(UsageError, match="no table in what was read for 'circle'; give what tools/vcan tools/run"):
+        tables.taken("circle", "interrupted\n")
+
+
+def test_every_table_of_hours_stands_in_a_page_and_has_its_command() -> None:
+    assert {name: row["command"] for name, row in tables.load().items()} == tables.COMMANDS
+    pages = "".join((ROOT / name).read_text(encoding="utf-8") for name in PRESENT)
+    assert [name for name in tables.COMMANDS if f"<!-- {name}: written by" not in pages] == []

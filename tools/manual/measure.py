@@ -48,7 +48,7 @@ def measured(measure: Measure, runs: int, out: Path) -> Row:
         "runs": len(values),
         "command": _spoken(measure.line),
         "words": measure.words,
-        **_here(),
+        **here(),
     }
 
 
@@ -62,12 +62,12 @@ def note(name: str, words: str, values: list[float], unit: str, line: str) -> No
         "runs": len(values),
         "command": line,
         "words": words,
-        **_here(),
+        **here(),
     }
     settings.write_text(FILE, json.dumps(dict(sorted({**load(), name: row}.items())), indent=1) + "\n")
 
 
-def _here() -> Row:
+def here() -> Row:
     """When, of what and where a figure is."""
     return {
         "date": datetime.date.today().isoformat(),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
-from tools.manual import drives, hazards, measure
+from tools.manual import drives, hazards, measure, tables
 from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
@@ -118,6 +119,13 @@ def hazard_table() -> str:
     return "\n\n".join(part for part in (counted, table(hazards.HEAD, hazards.rows()), shown, only) if part)
 
 
+def measured_table(name: str) -> str:
+    """A table that a benchmark of hours printed, with the command that prints it."""
+    row = tables.load()[name]
+    lines = table(tuple(row["head"]), [tuple(cells) for cells in row["rows"]])
+    return f"{lines}\n\n(`{row['command']}`, {row['date']}, {row['commit']})"
+
+
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -127,4 +135,5 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "figures": figures,
     "licences": licences,
     "hazards": hazard_table,
+    **{name: partial(measured_table, name) for name in tables.COMMANDS},
 }
