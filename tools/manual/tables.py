@@ -56,7 +56,7 @@ def taken(name: str, text: str) -> Row:
     """The table of a name from what its command printed; raises UsageError where there is none."""
     rows = cells(text)
     if len(rows) < 2:
-        raise UsageError(f"manual/tables: no table in what was read for '{name}'; give what {COMMANDS[name]} prints")
+        raise UsageError(f"no table in what was read for '{name}'; give what {COMMANDS[name]} prints")
     return {"head": rows[0], "rows": rows[1:], "command": COMMANDS[name], **measure.here()}
 
 
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{name:10s} {line}")
         return 0
     if asked.name not in COMMANDS:
-        raise UsageError(f"manual/tables: no table '{asked.name}'; known are {', '.join(COMMANDS)}")
+        raise UsageError(f"no table '{asked.name}'; known are {', '.join(COMMANDS)}")
     text = asked.file.read_text(encoding="utf-8") if asked.file else sys.stdin.read()
     settings.write_text(
         FILE, json.dumps({**load(), asked.name: taken(asked.name, text)}, indent=1, ensure_ascii=False) + "\n"
