@@ -1,13 +1,15 @@
 """Runs of `tsa tune` alone on rigs drawn by number, in virtual time: nothing of the nominal file is quite true.
 
-Usage: tools/run bench/tune [--rigs 1..20] [--seed 1] [--rate 1000] [--curvature any] [-- OPTION OF tsa tune]
+Usage: tools/run bench/tune [--rigs 1..20] [--seed 1] [--rate 1000] [--curvature any] [--without-sensor] [-- OPTION]
 A rig has its own friction, pretension, stiffness of the tendons, shape of the sheath, inertia of the motor and delay of
 one to three periods (tests/virtual/rigs.py); the controller's file says nothing of motor and delay. Prints, for each
 rig, the truth against the nominal file; by how much compensation reduces the RMS joint torque error with the given
 file, with what tune wrote and with all that is true (model, shape, motor, delay), on a motion not used for the fit;
 what tune measured over what is true; the gain margin. The last lines sum up by where the sheath bends, and over all.
 With --results FILE each rig is appended to it as it ends; those that it holds are not run again, unless they failed, so
-that a long list is done in slices.
+that a long list is done in slices. With --without-sensor the rig has none of the joint torque: the file says where the
+sheath bends, and the runs that are compared are made once more with a sensor that nothing is learned from. What stands
+after -- are options of tsa tune.
 """
 
 from __future__ import annotations
@@ -30,13 +32,15 @@ from tools.bench.results import Results, Row
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.rig import FADE_IN
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.model.curvature import Points
+from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.plant.axis import CURVATURES as SHAPES
 from tsa_ctrl.system.processes import tsa
 from tsa_ctrl.tune.run import read_run
 from tsa_ctrl.virtual.stage import play
 
 TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
+SENSOR = {"node_id": 64, "heartbeat_timeout": 4.0}  # as tests/tune/rig.py has it
 UNKNOWN = {"compensation": rig.COMPENSATION, "fade_in": FADE_IN}  # [axis.law] of a file that knows nothing of the motor
 
 
@@ -59,7 +63,14 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
     with tempfile.TemporaryDirectory(prefix="bench-tune-") as name:
         folder = Path(name)
         controller = rig.write(folder, VIRTUAL, arguments.rate, "distributed", drawn.axis(), {"law": UNKNOWN})
-        save_model(drawn.nominal, folder / rig.MODEL)
+        nominal = drawn.nominal
+        if arguments.without_sensor:
+            nominal = nominal.with_effects({"elongation_coupling": {"curvature_profile": profile_of(drawn)}})
+            take_sensor(controller)
+            save_model(drawn.nominal, folder / "actuator.toml")  # the plant's own
+            plant = (folder / "plant.toml").read_text(encoding="utf-8").replace(rig.MODEL, "actuator.toml")
+            (folder / "plant.toml").write_text(plant, encoding="utf-8")
+        save_model(nominal, folder / rig.MODEL)
         spans = ("--seconds", f"{arguments.seconds:g}", "--verify-seconds", f"{arguments.verify_seconds:g}")
         verb = tsa("tune", str(controller), "--virtual", "plant.toml", "--json", "--yes", *spans, "--out", "out")
         begin = time.monotonic()
@@ -71,7 +82,38 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
             limit = with_truth(folder, drawn, arguments.verify_seconds)
         except BusError as error:
             return {**row, "error": f"true parameters: {error}"}
-        return {**row, "seconds": seconds, "true": limit, **json.loads(run.stdout)}
+        row |= {"seconds": seconds, "true": limit, **json.loads(run.stdout)}
+        if arguments.without_sensor:
+            row["verification"] = once_more(folder / "out", folder / "plant.toml", nominal, arguments.verify_seconds)
+        return row
+
+
+def profile_of(drawn: Drawn) -> Points:
+    """Where the sheath of a rig bends."""
+    return tuple((float(place), float(share)) for place, share in SHAPES[drawn.curvature])
+
+
+def take_sensor(controller: Path) -> None:
+    """A controller's file without the joint torque sensor."""
+    data = tomllib.loads(controller.read_text(encoding="utf-8"))
+    del data["axis"][0]["torque_sensor"]
+    controller.write_text(tomlkit.dumps(data), encoding="utf-8")
+
+
+def once_more(out: Path, plant: Path, nominal: TendonSheath, seconds: float) -> dict[str, dict[str, float]]:
+    """The verifying runs with a sensor that only measures: RMS errors in N*m and reductions in %."""
+    rms = {}
+    save_model(nominal, out / "given.toml")
+    for name in ("without", "before", "after"):
+        data = tomllib.loads((out / f"controller-{name}.toml").read_text(encoding="utf-8"))
+        model = f"new-{rig.MODEL}" if name == "after" else "given.toml"
+        setpoint = {"kind": "file", "file": f"{name}.csv"}
+        data["axis"][0].update(model=model, setpoint=setpoint, torque_sensor=SENSOR)
+        (out / f"controller-{name}-measured.toml").write_text(tomlkit.dumps(data), encoding="utf-8")
+        summary = play(out, f"{name}-measured", seconds, lambda share: None, plant)
+        rms[name] = read_run(name, out / str(summary["log"]), "joint", FADE_IN, seconds).rms
+    reduction = {name: 100.0 * (1.0 - rms[name] / rms["without"]) for name in ("before", "after")}
+    return {"rms": rms, "reduction_percent": reduction}
 
 
 def with_truth(folder: Path, drawn: Drawn, seconds: float) -> float:
@@ -82,6 +124,7 @@ def with_truth(folder: Path, drawn: Drawn, seconds: float) -> float:
     data = tomllib.loads((out / "controller-after.toml").read_text(encoding="utf-8"))
     law = {**UNKNOWN, "compensation": 1.0, "motor_inertia": drawn.inertia, "delay": true_delay(drawn)}
     data["axis"][0].update(model="true.toml", setpoint={"kind": "file", "file": "after.csv"}, law=law)
+    data["axis"][0].setdefault("torque_sensor", SENSOR)
     (out / "controller-true.toml").write_text(tomlkit.dumps(data), encoding="utf-8")
     save_model(drawn.nominal, folder / rig.MODEL)  # the plant reads it, too, and tune has written it anew
     summary = play(out, "true", seconds, lambda share: None, folder / "plant.toml")
@@ -146,6 +189,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz")
     parser.add_argument("--curvature", choices=["any", *CURVATURES], default="any", help="where the sheath bends")
+    parser.add_argument("--without-sensor", action="store_true", help="of the joint torque; the shape is told then")
     parser.add_argument("--seconds", type=float, default=20.0, help="of excitation")
     parser.add_argument("--verify-seconds", type=float, default=8.0, help="of each of the three verifying runs")
     parser.add_argument("--results", type=Path, help="a JSON object per run; those that it holds are not made again")

@@ -10,6 +10,7 @@ from pathlib import Path
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
+from tsa_ctrl.tune.by_stretch import estimate_by_stretch
 from tsa_ctrl.tune.controller_file import MOTOR
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
 from tsa_ctrl.tune.excitation import (
@@ -47,6 +48,7 @@ class Settings:
     certified_gain: bool
     forms: bool
     extended: bool
+    by_stretch: bool = False  # the joint torque is that of the tendons' stretch: there is no sensor
     excitation: Waveform | None = None  # to play in place of a designed one; then `seconds` are its own
 
 
@@ -191,6 +193,8 @@ def from_logs(path: Path, model: TendonSheath, logs: Sequence[Dataset], settings
 
 def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> Estimate:
     """The new model from logs; raises UsageError when they do not show enough."""
+    if settings.by_stretch:
+        return estimate_by_stretch(logs, model)
     found = estimate(logs, model, settings.certified_gain, settings.forms)
     return extended(logs, model, found) if settings.extended else found
 

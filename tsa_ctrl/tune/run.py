@@ -62,10 +62,20 @@ class RigRunner:
     """Plays waveforms on one axis of a rig; everything that is written goes to `folder`."""
 
     def __init__(
-        self, configuration: Configuration, axis: AxisSettings, bounds: Bounds, folder: Path, run: Play = daemon
+        self,
+        configuration: Configuration,
+        axis: AxisSettings,
+        bounds: Bounds,
+        folder: Path,
+        run: Play = daemon,
+        by_stretch: bool = False,
     ) -> None:
-        """`run` is what runs `controller-NAME.toml` of a folder: the daemon on the rig, or a simulation."""
+        """`run` is what runs `controller-NAME.toml` of a folder: the daemon on the rig, or a simulation.
+
+        `by_stretch`: the joint torque is that of the tendons' stretch, as there is no sensor.
+        """
         self._run = run
+        self._by_stretch = by_stretch
         self._configuration = configuration
         self._axis = axis
         self._bounds = bounds
@@ -98,7 +108,7 @@ class RigRunner:
         if summary["log"] is None or summary["failed"]:
             raise BusError(f"the run '{name}' failed: {summary['cause']}")
         log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
-        return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds)
+        return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds, self._by_stretch)
 
     def _controller(
         self,
@@ -148,9 +158,9 @@ class RigRunner:
             limits["travel"] = list(self._bounds.travel)
 
 
-def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float) -> Run:
-    """Read a run of `seconds` s of torque; raises BusError when it holds too little."""
-    part = read_course(f"{log}:{axis}", SIGNAL_NAMES, fade_in, seconds)
+def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
+    """Read a run of `seconds` s of torque; raises BusError when it holds too little. `by_stretch` as of a runner."""
+    part = read_course(f"{log}:{axis}", SIGNAL_NAMES, fade_in, seconds, by_stretch=by_stretch)
     return Run(name, log, part["t"], part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
 
 

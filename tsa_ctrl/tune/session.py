@@ -21,6 +21,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune import model_file
+from tsa_ctrl.tune.by_stretch import why_not_told
 from tsa_ctrl.tune.controller_file import differ_in_law_alone, with_law
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
@@ -73,6 +74,7 @@ class Session:
             certified_gain=plan.certified_gain,
             forms=plan.forms,
             extended=plan.extended,
+            by_stretch=not self._has_sensor(),
             excitation=played,
         )
         self._plant = plan.plant
@@ -201,7 +203,8 @@ class Session:
     def run(self, say: Progress) -> Outcome:
         """The whole procedure on the rig; raises UsageError, BusError."""
         self._check_ready()
-        runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play())
+        told = self._settings.by_stretch
+        runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play(), told)
         law_of = functools.partial(law_tuning, self._configuration, self.axis)
         return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, self._folder, say).run()
 
@@ -213,12 +216,11 @@ class Session:
         return functools.partial(play, plant=self._plant)
 
     def _check_ready(self) -> None:
-        """The joint torque is measured, and the bus is there."""
-        by_serial = any(sensor.quantity == "tau_j" for sensor in self.axis.serial)
-        if self.axis.torque_sensor is None and not by_serial:
+        """The joint torque is measured, or told by the tendons' stretch, and the bus is there."""
+        if not self._has_sensor() and (reason := why_not_told(self._model, self.axis.encoder is not None)):
             raise UsageError(
-                f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, which tuning learns "
-                "from; give [axis.torque_sensor] or an [[axis.serial]] of tau_j"
+                f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, and {reason}; or "
+                "give [axis.torque_sensor] or an [[axis.serial]] of tau_j"
             )
         if self._plant is not None:
             return
@@ -226,6 +228,9 @@ class Session:
         for check in can_interface.checks(file.bus, (self.axis,), file.controller.rate):
             if check.result is Result.FAIL:
                 raise BusError(f"{check.name}: found {check.found}, wanted {check.wanted}; {check.fix}")
+
+    def _has_sensor(self) -> bool:
+        return self.axis.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in self.axis.serial)
 
     def from_logs(self, logs: Sequence[str], cutoff: float | None = None) -> Outcome:
         """The estimate from logs that exist; `cutoff` as of `load_log`. Raises UsageError."""

@@ -133,6 +133,20 @@ def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
     return _result(taken, model, p, half, rms, sensor)
 
 
+def told(logs: Sequence[Dataset], found: StretchFit) -> list[Dataset]:
+    """The logs with the joint torque that the tendons' stretch tells as tau_j (N*m), from where it is known on."""
+    p = np.array([0.0, profile_of(found.model).centre, 0.0, found.motor_inertia.value])
+    out = []
+    for log in logs:
+        _, torque, known = _foretold(_taken(log, found.model), found.model, p)
+        first = int(np.argmax(known))
+        columns = {name: values[first:] for name, values in log.columns.items() if name != "tau_j"}
+        finite = np.flatnonzero(np.isfinite(torque[first:]))
+        columns["tau_j"] = np.interp(np.arange(len(torque) - first), finite, torque[first:][finite])
+        out.append(dataclasses.replace(Dataset.from_arrays(columns, log.name), sha256=log.sha256))
+    return out
+
+
 _CURE = (
     "the tendons' stretch does not tell their stiffness here; record motion in both directions, with reversals, under "
     "a load that varies, and with a torque sensor for the place of the bends"
