@@ -1,6 +1,7 @@
 """Throws nonsense at everything that listens: no crash, no torque, no leak.
 
 Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
+       tools/run campaign/fuzz --coverage [TARGET...] [--minutes 24] [--save] [--seed 1] [--json]
 
   loop      spoiled, random and lying frames to the daemon's loop on a bus in memory; a judge that reads only the frames
             says when there may be torque
@@ -8,6 +9,11 @@ Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
   bring-up  the start over a bus that spoils SDO answers: it succeeds, or says in one line why not
   socket    spoiled requests to the local socket's process
   files     spoiled configuration files to every reader
+
+--coverage: led by what an input reaches, each target with a corpus that is kept (tests/fuzz/corpus) and a goal;
+--minutes of processor time are shared by the targets, --save adds to the corpus what reached something anew:
+
+  frames, sdo (answers), requests (socket), http (dashboard), toml, csv, set-point, mcap, eds, serial
 
 --frames is shared by loop and plant; the other parts take their share of it. Memory and descriptors are those after the
 first quarter and at the end. Exit code 1: a problem was found; its seed repeats it.
@@ -20,8 +26,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from tests.fuzz import configuring, files, master, nodes, requests
+from tests.fuzz import configuring, files, guided, master, nodes, requests
 from tests.fuzz.part import Part
+from tests.fuzz.targets import targets
 from tools import command
 
 PARTS: dict[str, Callable[[int, int], Part]] = {  # frames, seed
@@ -39,16 +46,26 @@ def main() -> int:
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--coverage", action="store_true", help="led by coverage")
+    parser.add_argument("--minutes", type=float, default=24.0, help="of processor time, with --coverage")
+    parser.add_argument("--save", action="store_true", help="keep what reached something anew, with --coverage")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    unknown = [name for name in options.parts if name not in PARTS]
+    parts = PARTS
+    if options.coverage:
+        seconds = 60.0 * options.minutes / len(options.parts or targets())
+        parts = {
+            target.name: lambda frames, seed, target=target: guided.run(target, seconds, seed, save=options.save)  # type: ignore[misc]
+            for target in targets()
+        }
+    unknown = [name for name in options.parts if name not in parts]
     if unknown:
-        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(PARTS)}")
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(parts)}")
     rows: list[dict[str, Any]] = []
     problems: list[str] = []
-    for name in options.parts or PARTS:
+    for name in options.parts or parts:
         begin = time.monotonic()
-        part = PARTS[name](options.frames, options.seed)
+        part = parts[name](options.frames, options.seed)
         row, found = describe(part, time.monotonic() - begin)
         rows.append(row)
         problems += found

@@ -88,7 +88,7 @@ class Guard:
             refusal = "another host"
         elif origin is not None and origin.removeprefix("http://") not in self._hosts:
             refusal = "another page"
-        elif not request.url.path.startswith("/static/") and not self._knows(request):
+        elif not scope["path"].startswith("/static/") and not self._knows(request):
             refusal = "no token: open the address that `tsa dashboard` printed"
         else:
             await self._app(scope, receive, send)
@@ -96,9 +96,11 @@ class Guard:
         await PlainTextResponse(refusal, 403, HEADERS)(scope, receive, send)
 
     def _knows(self, request: Request) -> bool:
-        given = request.headers.get("x-token") or (
-            "" if request.method == "POST" else request.query_params.get("token")
-        )
+        try:
+            asked = "" if request.method == "POST" else request.query_params.get("token")
+        except UnicodeDecodeError:  # no address of this server has such bytes
+            return False
+        given = request.headers.get("x-token") or asked
         return secrets.compare_digest((given or "").encode(), self._token.encode())
 
 

@@ -11,11 +11,13 @@ and polars take a row that is too short, numpy no empty field; pyarrow refuses b
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import os
 import re
+import sys
 import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -70,6 +72,8 @@ def _read(
     from pyarrow import csv
 
     kept = [place for place, name in enumerate(names) if wanted is None or name in wanted]  # names may be empty
+    if not kept:  # to pyarrow no column is all of them
+        return {}, names, above
     numeric = [str(place) for place in kept if wanted is not None or names[place] in SIGNAL_NAMES]
     refused: list[str] = []
 
@@ -83,16 +87,17 @@ def _read(
         return "error"
 
     try:
-        table: Any = csv.read_csv(
-            stream,
-            csv.ReadOptions(use_threads=False, skip_rows=above, column_names=[str(i) for i in range(len(names))]),
-            csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False, invalid_row_handler=wrong_length),
-            csv.ConvertOptions(
-                column_types=dict.fromkeys(numeric, pa.float64()),
-                null_values=[""],
-                include_columns=[str(place) for place in kept],
-            ),
-        )
+        with _undecodable(path):
+            table: Any = csv.read_csv(
+                stream,
+                csv.ReadOptions(use_threads=False, skip_rows=above, column_names=[str(i) for i in range(len(names))]),
+                csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False, invalid_row_handler=wrong_length),
+                csv.ConvertOptions(
+                    column_types=dict.fromkeys(numeric, pa.float64()),
+                    null_values=[""],
+                    include_columns=[str(place) for place in kept],
+                ),
+            )
     except pa.ArrowInvalid as error:
         raise UsageError(refused[0] if refused else _no_number(path, str(error), names, above)) from None
     rows = _last(path, table, above)
@@ -102,6 +107,19 @@ def _read(
             values = column.slice(0, rows).cast(pa.float64(), safe=False).to_numpy()
             columns[names[place]] = np.require(values, requirements="W")
     return columns, [name for name in names if name not in columns], above
+
+
+@contextlib.contextmanager
+def _undecodable(path: Path) -> Iterator[None]:
+    """Raises UsageError for a row that pyarrow cannot show as text: it tells nobody but the standard error."""
+    hidden: list[sys.UnraisableHookArgs] = []
+    before, sys.unraisablehook = sys.unraisablehook, hidden.append
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+        if hidden:
+            raise UsageError(f"{path}: a row with too few or too many fields is not UTF-8 text; save the file as UTF-8")
 
 
 def _last(path: Path, table: Any, above: int) -> int:
@@ -128,7 +146,7 @@ def _no_number(path: Path, said: str, names: list[str], above: int) -> str:
     column, line, entry = names[int(found[1])], int(found[2]), found[3]
     hint = " (a decimal comma: only the point is allowed)" if "," in entry and _is_number(entry) else ""
     return (
-        f"{path}: column {column}, row {line - above} (line {line}): found '{entry[:40]}' where a number is needed"
+        f"{path}: column {column}, row {line - above} (line {line}): found {entry[:40]!r} where a number is needed"
         f"{hint}; correct it"
     )
 
@@ -156,6 +174,9 @@ def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
     names = [name.strip().strip('"').strip() for name in text.split(delimiter)]
     if all(_is_number(name) for name in names):
         raise UsageError(f"{path}: line {above} holds numbers where the header is expected; add a row of column names")
+    odd = next((name for name in names if not name.isprintable()), None)
+    if odd is not None:
+        raise UsageError(f"{path}: line {above}: the column name {odd[:40]!r} cannot be printed; rename it")
     twice = next((name for name in names if name and names.count(name) > 1), None)
     if twice is not None:
         raise UsageError(f"{path}: column {twice} stands twice in the header; rename or remove one")

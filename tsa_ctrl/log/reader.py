@@ -173,7 +173,7 @@ class LogFile:
             return
         if schema.name != SCHEMA_NAME:
             raise UsageError(
-                f"{self.path}: holds '{schema.name}' messages, not a log of this package; convert it to CSV"
+                f"{self.path}: holds {schema.name[:40]!r} messages, not a log of this package; convert it to CSV"
             )
         lines = schema.data.decode().splitlines()
         self.fields = [line.split("#")[0].split()[1] for line in lines if line.startswith("float64")]

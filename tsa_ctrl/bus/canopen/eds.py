@@ -45,7 +45,10 @@ def read_eds(path: str | Path) -> tuple[ObjectDictionary, list[str]]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")  # what the vendors' editors write
-    parser, notes = eds_mending.read(text)
+    try:
+        parser, notes = eds_mending.read(text)
+    except configparser.Error as error:
+        raise UsageError(f"{path}: EDS file: {_one_line(error)}; repair it, or work without an EDS") from None
     if not any(eds_mending.is_used(section) for section in parser.sections()):
         raise UsageError(f"{path}: EDS file: it describes no object that is used here; repair it, or work without one")
     while True:

@@ -1,0 +1,357 @@
+"""What is fuzzed by coverage: everything that takes bytes from outside. Each call raises only what is a defect."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import struct
+import tempfile
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.bus.fake import FakeBus, FakeClock
+from tests.bus.nodes import Responder, cycle, one_axis_rig
+from tests.conftest import ROOT
+from tests.daemon.serving import QUARTERS, description
+from tests.fuzz.guided import Target
+from tests.fuzz.requests import GOOD
+from tests.log.logs import write_log
+from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.canopen.eds import read_eds
+from tsa_ctrl.bus.drive.report import NodeReport, Report, Row
+from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire.seam import Frame
+from tsa_ctrl.dashboard.server import application
+from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.ipc.mailbox import General, Mailbox
+from tsa_ctrl.ipc.server import Server
+from tsa_ctrl.log.reader import LogFile
+from tsa_ctrl.log.table import read_table
+from tsa_ctrl.log.waypoints import read_waypoints
+from tsa_ctrl.model.parameters import load_model
+from tsa_ctrl.sensors.parser import LineParser
+from tsa_ctrl.sensors.settings import SerialSensorSettings
+
+IDS = (0x181, 0x281, 0x1A0, 0x1C0, 0x081, 0x0A0, 0x701, 0x720, 0x740, 0x581, 0x601, 0x201, 0x080, 0x000, 0x77F,
+       0x20000040)  # fmt: skip
+PORT, TOKEN = 8123, "secret"
+CONFIG = ROOT / "config"
+
+
+@cache
+def _kept() -> tempfile.TemporaryDirectory[str]:
+    """As long as the process: files in it are written over and over."""
+    return tempfile.TemporaryDirectory(prefix="tsa-fuzz-")
+
+
+def _folder() -> Path:
+    return Path(_kept().name)
+
+
+def _in_file(suffix: str, read: Callable[[Path], object]) -> Callable[[bytes], None]:
+    """A reader of files; it may refuse in one line."""
+
+    def call(data: bytes) -> None:
+        path = _folder() / f"input{suffix}"
+        path.write_bytes(data)
+        try:
+            read(path)
+        except UsageError as error:
+            if len(str(error).splitlines()) != 1:
+                raise AssertionError(f"not one line: {error}") from None
+
+    return call
+
+
+def _frames(data: bytes) -> None:
+    """Byte by byte: an identifier, a length, the data; the highest identifiers end a cycle with a command."""
+    rig, bus, _ = one_axis_rig(Responder())
+    target = objects.TARGET_TORQUE
+    held = [Row(objects.MAX_TORQUE, 0, 3000), Row(objects.STATUSWORD, 0, 7)]
+    rig.look_after(Report((NodeReport("drive", 1, rows=held),)))
+    rig.start()
+    place = 0
+    while place < len(data):
+        number = data[place] % (len(IDS) + 4)
+        if number >= len(IDS):
+            cycle(rig, bus, 0.001 if number % 2 else 0.03)
+            for axis in rig.axes:
+                axis.command(0x0F, (data[place] - 128) / 100.0)
+                assert abs(axis.tau_m_sent) <= axis.scale.most_digits * axis.scale.torque + 1e-9
+            rig.read_back(bus.clock.now)
+            rig.heartbeat(bus.clock.now)
+            place += 1
+            continue
+        length = data[place + 1] % 9 if place + 1 < len(data) else 0
+        payload = data[place + 2 : place + 2 + length]
+        if IDS[number] == 0x581 and place % 2:
+            key = objects.MAX_TORQUE.key if place % 3 else target.key
+            payload = struct.pack("<BHB", 0x4B, *key) + (payload + bytes(4))[:4]
+        bus.waiting.append((IDS[number], payload))
+        place += 2 + length
+
+
+class _Answers:
+    """An SDO server that says what the input says, eight bytes a request."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def __call__(self, frame: Frame) -> list[Frame]:
+        if not 0x600 < frame[0] < 0x680:
+            return []
+        answer, self._data = self._data[:8], self._data[8:]
+        if answer[:1] == b"\xfe":  # the object that was asked for, with what follows
+            answer = bytes((0x43 | answer[1] % 4 << 2 if len(answer) > 1 else 0x41,)) + frame[1][1:4] + answer[4:]
+        return [(0x580 + (frame[0] & 0x7F), answer)] if answer else []
+
+
+def _sdo(data: bytes) -> None:
+    """Reads, texts and writes of a session; a bus error in one line is an answer, too."""
+    logging.getLogger("canopen").setLevel(logging.CRITICAL)
+    bus = FakeBus(FakeClock(), _Answers(data))
+    with Session(bus, BusSettings()) as session:
+        session.be_patient(1, 0.01)
+        for act in (
+            lambda: session.read(1, objects.STATUSWORD),
+            lambda: session.ask(1, objects.MAX_TORQUE),
+            lambda: session.read_if_there(1, objects.MODE),
+            lambda: session.write(1, objects.MAX_TORQUE, 3000),
+            lambda: session.upload_if_there(1, objects.POSITION_ACTUAL),
+            lambda: session.read_text(1, objects.MODE),
+        ):
+            try:
+                act()
+            except TsaError as error:
+                if len(str(error).splitlines()) != 1:
+                    raise AssertionError(f"not one line: {error}") from None
+
+
+def _requests(data: bytes) -> None:
+    """A server in this process, and one client that says these lines."""
+    path = _folder() / "tsa.sock"
+    path.unlink(missing_ok=True)
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(path))
+    listener.listen()
+    mailbox = Mailbox(2, 2)
+    try:
+        mailbox.publish(General(time=time.monotonic(), phase=2.0, cycles=7.0), [(QUARTERS, (0.95, 45.0))] * 2)
+        server = Server(listener, mailbox, description(path, ["knee", "hip"]))
+        with socket.socket(socket.AF_UNIX) as client:
+            client.connect(str(path))
+            server.step(0.0)
+            with contextlib.suppress(OSError):
+                client.setblocking(False)
+                client.sendall(data + b"\n")
+            for _ in range(data.count(b"\n") + 4):
+                server.step(0.0)
+                while (command := mailbox.take()) is not None:
+                    assert command.axis in (0, 1)
+                    assert np.isfinite(command.value)
+        server.step(0.0)
+        server.close()
+    finally:
+        listener.close()
+        mailbox.close()
+
+
+class _Feed:
+    """What a page may ask for; the daemon behind it is away."""
+
+    def status(self) -> dict[str, Any]:
+        return {"error": "nobody answers"}
+
+    def set(self, name: object, value: object) -> dict[str, Any]:
+        from tsa_ctrl.dashboard.feed import Feed
+
+        return Feed.set(Feed("/nowhere/tsa.sock"), name, value)
+
+    def stop(self) -> dict[str, Any]:
+        return {"signalled": 1}
+
+    def recover(self) -> dict[str, Any]:
+        raise UsageError("nothing to recover from")
+
+
+def _http(data: bytes) -> None:
+    """A request as it was parsed: method and path, headers, an empty line, the body in two pieces."""
+    head, _, body = data.partition(b"\n\n")
+    first, *lines = head.split(b"\n")
+    method, _, path = first.partition(b" ")
+    where, _, query = path.partition(b"?")
+    headers = [(name.strip().lower(), value.strip()) for name, _, value in (line.partition(b":") for line in lines)]
+    scope = {
+        "type": "websocket" if method == b"WS" else "http",
+        "http_version": "1.1", "method": method.decode("latin-1"), "path": where.decode("latin-1"), "raw_path": where,
+        "query_string": query, "headers": headers, "scheme": "http", "server": ("127.0.0.1", PORT), "client": None,
+    }  # fmt: skip
+    pieces = [body[: len(body) // 2], body[len(body) // 2 :]]
+    statuses: list[int] = []
+
+    async def receive() -> dict[str, Any]:
+        if scope["type"] == "websocket":
+            return {"type": "websocket.connect"}
+        if not pieces:
+            return {"type": "http.disconnect"}
+        return {"type": "http.request", "body": pieces.pop(0), "more_body": bool(pieces)}
+
+    async def send(message: dict[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            statuses.append(message["status"])
+
+    app = application(_Feed(), TOKEN, PORT)  # type: ignore[arg-type]
+    asyncio.run(app(scope, receive, send))  # type: ignore[arg-type]
+    assert all(status < 500 or status == 503 for status in statuses), statuses
+
+
+def _log(path: Path) -> None:
+    """A whole reading: blocks, columns, notes."""
+    log = LogFile(path)
+    for axis, block in log.blocks(log.fields):
+        assert axis in log.axes
+        assert block.ndim == 2
+    log.read_notes()
+    assert all("\n" not in problem for problem in log.problems)
+
+
+def _serial(data: bytes) -> None:
+    """In pieces, for a sensor with a unit and one without."""
+    for settings in (
+        SerialSensorSettings(port="/dev/x", quantity="tau_j"),
+        SerialSensorSettings(
+            port="/dev/x", quantity="t1", pattern=r"(?P<value>[-+0-9.eE]+)\s*(?P<unit>\w+)", unit="N", low=0.0
+        ),
+    ):
+        parser = LineParser(settings)
+        step = 1 + len(data) // 3
+        for start in range(0, len(data), step):
+            for value in parser.feed(data[start : start + step]):
+                assert settings.low <= value <= settings.high
+        parser.reset()
+        parser.feed(data)
+
+
+def _text(*parts: str) -> tuple[bytes, ...]:
+    return tuple(part.encode() for part in parts)
+
+
+def _mcap() -> bytes:
+    path = _folder() / "seed.mcap"
+    path.unlink(missing_ok=True)
+    write_log(path, chunks=1, per_chunk=2)
+    return path.read_bytes()
+
+
+EDS = (
+    "[FileInfo]\nFileName=a.eds\n[DeviceInfo]\nVendorName=x\n[MandatoryObjects]\nSupportedObjects=1\n1=0x1000\n"
+    "[1000]\nParameterName=Device type\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nDefaultValue=0x20192\n"
+    "[6072]\nParameterName=Max torque\nDataType=0x0006\nAccessType=rw\nLowLimit=0\nHighLimit=$NODEID+1\n"
+)
+HOST = f"host: 127.0.0.1:{PORT}\nx-token: {TOKEN}\n"
+CSV = "# sample\n# unit: s\nt,tau_j,q_m\n0,0.5,1\n0.1,0.25,1e-3\n0.2,-0.5,nan\n"
+MOST_MCAP = 3000
+
+
+@cache
+def targets() -> tuple[Target, ...]:
+    """All of them. A goal is what the corpus alone reaches, rounded down to the next 5 %: what is lost is a defect."""
+    return (
+        Target(
+            "frames",
+            _frames,
+            ("tsa_ctrl.bus.live.rig", "tsa_ctrl.bus.live.axis", "tsa_ctrl.bus.live.read_back",
+             "tsa_ctrl.bus.live.hearing", "tsa_ctrl.bus.canopen.emcy"),
+            (bytes((17, 4, 8, 0x10, 0x23, 1, 0, 0, 0, 0, 0, 17, 6, 1, 5, 18, 19)),),
+            (b"\x11", b"\x12\x13", b"\x09\x08"),
+            0.8,
+        ),
+        Target(
+            "sdo",
+            _sdo,
+            ("tsa_ctrl.bus.drive.session",),
+            (b"\xfe\x02AAAA\x00\x00" * 6, b"\x80\x41\x60\x00\x00\x00\x02\x06", b"\x41\x61\x60\x00\x14\x00\x00\x00"),
+            (b"\xfe\x02", b"\xfe\x00", b"\x80", b"\x60\x72\x60\x00", b"\x00\x00\x02\x06", b"\x41"),
+            0.55,
+        ),
+        Target(
+            "requests",
+            _requests,
+            ("tsa_ctrl.ipc.server", "tsa_ctrl.ipc.connection", "tsa_ctrl.ipc.lease", "tsa_ctrl.ipc.report",
+             "tsa_ctrl.ipc.parameters"),
+            (*GOOD, b"\n".join(GOOD)),
+            (*_text('"verb":', '"lease"', '"setpoint"', '"knee"', "\n", "{", "}", "null"), *GOOD),
+            0.7,
+        ),
+        Target(
+            "http",
+            _http,
+            ("tsa_ctrl.dashboard.server", "tsa_ctrl.dashboard.feed"),
+            _text(
+                f"GET /\n{HOST}\n", f"GET /events\n{HOST}\n", f"GET /?token={TOKEN}\nhost: localhost:{PORT}\n\n",
+                f'POST /set\n{HOST}\n{{"name": "compensation", "value": 0.5}}', f"POST /stop\n{HOST}\n",
+                f"POST /recover\n{HOST}\n", f"GET /static/index.html\n{HOST}\n", f"WS /events\n{HOST}\n",
+            ),
+            _text(
+                "GET ", "POST ", "/set", "/stop", "origin: http://evil\n", f"x-token: {TOKEN}\n", "\n\n", '"name"', "{",
+                "[", "1e400",
+            ),
+            0.4,
+        ),
+        Target(
+            "toml",
+            _in_file(".toml", load_model),
+            ("tsa_ctrl.settings", "tsa_ctrl.model.parameters"),
+            ((CONFIG / "actuator.toml").read_bytes(),),
+            _text("[pretension]", "value = ", "nan", "[effects.backlash]", "=", "\n", '"', "[[", "{}", "unit"),
+            0.4,
+        ),
+        Target(
+            "csv",
+            _in_file(".csv", read_table),
+            ("tsa_ctrl.log.csv_table", "tsa_ctrl.log.table"),
+            _text(CSV, CSV.replace(",", ";")),
+            _text("t,", "# ", "\n", ",", ";", "nan", '"', "1e999"),
+            0.65,
+        ),
+        Target(
+            "set-point",
+            _in_file(".csv", lambda path: read_waypoints(path, ["tau_j_des"])),
+            ("tsa_ctrl.log.waypoints",),
+            _text("t,tau_j_des\n0,0\n1,0.5\n", "t,x\n0,0\n"),
+            _text("tau_j_des", "t", ",", "\n0", "inf", "nan"),
+            0.85,
+        ),
+        Target(
+            "mcap",
+            _in_file(".mcap", _log),
+            ("tsa_ctrl.log.reader", "tsa_ctrl.log.unpacked"),
+            (_mcap(),),
+            (b"\x89MCAP0\r\n", b"\x05", b"\x06", b"\x0c", struct.pack("<Q", 1 << 40)),
+            0.75,
+        ),
+        Target(
+            "eds",
+            _in_file(".eds", read_eds),
+            ("tsa_ctrl.bus.canopen.eds", "tsa_ctrl.bus.canopen.eds_mending"),
+            _text(EDS),
+            _text("[6072]", "DataType=", "0x", "=", "\n[", "$NODEID", "ObjectType=8", "SubNumber=", "[6072sub1]", ";"),
+            0.7,
+        ),
+        Target(
+            "serial",
+            _serial,
+            ("tsa_ctrl.sensors.parser",),
+            _text("x\n1.5\n-2e3 N\r\n", "0.1 N\n\n12 kg\n"),
+            _text("\n", "\r", " N", "-", "1e", "9" * 300),
+            0.95,
+        ),
+    )  # fmt: skip
