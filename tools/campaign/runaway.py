@@ -1,6 +1,7 @@
 """Whether compensation ever moves a joint by itself: loads, set-points and sudden changes, in virtual time.
 
 Usage: tools/run campaign/runaway [--sample N] [--rows FILE] [--delays 1 3] [--compensation 0.95] [--json]
+       [--loads free ...] [--set-points constant ...] [--missed FILE] [--healthy SECONDS [--slices N]]
 
 Each case is one run of the real loop on distributed tendons, whose model file is true until 1.2 s: then pretension,
 friction or bending step to a share of what they were, and a joint that stands is nudged (a limb's hand lets go). Judged
@@ -12,10 +13,11 @@ by the plant's truth from then on:
   told    the guard said so where more than it allows was given, and latched where it happened again
 
 With nothing changed the set-point ends instead: 3 s later the joint must stand (0.02 rad/s RMS) and the motor be quiet
-(0.02 N*m peak to peak). --sample N: N cases spread over all, the same ones each time. --rows FILE: cases that are in
-the file are not run again, new ones are added, and the table is that of the file. --healthy SECONDS: instead, that long
-of gait (of a sine on weight, free and wearer) on each load with nothing wrong: the guard must say nothing. Exit code 1:
-a goal was missed.
+(0.02 N*m peak to peak). --sample N: N cases spread over all, the same ones each time. --missed FILE: those alone that
+missed a goal in that file of rows. --rows FILE: cases that are in the file are not run again, new ones are added, and
+the table is that of the file. --healthy SECONDS: instead, that long of gait (of a sine on weight, free and wearer) on
+each load with nothing wrong, in slices of `SLICE` s with noise of their own: the guard must say nothing. With --rows
+it goes on where it was, by --slices of each load at most. Exit code 1: a goal was missed.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import argparse
 import dataclasses
 import itertools
 import json
+import math
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -45,6 +48,7 @@ from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 LOADS = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05}  # kg*m^2
+HEALTHY = ("imposed", *LOADS, "wearer")
 SET_POINTS = ("zero", "constant", "sine", "gait")
 CHANGES = {
     "pretension": (0.1, 0.3, 0.5, 0.7, 0.9),
@@ -62,6 +66,7 @@ TO_REST, REST, MEASURED = (
     3.0,
     1.0,
 )  # s: the set-point's gain goes to 0, then all must come to rest, then it is seen
+SLICE = 120.0  # s of a healthy run at once: a log of an hour does not fit into memory
 TOLD = ("passivity", "oscillation")  # how what the guard says begins
 QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
 
@@ -137,16 +142,36 @@ def _controller(case: Case, compensation: float) -> rig.Tables:
     return tables
 
 
-def healthy(load: str, seconds: float, compensation: float) -> list[str]:
-    """What the guard says of `seconds` with nothing wrong, the gait or, on a load that it would throw about, a sine."""
+def healthy(load: str, number: int, seconds: float, compensation: float) -> dict[str, Any]:
+    """A slice with nothing wrong, its number the seed: gait or, on a load that it would throw about, a sine."""
     played = play_for(load) if load in ("weight", "free", "wearer") else gait()
     with tempfile.TemporaryDirectory(prefix="runaway-") as name:
         folder = Path(name)
         save_model(true_model("uniform"), folder / "true.toml")
         controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
         rig.write(folder, played, rig.plant(VIRTUAL, "distributed", None, load), {"run": controller})
-        result = simulate_loop(folder / "controller-run.toml", folder / "plant.toml", seconds)
-    return [event.text for event in result.summary.events if event.text.startswith(TOLD)]
+        run, plant = folder / "controller-run.toml", folder / "plant.toml"
+        result = simulate_loop(run, plant, seconds, seed=number)
+    said = [event.text for event in result.summary.events if event.text.startswith(TOLD)]
+    faults = list(result.axes[0].faults)
+    return {"healthy": load, "slice": number, "seconds": seconds, "compensation": compensation, "said": said + faults}
+
+
+def all_healthy(options: argparse.Namespace) -> int:
+    """Slices of each load up to what is asked for, a slice of each in turn; 1 if the guard said anything."""
+    rows = [row for row in _known(options) if "healthy" in row and row["compensation"] == options.compensation]
+    loads = [load for load in HEALTHY if load in options.loads]
+    for _, load in itertools.product(range(min(options.slices, math.ceil(options.healthy / SLICE))), loads):
+        done = [row for row in rows if row["healthy"] == load]
+        left = options.healthy - sum(row["seconds"] for row in done)
+        if left > 0.0:
+            rows.append(healthy(load, 1 + len(done), min(SLICE, left), options.compensation))
+            _keep(options, rows[-1])
+    for load in loads:
+        done = [row for row in rows if row["healthy"] == load]
+        texts = [text for row in done for text in row["said"]]
+        print(f"{load}: {sum(row['seconds'] for row in done):g} s, the guard said {'; '.join(texts) or 'nothing'}")
+    return 1 if any(row["said"] for row in rows) else 0
 
 
 def power(result: Simulation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -241,45 +266,58 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--sample", type=int, default=0, help="so many cases; 0: all")
     parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")
+    parser.add_argument("--missed", type=Path, help="JSON lines of an earlier run: only what missed a goal there")
+    parser.add_argument("--loads", nargs="+", choices=HEALTHY, default=HEALTHY)
+    parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--delays", type=int, nargs="+", default=(1, 3), help="periods from measurement to torque")
     parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
     parser.add_argument("--json", action="store_true", help="a JSON object a case, instead of the table")
     parser.add_argument("--healthy", type=float, metavar="SECONDS", help="gait with nothing wrong, on each load")
+    parser.add_argument("--slices", type=int, default=1000, help="of a healthy run, of each load at most")
     options = parser.parse_args()
     if options.healthy:
-        said = 0
-        for load in ("imposed", *LOADS, "wearer"):
-            texts = healthy(load, options.healthy, options.compensation)
-            said += len(texts)
-            print(f"{load}: {options.healthy:g} s, the guard said {'; '.join(texts) or 'nothing'}", flush=True)
-        return 1 if said else 0
+        return all_healthy(options)
     wanted = cases(options.delays)
     chosen = spread(wanted, options.sample) if options.sample else wanted
-    rows = _known(options)
+    chosen = [case for case in chosen if case.load in options.loads and case.set_point in options.set_points]
+    if options.missed is not None:
+        missed = {_key(row) for row in _read(options.missed) if not row["good"]}
+        chosen = [case for case in chosen if _key_of(case, options) in missed]
+    rows = [row for row in _known(options) if "healthy" not in row]
     done = {_key(row) for row in rows}
     for case in chosen:
-        if _key(dataclasses.asdict(case) | {"compensation": options.compensation}) in done:
+        if _key_of(case, options) in done:
             continue
         row = judge(case, options.compensation)
         rows.append(row)
-        if options.rows is not None:
-            with options.rows.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+        _keep(options, row)
         if options.json:
             print(json.dumps(row), flush=True)
         elif not row["good"]:
             print(f"missed: {case.name}: {_words(row)}", flush=True)
     if not options.json:
         Console(width=130).print(table(rows))
-        missed = sum(not row["good"] for row in rows)
-        print(f"{len(rows)} runs, {len(rows) - missed} as they must be, {missed} missed")
+        count = sum(not row["good"] for row in rows)
+        print(f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed")
     return 0 if all(row["good"] for row in rows) else 1
 
 
+def _read(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
 def _known(options: argparse.Namespace) -> list[dict[str, Any]]:
-    if options.rows is None or not options.rows.is_file():
-        return []
-    return [json.loads(line) for line in options.rows.read_text(encoding="utf-8").splitlines()]
+    return _read(options.rows) if options.rows is not None and options.rows.is_file() else []
+
+
+def _keep(options: argparse.Namespace, row: dict[str, Any]) -> None:
+    if options.rows is not None:
+        with options.rows.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+
+
+def _key_of(case: Case, options: argparse.Namespace) -> tuple[Any, ...]:
+    return _key(dataclasses.asdict(case) | {"compensation": options.compensation})
 
 
 def _key(row: dict[str, Any]) -> tuple[Any, ...]:
