@@ -5,10 +5,15 @@ what it knows is their product, the half loop h = 2 T_p0 r_J f(x). That is parte
 (`attribution`), gated, bounded and rate-limited as every estimate is; where the law uses it, the observer is given the
 pretension, too. The observer goes on while the drive is off; this does not. A joint torque sensor that contradicts the
 stretch (`tsa_ctrl.observer.joint_torque`) makes the estimate invalid: it cannot be said which of them is wrong.
+
+Friction stretches the tendons the other way when they turn; a torque, a zero or a time that is wrong does not, and on a
+joint that goes one way for seconds looks like friction. So more than the model file's half loop is taken only as far as
+both ways of late have shown it (and `ROOM`), and less at once.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from tsa_ctrl.control.attribution import Split
@@ -19,12 +24,15 @@ from tsa_ctrl.model.stretch import stretch_line
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
 CERTAIN = 0.1  # 1, standard deviation of ln x below which it counts as estimated, as that of a half loop elsewhere
+BOTH_WAYS = 0.1  # s that the tendon went one way, after which what is estimated is what that way shows
+ROOM = 0.05  # 1, beyond the lesser of both: what a compensation of 0.95 leaves; without, 40 % more is followed late
+DOWN = 5.0  # times `rate`, at which a parameter falls: what is compensated too much moves the joint in the meantime
 _EVERY = 64  # cycles between two looks: parameters move slowly, and the split of a bent sheath costs
 _FORGET = 0.5  # s over which the residual is averaged
 
 
 class ByStretch:
-    """The outputs hold while the observer tells nothing; while invalid they return to the model file's."""
+    """The outputs hold while the observer tells nothing; invalid, they fall to the model file's and never rise."""
 
     def __init__(
         self,
@@ -44,6 +52,7 @@ class ByStretch:
         self._split = Split(model, settings.attribute, False, settings.bounds)
         self._nominal = (model.friction_angle, model.pretension)
         self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
+        self._least = max(1, round(BOTH_WAYS / period))
         self._per_stretch = stretch_line(model).per_stretch
         self._worst = settings.residual**2
         self._forget = period / _FORGET
@@ -55,6 +64,14 @@ class ByStretch:
         self.state = EstimateState.UNESTIMATED
         self.residual = 0.0  # (N*m)^2 at the joint
         self._until = _EVERY
+        self._shown = [0.0, 0.0]  # N*m of half loop, one way and the other
+        self._way, self._went = 0, 0  # and for how many cycles
+
+    @property
+    def found(self) -> float:
+        """1, the more of what both ways have shown last, over the model file's half loop; nan while not both have."""
+        known = self.state is EstimateState.ESTIMATED and min(self._shown) > 0.0
+        return max(self._shown) / self._split.nominal if known else math.nan
 
     def update(self, seen: Sample) -> None:
         """One cycle; the observer has already seen its measurements."""
@@ -62,23 +79,40 @@ class ByStretch:
         if seen.admit and observer.state is StretchState.TOLD:
             error = self._per_stretch * observer.innovation
             self.residual += self._forget * (error * error - self.residual)
+            way = int(seen.sigma > 0.0)
+            self._went = self._went + 1 if way == self._way else 0
+            self._way = way
             self._until -= 1
             if self._until <= 0:
                 self._until = _EVERY
                 self._judge()
-        steps, target = self._steps, self._target
-        self.friction_angle = toward(self.friction_angle, target[0], steps[0])
-        self.pretension = toward(self.pretension, target[1], steps[1])
+        angle, tension = self._target
+        for_angle, for_tension = self._steps
+        self.friction_angle = _toward(self.friction_angle, angle, for_angle)
+        self.pretension = _toward(self.pretension, tension, for_tension)
 
     def _judge(self) -> None:
         """A state holds until certain data say otherwise."""
         observer = self._observer
         if self.residual > self._worst or observer.at_bound or self._contradicted():
-            self.state, self._target = EstimateState.INVALID, self._nominal
+            self.state, self._target = EstimateState.INVALID, self._fallback()
+            self._shown = [0.0, 0.0]
             return
         if not observer.friction_deviation < CERTAIN:
             return
         half_loop = sliding(self._model, 1.0, observer.friction_angle, observer.pretension).half_loop
-        angle, pretension, inside = self._split.solve(half_loop)
+        if self._went >= self._least:
+            self._shown[self._way] = half_loop
+        *_, inside = self._split.solve(half_loop)
         self.state = EstimateState.ESTIMATED if inside else EstimateState.INVALID
-        self._target = (angle, pretension) if inside else self._nominal
+        most = max(self._split.nominal, (1.0 + ROOM) * min(self._shown))
+        self._target = self._split.solve(min(half_loop, most))[:2] if inside else self._fallback()
+
+    def _fallback(self) -> tuple[float, float]:
+        """The model file's values, but no more than was used last: it cannot be said which of them is wrong."""
+        used = sliding(self._model, 1.0, self.friction_angle, self.pretension).half_loop
+        return self._nominal if used > self._split.nominal else (self.friction_angle, self.pretension)
+
+
+def _toward(value: float, target: float, step: float) -> float:
+    return toward(value, target, DOWN * step if target < value else step)

@@ -40,7 +40,9 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
     bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
     # of kind "map": how much more the sheath may be bent than in the model file
-    rate: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.2  # 1/s of nominal: fastest change of either parameter
+    rate: Annotated[float, Meta(gt=0.0, le=10.0)] = (
+        0.2  # 1/s of nominal: fastest change of either parameter (kind "stretch": rise)
+    )
     memory: Seconds = 4.0  # s of admitted motion after which old data count little
     least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower is not admitted
     settle: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05  # s after a reversal that are not admitted
@@ -71,6 +73,10 @@ class Estimator(Protocol):
     use: bool  # whether the law may use the two
     sure: float  # 1, of the half loop estimated, that is there at least
 
+    @property
+    def found(self) -> float:
+        """1, half loop that both ways have shown, over the model file's; nan while they have not."""
+
     def update(self, seen: Sample) -> None: ...
 
     def reset(self) -> None: ...
@@ -82,6 +88,7 @@ class Fixed:
     state = EstimateState.FIXED
     use = False
     sure = 1.0
+    found = math.nan
 
     def __init__(self, model: TendonSheath) -> None:
         self.friction_angle = model.friction_angle
@@ -103,6 +110,7 @@ class ConfigurationMap:
 
     use = True
     sure = 1.0
+    found = math.nan
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         self._mu = model.friction_coefficient

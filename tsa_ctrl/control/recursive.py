@@ -72,6 +72,11 @@ class Recursive:
         if self._bare is not None:
             self._bare.reset()
 
+    @property
+    def found(self) -> float:
+        """1, half loop over the model file's; nan while it is not estimated."""
+        return self.half_loop / self._split.nominal if self.state is EstimateState.ESTIMATED else math.nan
+
     def update(self, seen: Sample) -> None:
         """One cycle's data."""
         sigma, omega_j, _, tau_m, tau_j, admit, q_j, q_m = seen

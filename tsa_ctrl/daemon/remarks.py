@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.events import Events
 
+LESS, AS_SAID = 0.93, 0.97  # of the model file's half loop: told below the one, told again only after the other
 AGAIN = 10.0  # s between two remarks of one kind on one axis; the log has the reason of every cycle
 
 
@@ -20,6 +22,7 @@ class Remarks:
         self._said = [-AGAIN] * len(axes)
         self._slack = [False] * len(axes)
         self._contradicted = [False] * len(axes)
+        self._less = [False] * len(axes)
 
     def begin(self) -> None:
         """Before the first cycle."""
@@ -46,6 +49,19 @@ class Remarks:
             if known.contradicted is not self._contradicted[index]:
                 self._contradicted[index] = known.contradicted
                 self._events.add(t, axis.name, _contradiction(known.contradicted, known.difference))
+            estimator = axis.estimator
+            found = estimator.found if estimator.use else math.nan
+            if found < LESS and not self._less[index]:
+                self._less[index] = True
+                self._events.add(
+                    t,
+                    axis.name,
+                    f"friction and pretension together are about {100.0 * found:.0f} % of what the model file says, by "
+                    "the estimate that is in use: no more is compensated; a tensioner that gave way, a straighter or "
+                    "smoother sheath: mend that, or calibrate anew",
+                )
+            elif found > AS_SAID:
+                self._less[index] = False
             if law.near_slack is not self._slack[index]:
                 self._slack[index] = law.near_slack
                 state = "near slack" if law.near_slack else "no longer near slack"
