@@ -102,6 +102,28 @@ def test_what_a_swing_of_the_motor_had_is_left_out() -> None:
     assert given(observer(), np.full(400, math.nan)) == without
 
 
+def test_what_of_a_swing_is_beyond_the_term_is_not_left_out_twice() -> None:
+    """0.3 N*m of the term arrive, and as much beyond it: that spends the 4 mJ of a swing, in half the time."""
+    passivity, counted = observer(), 0.0
+    for cycle in range(400):
+        counted += 0.3 * 0.5 * PERIOD
+        if passivity.update(0.6 + 0.01 * HALF_LOOP, 0.0, 0.0, 0.5, 0.3, HALF_LOOP, 0.0 if cycle else 4e-3):
+            break
+    swings = np.zeros(400)
+    without = given(observer(), swings)
+    swings[0] = 4e-3
+    assert counted == pytest.approx(0.5 * (without + 4e-3), abs=0.2e-3)
+    assert counted < given(observer(), swings) - 3e-3
+
+
+def test_where_it_was_seen_lately_half_is_enough() -> None:
+    """Energy and doubts; and it is the guard that says so."""
+    once = np.zeros(400)
+    wary = observer()
+    wary.wary = True
+    assert 0.3 < given(wary, once) / given(observer(), once) < 0.5  # what is foreseen is the same
+
+
 def test_no_swing_excuses_what_makes_a_joint_fast() -> None:
     """J/2 (1 rad/s)^2 of 0.02 kg*m^2 at most, however wild the motor."""
     assert 8e-3 < given(observer(), np.full(400, 5.0)) < 10e-3

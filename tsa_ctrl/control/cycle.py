@@ -30,7 +30,7 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
             axis.listen(now, t)
             terms.tau_j_des = set_point.update(t)
             law.observe(q_j, image.q_m, image.fresh, set_point.ahead, set_point.rate)
-            wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.guard.back_off)
+            wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.guard.share)
         else:
             law.observe(q_j, image.q_m, image.fresh, math.nan, 0.0)
         terms.sigma = law.sigma

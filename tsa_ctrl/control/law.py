@@ -219,7 +219,7 @@ class Law:
         """Motor torque wanted, N*m.
 
         `tau_j`: set-point when the command acts, N*m; `q_m`, `omega_m`: of the motor, rad and rad/s; `t` is the time
-        since the enable in s, `back_off` in [0, 1].
+        since the enable in s, `back_off` in [-1, 1], below 0 against the friction.
         """
         inverse, motion, turn, plan = self._inverse, self._motion, self.turn, self.plan
         ideal = tau_j * self._ratio

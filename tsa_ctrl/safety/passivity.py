@@ -16,7 +16,9 @@ begins anew, so it is the most that was added within any window. With the fricti
 joint moves, and a reversal leaves 0.3 mJ. What passes until a back-off arrives at the joint is foreseen by `REACTION`,
 no more than was there already: half a swing of the motor on its tendons is no motion. Nor is what such a swing gives
 the joint while it dies out, J_M/2 (omega_M - r_J/r_M omega_J)^2 at its fastest: a turn that is planned for another
-shape of the sheath leaves a motor of 6e-4 kg*m^2 4 mJ of it. It is left out; one that feeds itself goes on beyond that.
+shape of the sheath leaves a motor of 6e-4 kg*m^2 4 mJ of it. It is left out, but for what was not counted as more than
+the term; one that feeds itself goes on beyond that. Once it was seen, half of all this is enough for the next minute
+(`wary`): a joint that is fast by then gets by that half of what else passes as a doubt.
 
 Source: B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and Automation
 18 (2002). The controller that belongs to it takes the compensation back at once (`back_off`), which damps by all of the
@@ -38,6 +40,7 @@ LATE = 3e-3  # s, L: drive, motor and the model's own delay
 REACTION = 5e-3  # s from a back-off to its torque at the joint: command, torque loop, fronts through the sheath
 SWUNG = 0.03  # s in which the fastest of a swing is forgotten: half a period of 16 Hz, before the joint gets it
 SWING = 2.0  # of the allowed energy that a swing excuses at most: 6 mJ and those 3, at 1 rad/s the joint has 10
+WARY = 0.5  # of energy and doubts, where it was seen lately: no healthy rig comes there
 FEWEST = 2  # cycles that must agree: one wrong value of a sensor is no motion
 _WILD = 1e6  # N*m: no torque; not finite ones are beyond it, too
 
@@ -70,6 +73,7 @@ class Passivity:
         self._most_swing = SWING * threshold
         self._swing = 0.0  # J, fastest of late
         self._periods = 1  # since the last update
+        self.wary = False  # of a rig on which it was seen lately
         self.reset()
 
     def reset(self) -> None:
@@ -78,7 +82,7 @@ class Passivity:
         self.cycles = 0  # for which there was some
         self._work = self._late = self._way = 0.0  # J, J/s, rad since it began
         self._true = self._modelled = 0.0
-        self._swung = 0.0  # J, fastest since then
+        self._swung = self._cut = 0.0  # J, fastest since then, and beyond the term
 
     def pass_over(self, periods: int) -> None:
         """So many periods had no cycle: what is measured next stands for them, too."""
@@ -116,8 +120,10 @@ class Passivity:
         if not -_WILD < excess < _WILD:  # nan, too: nothing is known of this cycle
             return False
         over = excess - self._model * half_loop
+        beyond = 0.0
         if over > term:
-            over = term if term > 0.0 else 0.0
+            given = term if term > 0.0 else 0.0
+            over, beyond = given, over - given
         way = omega_j * self._period * periods
         keep = self._keep
         energy = self.energy * keep + over * way
@@ -132,12 +138,16 @@ class Passivity:
         self._work = work = self._work * keep + wanted * way
         self._late = late = self._late * keep + rate * way
         self._way = moved = self._way * keep + side * way
+        self._cut = cut = self._cut * keep + beyond * way
         self._swung *= keep
         if self._swing > self._swung:
             self._swung = self._swing
         coming = REACTION * over * omega_j
         foreseen = energy + (coming if coming < energy else energy)
-        if foreseen < self._threshold or self.cycles < FEWEST:
+        share = WARY if self.wary else 1.0
+        threshold = share * self._threshold
+        if foreseen < threshold or self.cycles < FEWEST:
             return False
-        doubt = self._gain * abs(work) + LATE * abs(late) + self._zero * half_loop * abs(moved) + self._swung
-        return foreseen - doubt > self._threshold
+        swung = self._swung - cut
+        doubt = self._gain * abs(work) + LATE * abs(late) + self._zero * half_loop * abs(moved)
+        return foreseen - share * doubt - (swung if swung > 0.0 else 0.0) > threshold
