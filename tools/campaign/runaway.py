@@ -10,7 +10,10 @@ by the plant's truth from then on:
   work    most that the joint was given beyond the set-point's work within any window, J/2 (1 rad/s)^2 at most; where it
           is more, the same run without compensation is made, and what is given there, too, is not the compensation's
   late    the same, counted from 1 s after the first `FELT` on: at most `FELT`
-  told    the guard said so where more than it allows was given, and latched where it happened again
+  told    the guard said so where more than it allows was given, and latched where it happened again, or the estimate
+          did, which then is what is compensated
+  after   of the work, what was given after the first time that the guard had taken everything back: delay, and a motor
+          that swings on tendons that it has wound up; it grows with the joint's speed at the change (`speed`)
 
 With nothing changed the set-point ends instead: 3 s later the joint must stand (0.02 rad/s RMS) and the motor be quiet
 (0.02 N*m peak to peak). --sample N: N cases spread over all, the same ones each time. --missed FILE: those alone that
@@ -27,134 +30,19 @@ import dataclasses
 import itertools
 import json
 import math
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.control import true_model
-from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import VIRTUAL
-from tsa_ctrl.demo.motion import gait, play_for
-from tsa_ctrl.model.parameters import save_model
-from tsa_ctrl.virtual.result import Simulation
-from tsa_ctrl.virtual.script import Change, Fault
-from tsa_ctrl.virtual.simulation import simulate_loop
+from tools.campaign.passive.cases import LOADS, SET_POINTS, Case, cases
+from tools.campaign.passive.judge import healthy, judge, words
 
-LOADS = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05}  # kg*m^2
 HEALTHY = ("imposed", *LOADS, "wearer")
-SET_POINTS = ("zero", "constant", "sine", "gait")
-CHANGES = {
-    "pretension": (0.1, 0.3, 0.5, 0.7, 0.9),
-    "friction": (0.5, 0.75, 1.25, 1.5),
-    "bending": (0.8, 0.9, 1.1, 1.2),
-}
-GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque: a joint of 0.02 kg*m^2 stays below 5 rad/s
-CONSTANT, SINE = 0.3, 0.5  # N*m
-AT, SECONDS = 1.2, 2.1  # s of the log: of the change, and from it to the end
-LET_GO = 0.2  # s after it
-FELT = 1e-3  # J: three times what a healthy reversal leaves
-ALLOWED = 3e-3  # J, [axis.passivity] energy as shipped
-TO_REST, REST, MEASURED = (
-    2.0,
-    3.0,
-    1.0,
-)  # s: the set-point's gain goes to 0, then all must come to rest, then it is seen
 SLICE = 120.0  # s of a healthy run at once: a log of an hour does not fit into memory
-TOLD = ("passivity", "oscillation")  # how what the guard says begins
-QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
-
-
-@dataclasses.dataclass(frozen=True)
-class Case:
-    """What is played; `change` "" is nothing."""
-
-    load: str
-    set_point: str
-    change: str
-    share: float
-    delay: int
-
-    @property
-    def name(self) -> str:
-        what = f"{self.change} {self.share:g}" if self.change else "nothing"
-        return f"{self.load}, {self.set_point}, {what}, delay {self.delay}"
-
-
-def cases(delays: Sequence[int]) -> list[Case]:
-    """All of them."""
-    changes = [("", 1.0)] + [(name, share) for name, shares in CHANGES.items() for share in shares]
-    return [
-        Case(load, set_point, *change, delay)
-        for load, set_point, change, delay in itertools.product(LOADS, SET_POINTS, changes, delays)
-    ]
-
-
-def play(case: Case, compensation: float) -> Simulation:
-    """Run a case."""
-    motion = gait()
-    scaled = dataclasses.replace(motion, tau_j_des=GAIT_SHARE.get(case.load, 1.0) * motion.tau_j_des)
-    with tempfile.TemporaryDirectory(prefix="runaway-") as name:
-        folder = Path(name)
-        save_model(true_model("uniform"), folder / "true.toml")
-        rig.write(folder, scaled, _plant(case), {"run": _controller(case, compensation)})
-        seconds, faults, changes = AT + SECONDS, [], []
-        if not case.change:
-            seconds = AT + TO_REST + REST + MEASURED
-            changes = [Change("setpoint_gain", 0.0, AT)]
-        else:
-            faults = [Fault(f"{case.change} value={case.share:g}", AT)]
-            if case.set_point in ("zero", "constant"):
-                faults.append(Fault("push value=0.5 duration=0.05", AT))
-        return simulate_loop(
-            folder / "controller-run.toml", folder / "plant.toml", seconds, faults=faults, changes=changes
-        )
-
-
-def _plant(case: Case) -> rig.Tables:
-    axis: dict[str, Any] = {"drive": {"delay_periods": case.delay - 1}, "motor": {"inertia": rig.MOTOR_INERTIA}}
-    tables = rig.plant(VIRTUAL, "distributed", axis, case.load)
-    if case.load == "limb":
-        go = AT + LET_GO
-        tables["axis"][0]["joint"] |= {
-            "hand": [[0.0, 0.0, 1.0, 0.0], [go, 0.0, 1.0, 0.0], [go + 0.01, 0.0, 0.0, 0.0]],
-            "hand_repeat": False,
-        }
-    return tables
-
-
-def _controller(case: Case, compensation: float) -> rig.Tables:
-    tables = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
-    axis = tables["axis"][0]
-    axis["law"]["fade_in"] = 0.5
-    if compensation > 0.0:
-        axis["law"]["delay"] = (case.delay + 1.0) * 1e-3  # transport, half a period of hold, the torque loop
-    if case.set_point in ("zero", "constant"):
-        axis["setpoint"] = {"kind": "constant", "offset": CONSTANT if case.set_point == "constant" else 0.0}
-    elif case.set_point == "sine":
-        axis["setpoint"] = {"kind": "sine", "amplitude": SINE, "frequency": 0.5}
-    return tables
-
-
-def healthy(load: str, number: int, seconds: float, compensation: float) -> dict[str, Any]:
-    """A slice with nothing wrong, its number the seed: gait or, on a load that it would throw about, a sine."""
-    played = play_for(load) if load in ("weight", "free", "wearer") else gait()
-    with tempfile.TemporaryDirectory(prefix="runaway-") as name:
-        folder = Path(name)
-        save_model(true_model("uniform"), folder / "true.toml")
-        controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
-        rig.write(folder, played, rig.plant(VIRTUAL, "distributed", None, load), {"run": controller})
-        run, plant = folder / "controller-run.toml", folder / "plant.toml"
-        result = simulate_loop(run, plant, seconds, seed=number)
-    said = [event.text for event in result.summary.events if event.text.startswith(TOLD)]
-    faults = list(result.axes[0].faults)
-    return {"healthy": load, "slice": number, "seconds": seconds, "compensation": compensation, "said": said + faults}
 
 
 def all_healthy(options: argparse.Namespace) -> int:
@@ -172,61 +60,6 @@ def all_healthy(options: argparse.Namespace) -> int:
         texts = [text for row in done for text in row["said"]]
         print(f"{load}: {sum(row['seconds'] for row in done):g} s, the guard said {'; '.join(texts) or 'nothing'}")
     return 1 if any(row["said"] for row in rows) else 0
-
-
-def power(result: Simulation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times from the change on, s of the log, and the work per row beyond the set-point's, J."""
-    axis, truth = result.axes[0], result.truth
-    t = truth["clock"] - axis.start
-    on = (t >= AT) & (t < axis.until)
-    wanted = np.interp(t, axis.log["t"], axis.log["tau_j_des"])
-    step = np.diff(t, prepend=t[0])
-    return t[on], ((truth["tau_j"] - wanted) * truth["omega_j"] * step)[on]
-
-
-def windows(work: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Most work of any window that ends in each row, J."""
-    total = np.cumsum(work)
-    least = np.minimum.accumulate(np.concatenate(([0.0], total[:-1])))
-    return total - least if work.size else work
-
-
-def judge(case: Case, compensation: float) -> dict[str, Any]:
-    """Run a case and what it is compared with."""
-    result = play(case, compensation)
-    row: dict[str, Any] = {**dataclasses.asdict(case), "compensation": compensation}
-    texts = [event.text for event in result.summary.events]
-    row["told"] = any(text.startswith(TOLD) for text in texts)
-    row["latched"] = any("latched at" in text for text in texts)
-    row["faults"] = list(result.axes[0].faults)
-    if not case.change:
-        truth, axis = result.truth, result.axes[0]
-        t = truth["clock"] - axis.start
-        rest = (t > AT + TO_REST + REST) & (t < axis.until)
-        row["speed"] = float(np.sqrt(np.mean(np.square(truth["omega_j"][rest]))))
-        row["torque"] = float(np.ptp(truth["tau_m"][rest]))
-        row["good"] = row["speed"] <= QUIET_SPEED and row["torque"] <= QUIET_TORQUE and not row["told"]
-        return row
-    t, work = power(result)
-    given = windows(work)
-    felt = np.flatnonzero(given > FELT)
-    row["work"] = float(given.max(initial=0.0))
-    row["late"] = _late(t, work, float(t[felt[0]]) + 1.0) if felt.size else 0.0
-    row["onset"] = float(t[felt[0]]) - AT if felt.size else None
-    most = 0.5 * LOADS[case.load]
-    if row["work"] > most or row["late"] > FELT:
-        t, without = power(play(case, 0.0))
-        row["work_without"] = float(windows(without).max(initial=0.0))
-        row["late_without"] = _late(t, without, AT + (row["onset"] or 0.0) + 1.0)
-    row["added"] = max(0.0, row["work"] - row.get("work_without", 0.0))
-    row["late_added"] = max(0.0, row["late"] - row.get("late_without", 0.0))
-    row["silent"] = row["added"] > ALLOWED + FELT and not row["told"]
-    row["good"] = row["added"] <= most and row["late_added"] <= FELT and not row["silent"]
-    return row
-
-
-def _late(t: NDArray[np.float64], work: NDArray[np.float64], begin: float) -> float:
-    return float(windows(work[t >= begin]).max(initial=0.0))
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -285,6 +118,9 @@ def main() -> int:
         chosen = [case for case in chosen if _key_of(case, options) in missed]
     rows = [row for row in _known(options) if "healthy" not in row]
     done = {_key(row) for row in rows}
+    if not options.json:
+        for row in rows:
+            say(row)
     for case in chosen:
         if _key_of(case, options) in done:
             continue
@@ -293,13 +129,20 @@ def main() -> int:
         _keep(options, row)
         if options.json:
             print(json.dumps(row), flush=True)
-        elif not row["good"]:
-            print(f"missed: {case.name}: {_words(row)}", flush=True)
+        else:
+            say(row)
     if not options.json:
         Console(width=130).print(table(rows))
         count = sum(not row["good"] for row in rows)
         print(f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed")
     return 0 if all(row["good"] for row in rows) else 1
+
+
+def say(row: dict[str, Any]) -> None:
+    """A line for what missed a goal."""
+    if not row["good"]:
+        case = Case(**{field.name: row[field.name] for field in dataclasses.fields(Case)})
+        print(f"missed: {case.name}: {words(row)}", flush=True)
 
 
 def _read(path: Path) -> list[dict[str, Any]]:
@@ -322,10 +165,3 @@ def _key_of(case: Case, options: argparse.Namespace) -> tuple[Any, ...]:
 
 def _key(row: dict[str, Any]) -> tuple[Any, ...]:
     return tuple(row[name] for name in ("load", "set_point", "change", "share", "delay", "compensation"))
-
-
-def _words(row: dict[str, Any]) -> str:
-    if not row["change"]:
-        return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", told" if row["told"] else "")
-    silent = ", and nobody said so" if row["silent"] else ""
-    return f"{1e3 * row['added']:.1f} mJ added, {1e3 * row['late_added']:.1f} mJ of it late{silent}"

@@ -1,0 +1,1 @@
+"""The runaway campaign's parts: what is played, and how it is judged."""
