@@ -5,7 +5,8 @@ The real loop on the plant with distributed tendons, in virtual time: the same c
 none (compensation 0), (3.55) with the nominal file, what `tsa tune` and `tsa tune --extended` make of that file on an
 imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
 the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
-With --limits: what limits the compensation of an imposed joint, by taking one thing away in the plant.
+With --limits: what limits none, (3.55) and the true parameters on an imposed joint, by taking one thing away in the
+plant, for the same shapes, delay and inertia.
 """
 
 from __future__ import annotations
@@ -119,16 +120,20 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
                         yield {"shape": shape, "joint": joint, "law": law, **asdict(found)}
 
 
-def limits(rate: float, cycles: int) -> None:
-    """What limits (3.55) and the true parameters on an imposed, evenly bent joint."""
-    table = Table("taken away in the plant", *(f"{law}: RMS (mN·m)" for law in ("none", "(3.55)", "true")))
-    with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
-        folder = Path(name)
-        save_model(true_model("uniform"), folder / "true.toml")
-        for label, change in TAKEN_AWAY.items():
-            found = [play(folder, "imposed", change, law, rate, cycles).rms for law in ("none", "(3.55)", "true")]
-            table.add_row(label, *(f"{1e3 * rms:.1f}" for rms in found))
-    Console().print(table)
+def limits(arguments: argparse.Namespace) -> None:
+    """What limits the laws on an imposed joint, by shape."""
+    table = Table("shape", "taken away in the plant", *(f"{law}: RMS (mN·m)" for law in arguments.laws))
+    for shape in arguments.shapes:
+        with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
+            folder = Path(name)
+            save_model(true_model(shape), folder / "true.toml")
+            for label, change in TAKEN_AWAY.items():
+                axis = {"tendon": {"curvature": shape}, "drive": {"delay_periods": arguments.delay - 1}}
+                axis |= {"motor": {"inertia": arguments.inertia}}
+                axis |= {place: {**axis.get(place, {}), **values} for place, values in change.items()}
+                runs = (play(folder, "imposed", axis, law, arguments.rate, arguments.cycles) for law in arguments.laws)
+                table.add_row(shape, label, *(f"{1e3 * found.rms:.1f}" for found in runs))
+    Console(width=WIDTH).print(table)
 
 
 def main() -> int:
@@ -146,7 +151,8 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of tables")
     arguments = parser.parse_args()
     if arguments.limits:
-        limits(arguments.rate, arguments.cycles)
+        arguments.laws = [law for law in arguments.laws if law not in ("tuned", "extended")]
+        limits(arguments)
         return 0
     heads = ("joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
     tables: dict[str, Table] = {}
