@@ -159,3 +159,79 @@ def test_the_stretch_is_less_certain() -> None:
 
 def test_without_a_value_nothing_happens() -> None:
     assert Rig().run(1.0, tau_j=math.nan).count == 0
+
+
+def test_the_times_are_those_that_people_are_told() -> None:
+    """Up again within 0.35 s, not before; forgiven after a minute."""
+    rig = Rig()
+    rig.run(0.03)
+    assert rig.guard.count == 1
+    assert rig.run(0.31, speed=0.0).back_off < 1.0
+    assert rig.run(0.06, speed=0.0).back_off == 1.0
+    for pause, latched in ((57.0, True), (63.0, False)):
+        rig = Rig()
+        rig.run(0.03)
+        rig.run(pause, speed=0.0)
+        assert rig.run(0.03).latched is latched
+
+
+@pytest.mark.parametrize(("share", "cause"), [(0.85, "85 % of what"), (0.94, "nearly what the model file says")])
+def test_nine_tenths_of_the_friction_are_nearly_all(share: float, cause: str) -> None:
+    guard = Rig(share=share).run(1.0)
+    assert guard.count
+    assert cause in guard.words
+
+
+def test_nothing_has_happened_at_the_begin() -> None:
+    guard = Rig().guard
+    assert (guard.count, guard.words, guard.share, guard.energy) == (0, "", 1.0, 0.0)
+
+
+def test_a_sensor_is_what_is_taken_for_granted() -> None:
+    """Its doubts are the smaller ones."""
+    guards = [Guard(PassivitySettings(), PERIOD), Guard(PassivitySettings(), PERIOD, False)]
+    for guard in guards:
+        while not guard.count:
+            guard.update(0.05, 0.0, 0.0, 1.0, HALF_LOOP, HALF_LOOP, 0.0, 0.0)
+    assert guards[0].words == guards[1].words
+
+
+def test_a_reset_forgets_what_was_added_and_what_buzzed() -> None:
+    """Just before either is seen; and that a term was to be turned round."""
+    rig = Rig()
+    rig.run(0.003)
+    assert rig.guard.energy > 0.0
+    rig.guard.reset()
+    assert rig.guard.energy == 0.0
+    rig.run(0.38, speed=0.0, buzz=0.2)
+    rig.guard.reset()
+    assert rig.run(0.3, speed=0.0, buzz=0.2).count == 0
+    rig.run(0.03)
+    rig.guard.reset()
+    assert rig.guard.share == 1.0
+    rig.guard.back_off = 0.5
+    assert rig.guard.share == 0.5
+
+
+def test_periods_without_a_cycle_count_for_the_energy() -> None:
+    """Every second one has none: seen after half as many cycles, but for what is foreseen."""
+    always, half = Rig(), Rig()
+    while not half.guard.count:
+        half.guard.pass_over(1)
+        half.run(PERIOD)
+    while not always.guard.count:
+        always.run(PERIOD)
+    assert half.cycles <= 0.6 * always.cycles
+
+
+def test_what_buzzes_is_left_at_half_at_once() -> None:
+    """Nothing drove the joint, so that nothing is turned round or waited for; not even after something did."""
+    for before in (0, 1):
+        rig = Rig()
+        if before:
+            rig.run(0.03)
+            assert rig.guard.count == 1
+        while rig.guard.count < 2:
+            rig.run(PERIOD, speed=0.0, buzz=0.3)
+        assert rig.guard.latched
+        assert rig.guard.share == rig.guard.back_off == pytest.approx(0.5)

@@ -42,7 +42,7 @@ from tools.campaign.passive.cases import LOADS, SET_POINTS, Case, cases
 from tools.campaign.passive.judge import healthy, judge, words
 
 HEALTHY = ("imposed", *LOADS, "wearer")
-SLICE = 120.0  # s of a healthy run at once: a log of an hour does not fit into memory
+SLICE = 60.0  # s of a healthy run at once: what was run is kept, and a log of an hour does not fit into memory
 
 
 def all_healthy(options: argparse.Namespace) -> int:
