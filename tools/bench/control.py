@@ -55,9 +55,11 @@ def true_model(shape: str) -> TendonSheath:
     """The plant's own friction, pretension, stiffness and shape, and the encoder's lag."""
     factors = rig.TRUTH
     x = rig.NOMINAL.friction_angle * factors["friction_coefficient"]
-    effects: dict[str, dict[str, Any]] = {"velocity_lag": {"time_constant": ENCODER_LAG}}
-    if shape != "joint_end":  # there (3.55) is exact
-        effects["elongation_coupling"] = {"curvature_profile": shape}
+    # (3.55) is exact with all bends at the joint, but a turn of the motor is planned by where they are
+    effects: dict[str, dict[str, Any]] = {
+        "velocity_lag": {"time_constant": ENCODER_LAG},
+        "elongation_coupling": {"curvature_profile": shape},
+    }
     return rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * factors["pretension"]).with_effects(effects)
 
 
