@@ -1,6 +1,7 @@
 """What the angles of both pulleys add to a diagnosis: groups that become single names, and pairs that stay.
 
-Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--rows ROW:SHAPE ...] [--results FILE] [--jobs 1]
+Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--shapes joint even motor] [--rows ROW:SHAPE ...]
+                                    [--results FILE] [--jobs 1]
 Each row of the catalogue's twins is hidden in short logs (tests/blind/two_encoders.py) on a sheath that bends at the
 joint, evenly, or at the motor, as the model file says. The same logs are diagnosed without and with the motor's angle.
 With --results each case is kept in a file as it ends; those that it holds are not run again.
@@ -92,11 +93,15 @@ def main() -> int:
     parser.add_argument("--draws", type=int, default=2, help="of each row and shape")
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     parser.add_argument("--rows", nargs="+", choices=names(), metavar="ROW:SHAPE", default=list(names()))
+    parser.add_argument(
+        "--shapes", nargs="+", choices=SHAPES, default=list(SHAPES), help="only sheaths that bend there"
+    )
     parser.add_argument("--results", type=Path, help="a JSON object per case; those that it holds are not run again")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
     known: Any = Results(arguments.results, lambda row: (row["name"], row["seed"]))
     jobs = [(name, arguments.seed + draw) for draw in range(arguments.draws) for name in arguments.rows]
+    jobs = [job for job in jobs if job[0].partition(":")[2] in arguments.shapes]
     queue = [job for job in jobs if job not in known]
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for row in pool.map(one, queue):

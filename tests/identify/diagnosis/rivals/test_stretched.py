@@ -23,9 +23,10 @@ def names(case: Case) -> list[set[str]]:
 
 
 @pytest.mark.slow
-def test_the_stretch_parts_shape_from_torque_constant() -> None:
+@pytest.mark.parametrize("seed", [1, 2], ids=["evenly bent", "bent at the motor"])
+def test_the_stretch_parts_shape_from_torque_constant(seed: int) -> None:
     """Twins to the torque sensor; friction before the bends stretches the tendons, the motor's scale does not."""
-    case = two_encoder_case("elongation_or_gain:joint", 1, short=True)
+    case = two_encoder_case("elongation_or_gain:joint", seed, short=True)
     (group,) = names(without_motor_angle(case))
     assert {"elongation_coupling", "torque_constant_error"} <= group
     assert names(case) == [{"elongation_coupling"}]

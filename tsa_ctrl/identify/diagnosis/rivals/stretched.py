@@ -227,17 +227,18 @@ def _of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
 def _softness(ends: Array, seen: _Seen, noise: float, gram: Array, right: Array) -> Array:
     """c_M and c_J, m/N, not below 0, that fit best beside what is known of them (its normal equations)."""
     columns = np.hstack([ends, seen.slow]) / noise
+    matrix, vector = columns.T @ columns, columns.T @ seen.stretch / noise
+    matrix[:2, :2] += gram
+    vector[:2] += right
+    found, gained = np.zeros(2), -np.inf
     for kept in ([0, 1], [0], [1]):
-        used = [*kept, *range(2, columns.shape[1])]
-        part = columns[:, used]
-        matrix, vector = part.T @ part, part.T @ seen.stretch / noise
-        matrix[: len(kept), : len(kept)] += gram[np.ix_(kept, kept)]
-        vector[: len(kept)] += right[kept]
-        found = np.zeros(2)
-        found[kept] = _pinv(matrix, vector)[: len(kept)]
-        if np.all(found >= 0.0):
-            break
-    return np.maximum(found, 0.0)
+        used = [*kept, *range(2, len(vector))]
+        solution = _pinv(matrix[np.ix_(used, used)], vector[used])
+        soft, gain = solution[: len(kept)], float(vector[used] @ solution)
+        if np.all(soft >= 0.0) and gain > gained:
+            found, gained = np.zeros(2), gain
+            found[kept] = soft
+    return found
 
 
 def _solved(columns: Array, y: Array) -> Array:
