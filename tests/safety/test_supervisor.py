@@ -530,6 +530,25 @@ def test_a_power_stage_that_is_off_at_the_first_enable_is_a_lost_state(
     assert (bench.permitted, bench.cause) == (False, Cause.STATE_LOST)
 
 
+@pytest.mark.parametrize("low", [0x0010, 0x0200])
+def test_a_power_stage_that_was_off_until_the_enable_is_watched_from_when_it_is_on(
+    monkeypatch: pytest.MonkeyPatch, low: int
+) -> None:
+    """One that flaps may have been off in every cycle before."""
+    good = dict(WORDS)
+    for state, word in good.items():
+        monkeypatch.setitem(WORDS, state, word & ~low)
+    bench = enabled()
+    bench.step(Request.ENABLE, 5)
+    assert bench.permitted
+    monkeypatch.setitem(WORDS, PowerState.OPERATION_ENABLED, good[PowerState.OPERATION_ENABLED])
+    bench.step(Request.ENABLE, 5)
+    assert bench.permitted
+    monkeypatch.setitem(WORDS, PowerState.OPERATION_ENABLED, good[PowerState.OPERATION_ENABLED] & ~low)
+    bench.step(Request.ENABLE)
+    assert (bench.permitted, bench.cause) == (False, Cause.STATE_LOST)
+
+
 def test_an_event_that_is_no_fault_leaves_the_torque() -> None:
     """A node that came back to operational, looked at in a cycle that is not the usual one."""
     bench = enabled()

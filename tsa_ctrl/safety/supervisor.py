@@ -75,6 +75,7 @@ class Cause(Enum):
         return self in _NEED_BRING_UP
 
 
+_LEARNING = (Phase.STANDBY, Phase.ENABLING, Phase.ENABLED)  # a drive's power bits: it may be off in any of them
 _NEED_BRING_UP = frozenset(
     {
         Cause.BUS_FAULT,
@@ -121,7 +122,7 @@ class Supervisor:
         self._following_mask = cia402.FOLLOWS_COMMAND_BIT if reports_following else 0
         self._running_mask = cia402.STATE_BITS | self._following_mask
         self._running_word = _ENABLED_BITS | self._following_mask
-        self._power_bits = 0  # those of the power bits that this drive ever showed before it was enabled
+        self._power_bits = 0  # those of the power bits that this drive showed, ever
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
         self._lost = 0  # cycles without all answers, and commands that were not sent
@@ -156,7 +157,7 @@ class Supervisor:
             self.phase is Phase.ENABLED
             and request is Request.ENABLE
             and image.statusword & self._running_mask == self._running_word
-            and image.statusword & self._power_bits == self._power_bits
+            and image.statusword & _POWER_BITS == self._power_bits
             and image.mode == _TORQUE_MODE
             and image.misses <= self._misses
             and image.drops <= self._drops
@@ -173,7 +174,7 @@ class Supervisor:
         self._reset_edge = request is Request.RESET and self._last_request is not Request.RESET
         self._last_request = request
         self._watch(image, now)
-        if self.phase in (Phase.STANDBY, Phase.ENABLING) and image.fresh:
+        if self.phase in _LEARNING and image.fresh:
             self._power_bits |= image.statusword & _POWER_BITS
         self.cut_off = False
         if self.phase is Phase.FAULT or self.phase is Phase.RESETTING:

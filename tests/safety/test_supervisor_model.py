@@ -1,0 +1,189 @@
+"""The supervisor against a small model of it, whatever happens in whatever order (hypothesis' stateful tests).
+
+The model knows four things: whether a fault is latched, whether the nodes must be configured anew, whether a request
+for torque would count, and whether torque may be there at all. It decides nothing by the supervisor's own phases.
+"""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import Phase, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)  # fmt: skip
+
+from tests.safety.test_supervisor import Bench
+from tsa_ctrl.bus.canopen.cia301 import NmtState
+from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
+from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.safety.supervisor import Cause, Fault, Request, Supervisor
+
+BRING_UP = {  # what takes the nodes' configuration with it, by the name of what happens
+    "bus-off": Cause.BUS_FAULT,
+    "intruder": Cause.SECOND_MASTER,
+    "altered": Cause.ALTERED,
+    "boot-up": Cause.BOOT_UP,
+    "silent": Cause.HEARTBEAT_LOST,
+    "left": Cause.NMT_STATE,
+}
+ALONE = {"emergency": Cause.EMERGENCY, "stale": Cause.STALE_PDO, "dropped": Cause.COMMAND_DROPPED}
+
+
+class Model(RuleBasedStateMachine):
+    """What may be, and what must be."""
+
+    @initialize()
+    def begin(self) -> None:
+        self.bench = Bench()
+        self.latched: Fault | None = None
+        self.configure = False  # before a reset can do anything
+        self.armed = False  # something else than ENABLE came since the start, or since the last fault
+        self.request = Request.DISABLE
+
+    def cycle(self, request: Request) -> None:
+        """One, after which the model is brought up to date with what was asked."""
+        bench = self.bench
+        before = bench.supervisor.fault
+        bench.step(request)
+        now = bench.supervisor.fault
+        if before is None and now is not None:
+            self.latched = now
+            self.configure = now.cause.needs_bring_up
+        elif before is not None and now is None:
+            assert not self.configure, "a reset did what only a bring-up may"
+            self.latched, self.armed = None, False
+        if now is not None:
+            self.armed = False
+        elif before is None and request is not Request.ENABLE:
+            self.armed = True
+        self.request = request
+
+    # what the operator does
+
+    @rule(request=st.sampled_from(Request), cycles=st.integers(1, 30))
+    def ask(self, request: Request, cycles: int) -> None:
+        for _ in range(cycles):
+            self.cycle(request)
+
+    @rule()
+    def want_torque(self) -> None:
+        """Off, then on: from a state without a fault that must give torque."""
+        for request, cycles in ((Request.DISABLE, 5), (Request.ENABLE, 10)):
+            for _ in range(cycles):
+                self.cycle(request)
+        if self.latched is None:
+            assert self.bench.permitted
+
+    @precondition(lambda self: self.latched is not None)
+    @rule()
+    def recover(self) -> None:
+        """Configured anew where that is needed, then reset: the fault is gone, and torque waits to be asked for."""
+        bench = self.bench
+        self.heal()
+        bench.supervisor.configured(bench.image)
+        self.configure = False
+        for request, cycles in ((Request.DISABLE, 2), (Request.RESET, 60)):
+            for _ in range(cycles):
+                self.cycle(request)
+        assert bench.supervisor.fault is None
+        assert not bench.permitted
+
+    @precondition(lambda self: self.latched is not None and self.configure)
+    @rule()
+    def reset_alone(self) -> None:
+        """Does nothing where the nodes must be configured."""
+        self.heal()
+        for request, cycles in ((Request.DISABLE, 2), (Request.RESET, 60), (Request.DISABLE, 2), (Request.ENABLE, 20)):
+            for _ in range(cycles):
+                self.cycle(request)
+        assert self.bench.supervisor.fault is not None
+
+    # what happens
+
+    @rule(what=st.sampled_from(sorted(BRING_UP | ALONE)), node=st.integers(0, 2))
+    def happen(self, what: str, node: int) -> None:
+        """It latches in its cycle, whatever was asked for; the first fault stays the one that is told."""
+        image, before = self.bench.image, self.bench.supervisor.fault
+        health = image.nodes[node]
+        if what == "bus-off":
+            image.bus_fault = BusFault.BUS_OFF
+        elif what == "intruder":
+            image.intruder = 0x201
+        elif what == "altered":
+            image.altered = "drive node 1: another"
+        elif what == "boot-up":
+            health.boot_ups += 1
+            image.events += 1
+        elif what == "left":
+            health.nmt_state = NmtState.PRE_OPERATIONAL
+            image.events += 1
+        elif what == "silent":
+            image.silent = health
+        elif what == "emergency":
+            self.bench.emergency(node)
+        elif what == "stale":
+            health.misses = image.misses = 3
+        else:
+            image.drops = 3
+        self.cycle(self.request)
+        supervisor = self.bench.supervisor
+        if before is None:
+            assert supervisor.fault is not None
+            assert supervisor.fault.cause is (BRING_UP | ALONE)[what]
+        elif what in BRING_UP:
+            assert supervisor.needs_bring_up
+        self.configure = self.configure or what in BRING_UP
+        self.heal()
+
+    def heal(self) -> None:
+        """The cause is gone; what it did is not."""
+        image = self.bench.image
+        image.bus_fault = image.intruder = image.altered = image.silent = None
+        image.misses = image.drops = 0
+        for health in image.nodes:
+            health.nmt_state, health.boot_ups, health.misses = NmtState.OPERATIONAL, 0, 0
+
+    @rule(cycles=st.integers(1, 3))
+    def lose_the_power_stage(self, cycles: int) -> None:
+        """The drive falls out of operation enabled by itself; without torque that is no fault."""
+        had, self.bench.state = self.bench.permitted, PowerState.SWITCH_ON_DISABLED
+        for _ in range(cycles):
+            self.cycle(self.request)
+        if had and self.request is Request.ENABLE:
+            assert self.bench.supervisor.fault is not None
+
+    # what must always be true
+
+    @invariant()
+    def torque_only_when_everything_agrees(self) -> None:
+        if self.bench.permitted:
+            assert self.latched is None
+            assert self.armed
+            assert self.request is Request.ENABLE
+            assert self.bench.image.statusword == 0x1237
+            assert self.bench.controlword == Controlword.ENABLE_OPERATION
+
+    @invariant()
+    def a_fault_stays_the_same_and_takes_the_drive_off(self) -> None:
+        assert self.bench.supervisor.fault == self.latched
+        if self.latched is not None:
+            assert self.bench.controlword in (Controlword.DISABLE_VOLTAGE, Controlword.FAULT_RESET)
+            assert self.bench.supervisor.needs_bring_up or not self.configure
+
+
+Model.TestCase.settings = settings(max_examples=40, stateful_step_count=30, deadline=None)
+TestSupervisor = pytest.mark.slow(Model.TestCase)
+
+
+@pytest.mark.parametrize("method", ["_watch", "_latch"])
+def test_the_model_sees_a_supervisor_that_is_blind_or_forgets(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+    monkeypatch.setattr(Supervisor, method, lambda *arguments: None)
+    quick = settings(max_examples=20, stateful_step_count=20, deadline=None, database=None, phases=[Phase.generate])
+    with pytest.raises(AssertionError):
+        run_state_machine_as_test(Model, settings=quick)
