@@ -1,19 +1,22 @@
 """Known effects hidden in measured logs of plain drives: from which size on does the diagnosis find them there?
 
-Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--out FILE.jsonl]
+Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--out FILE.jsonl] [--list]
 
 Each log of a set is diagnosed as it is; then again with one effect added to its measured torque, as the drive would
 show it, by formulas of this file, at a size in multiples of the floor that the untouched logs have. The size is the
 RMS of what is left of it once inertia, friction, drag and offset are projected out. "found": the name (or its group)
 comes in addition to what the untouched logs say, and no other name does; "wrong": another name without it. A parameter
-that the untouched logs have already is no addition: those effects are left out. The data are looked for in the folder
-named by TSA_DATA, else in ../shared/data; without them there is one line and nothing to do.
+that the untouched logs have already is no addition: those effects are left out. And one half of a set (of its logs, or
+of its one log's time) is diagnosed with the model that the diagnosis of the other half has written: nothing may be
+added. Rows are kept in --out (default: the file that the manual's table is written from), and not made again. The data
+are looked for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line and nothing to
+do.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +49,17 @@ def motion(log: Dataset) -> tuple[Array, Array, Array]:
     return q, omega, smooth(np.gradient(omega, t), t)
 
 
+STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
+HALVES = "half against half"
+FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
+
 HIDDEN: Mapping[str, Callable[[Array, Array, float], Array]] = {  # of angle, velocity and the set's largest angle
     "gravity_load": lambda q, omega, reach: np.sin(q + 0.4),
     "joint_stiffness": lambda q, omega, reach: q,
     "direction_asymmetric_friction": lambda q, omega, reach: np.abs(omega),
+    "stribeck_friction": lambda q, omega, reach: (
+        np.sign(omega) * np.exp(-np.abs(omega) / (STRIBECK * np.max(np.abs(omega))))
+    ),
     "torque_ripple": lambda q, omega, reach: np.sin(np.round(4.0 * np.pi / reach) * q + 0.7),
 }
 
@@ -93,8 +103,32 @@ def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
         ]
         result["strength"] = strength
     report = json.loads(diagnose(logs, load_model(folder / model)).to_json())
-    result["report"] = {key: report[key] for key in ("verdict", "causes", "rms", "gain", "detection_limit", "summary")}
+    result["report"] = _kept(report)
     return result
+
+
+def halves(folder: Path) -> Row:
+    """What the second half of a set adds to the model that the diagnosis of the first has written."""
+    pattern, model = SETS[folder.name]
+    logs = load_logs(sorted(folder.glob(pattern)))
+    if len(logs) > 1:
+        first, second = logs[::2], logs[1::2]
+    else:
+        first, second = (
+            [_part(logs[0], each)] for each in (slice(None, len(logs[0]) // 2), slice(len(logs[0]) // 2, None))
+        )
+    learned = diagnose(first, load_model(folder / model))
+    report = json.loads(diagnose(second, learned.model).to_json())
+    known = sorted({name for cause in learned.causes for name in (cause.effect, *cause.alternatives)})
+    return {"set": folder.name, "effect": HALVES, "size": 0.0, "known": known, "report": _kept(report)}
+
+
+def _part(log: Dataset, part: slice) -> Dataset:
+    return Dataset.from_arrays({name: values[part] for name, values in recorded(log).items()}, log.name)
+
+
+def _kept(report: Row) -> Row:
+    return {key: report[key] for key in ("verdict", "causes", "rms", "gain", "detection_limit", "summary")}
 
 
 def answer(row: Row, untouched: Row) -> str:
@@ -108,34 +142,62 @@ def answer(row: Row, untouched: Row) -> str:
     return "wrong" if new else "nothing"
 
 
+def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Head and rows: an effect of a set a line, its limit and the answer by size; then what half against half adds."""
+    by = {(row["set"], row["effect"], row["size"]): row for row in rows}
+    sizes = sorted({row["size"] for row in rows if row["effect"] in HIDDEN})
+    head = ("set", "hidden", "limit, of the floor", *(f"{size:g}" for size in sizes))
+    lines = []
+    for name in (name for name in SETS if (name, "", 0.0) in by):
+        untouched = by[name, "", 0.0]
+        floor = untouched["report"]["rms"]["noise_floor"]
+        for effect in HIDDEN:
+            found = [by.get((name, effect, size)) for size in sizes]
+            if not any(found):
+                continue
+            limit = untouched["report"]["detection_limit"].get(effect)
+            answers = ["" if row is None else answer(row, untouched) for row in found]
+            lines.append((name, effect, "-" if limit is None else f"{limit / floor:.2g}", *answers))
+        if (half := by.get((name, HALVES, 0.0))) is not None:
+            new = [" or ".join(sorted(claim)) for claim in claims_of(half["report"])]
+            told = f"adds {'; '.join(new)}" if new else "adds nothing"
+            lines.append((name, HALVES, told, *("" for _ in sizes)))
+    return head, lines
+
+
+def load(path: Path = FILE) -> list[Row]:
+    """The rows of a results file; none without it."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+
+
 def main() -> int:
-    """Run what is asked, and print the table."""
+    """Run what is asked and not known yet, and print the table."""
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--sets", nargs="+", choices=sorted(SETS), default=sorted(SETS))
     parser.add_argument("--effects", nargs="+", choices=sorted(HIDDEN), default=sorted(HIDDEN))
     parser.add_argument("--sizes", nargs="+", type=float, default=[0.5, 1.0, 2.0, 4.0, 8.0])
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, default=FILE)
+    parser.add_argument("--list", action="store_true", help="only print the table of what is in --out")
     asked = parser.parse_args()
-    data = command.measured_data(__name__)
-    if data is None:
-        return 0
     results = Results(asked.out, lambda row: (row["set"], row["effect"], row["size"]))
-    table = Table("set", "hidden", "limit, of the floor", *(f"{size:g}" for size in asked.sizes))
-    for name in asked.sets:
+    data = None if asked.list else command.measured_data(__name__)
+    if data is None and not asked.list:
+        return 0
+    for name in asked.sets if data is not None else ():
+        assert data is not None
         folder = data.parent / name
         if (name, "", 0.0) not in results:
             results.add(trial(folder, "", 0.0, None))
-        untouched = results[name, "", 0.0]
-        known = names_of(untouched["report"])
-        floor = untouched["report"]["rms"]["noise_floor"]
-        for effect in asked.effects:
-            if effect in known:
-                continue
+        if (name, HALVES, 0.0) not in results:
+            results.add(halves(folder))
+        untouched = results[name, "", 0.0]["report"]
+        for effect in sorted(set(asked.effects) - names_of(untouched)):
             for size in asked.sizes:
                 if (name, effect, size) not in results:
-                    results.add(trial(folder, effect, size, untouched["report"]))
-            limit = untouched["report"]["detection_limit"].get(effect)
-            answers = [answer(results[name, effect, size], untouched) for size in asked.sizes]
-            table.add_row(name, effect, "-" if limit is None else f"{limit / floor:.2g}", *answers)
-    Console().print(table)
+                    results.add(trial(folder, effect, size, untouched))
+    head, lines = table(load(asked.out))
+    shown = Table(*head)
+    for line in lines:
+        shown.add_row(*line)
+    Console().print(shown)
     return 0

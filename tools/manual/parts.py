@@ -126,6 +126,20 @@ def measured_table(name: str) -> str:
     return f"{lines}\n\n(`{row['command']}`, {row['date']}, {row['commit']})"
 
 
+def otherwise_table() -> str:
+    """The diagnosis on measured drives of others, beside what people do otherwise."""
+    from tools.bench import otherwise  # the diagnosis with it: slow to import
+
+    return table(*otherwise.table(otherwise.load()))
+
+
+def hidden_in_measured() -> str:
+    """Known effects hidden in measured logs, and what the diagnosis said by their size."""
+    from tools.bench import measured  # the diagnosis with it: slow to import
+
+    return table(*measured.table(measured.load()))
+
+
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -136,4 +150,6 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "licences": licences,
     "hazards": hazard_table,
     **{name: partial(measured_table, name) for name in tables.COMMANDS},
+    "otherwise": otherwise_table,
+    "hidden-in-measured": hidden_in_measured,
 }
