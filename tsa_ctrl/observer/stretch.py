@@ -29,7 +29,9 @@ CONTACTS = 12  # a tendon; 6 are 1 mN*m worse on the shipped actuator, 24 no bet
 NEAR = 1e-3  # 1, of the length, within which bends are one contact, and the shortest spring: far below what x shows
 FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at the start and the most it grows to again
 FRICTION_WALK = 0.07  # 1 per root of s: 40 % within 10 s is 1.5 standard deviations
-PASSING, PASSING_TIME = 0.015, 0.05  # 1 and s: friction that comes and goes, of x; more hides the stiffness
+# 1 and s: friction that comes and goes, of x; more hides the stiffness. Simulated sheaths have none of it, which is why
+# the band, of which it is the most, holds more than 95 % there; less where the bends' course is not told
+PASSING, PASSING_TIME = 0.015, 0.05
 ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
 FACTOR = 4.0  # of x either way
 STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in an hour
