@@ -9,9 +9,12 @@ import pytest
 
 from . import FAMILIES, NAMES, case
 from .bench import rms
+from .drawn import drawn, together
 from .outside import STRANGERS, CatalogueSpan
 from .rig import model_file
 from .size import UNCERTAINTY, Channels, channels, recalibrated, size
+
+pytestmark = together
 
 
 def test_the_same_seed_gives_the_same_case() -> None:
@@ -29,40 +32,40 @@ def test_another_seed_gives_another_case() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_single_effect_is_at_least_as_large_as_the_noise(name: str) -> None:
     """And the catalogue's parameters stand in the truth."""
-    drawn = case("single", name, 1, short=True)
-    assert set(drawn.truth.effects) == {name}
-    assert drawn.truth.size >= drawn.truth.noise
-    assert drawn.truth.size <= 8.5 * drawn.truth.noise
+    given = drawn("single", name, 1)
+    assert set(given.truth.effects) == {name}
+    assert given.truth.size >= given.truth.noise
+    assert given.truth.size <= 8.5 * given.truth.noise
 
 
 @pytest.mark.parametrize("name", ["stribeck_friction", "transport_delay", "tendon_slack", "pretension_relaxation"])
 def test_the_noise_is_what_the_truth_says(name: str) -> None:
     """Recorded minus ideal joint torque: the noise of both torque sensors, with the motor's share carried over."""
-    drawn = case("single", name, 2, short=True)
-    bench = drawn.bench
+    given = drawn("single", name, 2)
+    bench = given.bench
     assert bench is not None
-    ideal = np.concatenate(bench.ideal(drawn.truth.effects))
-    recorded = np.concatenate([log.columns["tau_j"] for log in drawn.logs])
-    assert 0.7 * drawn.truth.noise < rms(recorded - ideal) < 1.05 * drawn.truth.noise
+    ideal = np.concatenate(bench.ideal(given.truth.effects))
+    recorded = np.concatenate([log.columns["tau_j"] for log in given.logs])
+    assert 0.7 * given.truth.noise < rms(recorded - ideal) < 1.05 * given.truth.noise
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_nominal_numbers_are_wrong_by_at_most_a_fifth(seed: int) -> None:
     """And the truth lies within the uncertainty that recalibration may use."""
-    drawn = case("none", "rich", seed, short=True)
-    bench = drawn.bench
+    given = drawn("none", "rich", seed)
+    bench = given.bench
     assert bench is not None
     for true, nominal in ((bench.rig.x, bench.nominal.x), (bench.rig.pretension, bench.nominal.pretension)):
         assert abs(true / nominal - 1.0) <= 0.2 + 1e-12
         assert 1.0 / (1.0 + UNCERTAINTY) <= true / nominal <= 1.0 + UNCERTAINTY
-    file = tomllib.loads(drawn.model)
+    file = tomllib.loads(given.model)
     assert file["pretension"]["value"] == bench.nominal.pretension
     assert file["sheath"]["friction_coefficient"] == bench.nominal.mu
 
 
 def test_recalibration_finds_the_true_numbers() -> None:
     """Without effect nothing is left, and x and T_p come back."""
-    bench = case("none", "rich", 3, short=True).bench
+    bench = drawn("none", "rich", 3).bench
     assert bench is not None
     x, pretension, residual = recalibrated(bench.nominal, channels(bench, {}), np.concatenate(bench.ideal({})))
     assert x == pytest.approx(bench.rig.x, rel=1e-3)
@@ -72,11 +75,11 @@ def test_recalibration_finds_the_true_numbers() -> None:
 
 def test_size_is_what_brute_force_leaves() -> None:
     """The smallest RMS over a fine grid of x and T_p within the uncertainty."""
-    drawn = case("single", "viscous_friction", 0, short=True)
-    bench = drawn.bench
+    given = drawn("single", "viscous_friction", 0)
+    bench = given.bench
     assert bench is not None
     seen: Channels = channels(bench, {})
-    torque = np.concatenate(bench.ideal(drawn.truth.effects))
+    torque = np.concatenate(bench.ideal(given.truth.effects))
     nominal = bench.nominal
     factors = np.linspace(1.0 / (1.0 + UNCERTAINTY), 1.0 + UNCERTAINTY, 46)
     stride = 7
@@ -84,28 +87,28 @@ def test_size_is_what_brute_force_leaves() -> None:
     best = min(
         rms(torque[::stride] - few.plain(fx * nominal.x, ft * nominal.pretension)) for fx in factors for ft in factors
     )
-    assert drawn.truth.size == pytest.approx(best, rel=0.03)
+    assert given.truth.size == pytest.approx(best, rel=0.03)
 
 
 def test_motor_friction_is_no_effect_at_one_pretension() -> None:
     """What recalibration takes up has no size."""
-    drawn = case("confounded", "motor_friction_or_parameters", 0, short=True)
-    assert drawn.truth.size < 0.15 * drawn.truth.noise
+    given = drawn("confounded", "motor_friction_or_parameters", 0)
+    assert given.truth.size < 0.15 * given.truth.noise
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_both_effects_of_a_pair_are_visible(seed: int) -> None:
-    drawn = case("pair", "any", seed, short=True)
-    assert len(drawn.truth.effects) == 2
-    assert min(drawn.truth.sizes.values()) >= drawn.truth.noise
+    given = drawn("pair", "any", seed)
+    assert len(given.truth.effects) == 2
+    assert min(given.truth.sizes.values()) >= given.truth.noise
 
 
 @pytest.mark.parametrize("name", STRANGERS)
 def test_the_catalogue_cannot_imitate_a_stranger(name: str) -> None:
     """At least twice the noise is left of it when every effect of the catalogue is fitted beside it."""
-    drawn = case("outside", name, 0, short=True)
-    assert drawn.truth.effects == {}
-    assert drawn.truth.size >= 2.0 * drawn.truth.noise
+    given = drawn("outside", name, 0)
+    assert given.truth.effects == {}
+    assert given.truth.size >= 2.0 * given.truth.noise
 
 
 def test_the_span_of_the_catalogue_holds_its_effects() -> None:
@@ -124,8 +127,8 @@ def test_the_span_of_the_catalogue_holds_its_effects() -> None:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_columns_are_finite_and_of_one_length(family: str) -> None:
-    drawn = case(family, FAMILIES[family][-1], 0, short=True)
-    for log in drawn.logs:
+    given = drawn(family, FAMILIES[family][-1], 0)
+    for log in given.logs:
         assert len({column.size for column in log.columns.values()}) == 1
         assert all(np.isfinite(column).all() for column in log.columns.values())
         steps = np.diff(log.columns["t"])
@@ -139,6 +142,6 @@ def test_nominal_file_states_its_uncertainty_when_asked() -> None:
 
 
 def test_size_of_nothing_is_nothing() -> None:
-    bench = case("none", "rich", 5, short=True).bench
+    bench = drawn("none", "rich", 5).bench
     assert bench is not None
     assert size(bench, {}) < 1e-4 * bench.scale

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from . import case
 from .bench import Bench, rms
 from .cases import Case
 from .confounded import ROWS
+from .drawn import drawn, together
 from .size import UNCERTAINTY
+
+pytestmark = together
 
 # Parameters of a twin as a function of free numbers of order one, given a torque and a velocity scale.
 FREE: dict[str, Any] = {
@@ -33,13 +35,13 @@ TWO = ("joint_stiffness", "gravity_load", "pretension_relaxation")
 STARTS = ((0.3, 1.5), (0.3, -1.5), (0.5, 1.0))
 
 
-def leftover(drawn: Case, twin: str) -> float:
+def leftover(hidden: Case, twin: str) -> float:
     """RMS in N·m by which the twin misses the hidden effect, with x and T_p free within their uncertainty."""
-    bench = drawn.bench
+    bench = hidden.bench
     assert bench is not None
-    torque = np.concatenate(bench.ideal(drawn.truth.effects))
+    torque = np.concatenate(bench.ideal(hidden.truth.effects))
     if twin == "parameter_error":
-        return drawn.truth.size
+        return hidden.truth.size
     if twin == "elongation_coupling":
         profiles = ("uniform", "motor_end")
         return min(
@@ -67,17 +69,17 @@ def _fit(bench: Bench, torque: np.ndarray, parameters: Any, twin: str) -> float:
 @pytest.mark.parametrize("name", [name for name, row in ROWS.items() if row.exact])
 def test_a_twin_imitates_the_hidden_effect(name: str) -> None:
     """Some strength of the twin leaves next to nothing against the noise."""
-    drawn = case("confounded", name, 0, short=True)
-    twin = next(other for other in drawn.truth.twins if other not in drawn.truth.effects)
-    assert leftover(drawn, twin) < 0.1 * drawn.truth.noise
+    hidden = drawn("confounded", name, 0)
+    twin = next(other for other in hidden.truth.twins if other not in hidden.truth.effects)
+    assert leftover(hidden, twin) < 0.1 * hidden.truth.noise
 
 
 @pytest.mark.parametrize("name", ROWS)
 def test_the_experiment_shows_the_hidden_effect(name: str) -> None:
     """On the log that parts the twins the effect stands above the noise."""
-    drawn = case("confounded", name, 0, short=True)
-    if drawn.experiment is None:
+    hidden = drawn("confounded", name, 0)
+    if hidden.experiment is None:
         assert ROWS[name].parted_by is None
         return
-    assert drawn.experiment.truth.effects == drawn.truth.effects
-    assert drawn.experiment.truth.size >= 1.3 * drawn.experiment.truth.noise
+    assert hidden.experiment.truth.effects == hidden.truth.effects
+    assert hidden.experiment.truth.size >= 1.3 * hidden.experiment.truth.noise

@@ -55,6 +55,7 @@ class OneLog(Published):
 ONE = OneLog("epos", "one log", "http://nowhere", "drive_recorder", "MIT", "nobody", "drive.toml")
 
 
+@pytest.mark.slow
 def test_a_set_is_fetched_converted_and_kept(home: tuple[str, Path], tmp_path: Path) -> None:
     address, folder = home
     (folder / "a").mkdir()

@@ -17,6 +17,7 @@ from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.tune.procedure import PHASES, phase
 
 
+@pytest.mark.slow
 def test_torque_and_angle_come_from_the_daemon_that_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files = write(
         tmp_path,

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.drives.rig import Foreign, refused
 from tsa_ctrl.bus.drive import lss
 
 UNSET = "node_id_unset = true"
 
 
+@pytest.mark.slow
 def test_a_drive_without_an_id_is_given_one_that_it_keeps(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, UNSET, "serial_number = 77")
     found = lss.set_node_id(foreign.wire.host, 5)

@@ -57,6 +57,7 @@ class TestRig:
         assert found.pretension.value == pytest.approx(pair.pretension, rel=3e-3)
         assert found.rms_after < 6e-3
 
+    @pytest.mark.slow
     def test_split_by_the_tensioner(self, rig: str) -> None:
         """Two known pretensions."""
         pair, spring = RIGS[rig]

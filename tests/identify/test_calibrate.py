@@ -34,6 +34,7 @@ def hits(result: Calibration, rig: tendon_logs.Rig, *names: str) -> int:
     return sum(getattr(result, name).low <= truth[name] <= getattr(result, name).high for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", tendon_logs.PROFILES)
 def test_intervals_of_the_two_combinations_cover_the_truth(profile: str) -> None:
     """40 logs with two intervals each: at 95 % coverage fewer than 70 of 80 hits has a chance below 1 in 1000."""

@@ -284,6 +284,7 @@ class TestTablesAsTheyCome:
         with pytest.raises(UsageError, match=r"column t, row 401: time 0 s does not increase .*sort the rows by time$"):
             Dataset.from_arrays(self.table(t))
 
+    @pytest.mark.slow
     @given(lost=st.sets(st.integers(1, 1998), max_size=200), noise=st.floats(0.0, 0.4), seed=st.integers(0, 99))
     @settings(max_examples=30, deadline=None)
     def test_whatever_is_lost_or_late_the_signal_stays(self, lost: set[int], noise: float, seed: int) -> None:

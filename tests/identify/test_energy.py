@@ -142,6 +142,7 @@ class TestRatios:
             admit(Dataset.from_arrays({**without, **angles}), model)
 
 
+@pytest.mark.slow
 def test_the_measured_cable_drive_is_accepted_in_all_trials(data_dir: Path) -> None:
     folder = data_dir / "davinci"
     model = load_model(folder / "actuator.toml")

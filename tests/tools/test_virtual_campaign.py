@@ -96,6 +96,7 @@ def test_the_plan_has_every_fault_in_every_phase_at_every_moment_once() -> None:
     assert len({trial.names for trial in pairs(1)}) > 400
 
 
+@pytest.mark.slow
 def test_parts_are_the_whole() -> None:
     whole = {trial.key for trial in chosen(1, "full", 100, (), (1, 1))}
     parts = [{trial.key for trial in chosen(1, "full", 100, (), (n, 3))} for n in (1, 2, 3)]

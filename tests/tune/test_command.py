@@ -62,6 +62,7 @@ def files(folder: Path) -> dict[str, bytes]:
 FROM_LOG = ("controller.toml", "--from-log", "a.csv")
 
 
+@pytest.mark.slow
 def test_a_dry_run_tells_the_plan_and_touches_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = files(folder)
     assert tsa("controller.toml", "--dry-run", "--torque", "0.3", "--seconds", "15") == 0

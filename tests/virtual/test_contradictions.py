@@ -13,6 +13,7 @@ from tsa_ctrl.virtual.script import Change
 CONSTANT = {"kind": "constant", "offset": 0.5}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [0.09, 0.05])
 def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path, wrong: float) -> None:
     """The motor turns the wrong way for `wrong` s of each 0.1: not one tenth of a second in a row."""
@@ -42,6 +43,7 @@ def test_a_twelfth_of_the_answers_lost_is_told_and_goes_on(tmp_path: Path) -> No
     assert "joint encoder node 32" in said[0]
 
 
+@pytest.mark.slow
 def test_a_second_drive_of_the_same_id_is_found_while_running(tmp_path: Path) -> None:
     result = play(tmp_path, "held", CONSTANT, 1.2, faults=["repeated_tpdo@0.8"])
     fault = next(event for event in result.summary.events if event.fault)
@@ -112,6 +114,7 @@ def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path, load:
         assert until < same[(same_t > 1.1) & (same_t < fault.t)].max() + 2.0, tendon
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("node", ["drive", "encoder"])
 def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -> None:
     """It takes the drive's watch for our heartbeat away: the torque ends before that is needed."""
@@ -121,6 +124,7 @@ def test_an_sdo_of_somebody_else_is_a_second_master(tmp_path: Path, node: str) -
     assert fault.t < 0.805
 
 
+@pytest.mark.slow
 def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: Path) -> None:
     """No frame tells it: what the start wrote is read back in spare bus time."""
     result = play(tmp_path, "held", CONSTANT, 3.2, faults=["watchdogs_lost@0.8"])

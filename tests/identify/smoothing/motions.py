@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -72,7 +73,7 @@ def fixed_errors(recorded: Recorded, edge: int, rate: float = RATE) -> Array:
     """Squared errors (filters, 3) of each filter; what lies beyond the ends is the odd reflection."""
     q, more = recorded.q, len(recorded.q) // 4
     longer = np.concatenate([2.0 * q[0] - q[more:0:-1], q, 2.0 * q[-1] - q[-2 : -more - 2 : -1]])
-    size = 1 << int(np.ceil(np.log2(len(longer))))
+    size = scipy.fft.next_fast_len(len(longer), real=True)
     slope = (longer[-1] - longer[0]) / (len(longer) - 1)
     line = longer[0] + slope * np.arange(len(longer))
     inside = slice(more, more + len(q))

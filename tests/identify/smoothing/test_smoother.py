@@ -14,6 +14,7 @@ DRAWS = 2
 WORST = 1.1  # times the error of the best fixed filter
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", [8, 12, 16, 20, 24])
 @pytest.mark.parametrize("bandwidth", [1.0, 3.0, 10.0, 30.0, 100.0])
 @pytest.mark.parametrize("kind", ["tones", "noise"])
