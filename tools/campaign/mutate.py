@@ -47,6 +47,8 @@ TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must see its m
     "tsa_ctrl/control/axis.py": ("tests/control/test_axis.py", "tests/daemon/test_loop.py"),
     "tsa_ctrl/control/cycle.py": ("tests/control/test_cycle.py", "tests/daemon/test_loop.py"),
     "tsa_ctrl/daemon/descent.py": ("tests/daemon/test_descent.py",),
+    "tsa_ctrl/safety/unheard.py": ("tests/safety/test_unheard.py",),
+    "tsa_ctrl/bus/live/hearing.py": ("tests/bus/live/test_hearing.py",),
 }
 ENUMS = ("bus/canopen/cia402.py", "bus/canopen/cia301.py", "safety/supervisor.py", "safety/limiter.py")  # confused
 BASELINE = 10.0  # s of CPU time that the tests of a module are granted where that is not measured

@@ -92,3 +92,28 @@ def test_after_a_new_bring_up_the_drive_may_be_a_slower_one() -> None:
     hearing.begin(7)
     assert hearing.too_many == 7
     assert play(hearing, commands, 1, lag=4) == 0.0
+
+
+def test_sixty_four_commands_are_remembered_and_the_first_answers_count() -> None:
+    hearing = Hearing()
+    assert hearing.too_many == 1
+    hearing.sent.extend((1, 2))
+    hearing.ask()
+    hearing.answered(2)
+    for command in range(3, 200):
+        hearing.sent.append(command)
+    hearing.ask()
+    hearing.answered(199 - 64)
+    assert hearing.unheard == 0
+    hearing.ask()
+    hearing.answered(199 - 63)
+    assert hearing.unheard == 1
+
+
+def test_the_second_command_of_all_already_tells_how_late_it_is_shown() -> None:
+    hearing = Hearing()
+    for sent, shown in (((1, 2), 2), ((3, 4, 5), 2)):  # three behind, where two are borne
+        hearing.sent.extend(sent)
+        hearing.ask()
+        hearing.answered(shown)
+    assert (hearing.asked, hearing.unheard) == (2, 1)

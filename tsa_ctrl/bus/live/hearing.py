@@ -50,7 +50,6 @@ class Hearing:
         ages = [age for age, digits in enumerate(reversed(everything)) if digits == value]
         if not ages:  # never sent: rounded or clamped there
             return
-        whole = len(since) < HISTORY and ages[-1] < len(everything) - 1  # or it may be of a command before these
-        if whole:
+        if ages[-1] < len(everything) - 1:  # else it may be of a command before these
             self._usual = min(self._usual, ages[-1])
         self.unheard += ages[0] - len(since) > self._usual + JITTER
