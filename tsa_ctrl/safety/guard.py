@@ -158,7 +158,6 @@ class Guard:
         again, worse = self._left > 0.0, self.latched
         self.reason = reason
         self._left, self._held = FORGIVEN, HOLD
-        self._passivity.wary = True
         self.count += 1
         if not again and not worse:
             self._back_off = 0.0
