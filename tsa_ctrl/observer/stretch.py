@@ -30,7 +30,7 @@ NEAR = 1e-3  # 1, of the length, within which bends are one contact, and the sho
 FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at the start and the most it grows to again
 FRICTION_WALK = 0.07  # 1 per root of s: 40 % within 10 s is 1.5 standard deviations
 # 1 and s: friction that comes and goes, of x; more hides the stiffness. Simulated sheaths have none of it, which is why
-# the band, of which it is the most, holds more than 95 % there; less where the bends' course is not told
+# the band, of which it is the most, holds more than 95 % there
 PASSING, PASSING_TIME = 0.015, 0.05
 ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
 FACTOR = 4.0  # of x either way
