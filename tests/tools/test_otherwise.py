@@ -70,7 +70,9 @@ def test_the_table_has_a_line_for_each_method_and_what_was_named() -> None:
         {"set": "emps", "method": method, "rms": 2.5, "seconds": 1.0, "causes": [["torque_offset", "gravity_load"]]}
         for method in otherwise.METHODS
     ]
+    rows[0]["rms"] = None  # the diagnosis refused the set
     head, lines = otherwise.table(rows)
+    assert lines[0][1] == "refused (1)"
     assert len(head) == 2
     assert [line[0] for line in lines] == [*otherwise.METHODS, "named", "published"]
     assert lines[-2][1] == "torque offset or gravity load"

@@ -50,6 +50,7 @@ def motion(log: Dataset) -> tuple[Array, Array, Array]:
 
 
 STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
+MOST_CYCLES = 40  # of a ripple per turn: more are not looked for (model/effects/motor.py), and would be another test
 HALVES = "half against half"
 FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
@@ -60,7 +61,7 @@ HIDDEN: Mapping[str, Callable[[Array, Array, float], Array]] = {  # of angle, ve
     "stribeck_friction": lambda q, omega, reach: (
         np.sign(omega) * np.exp(-np.abs(omega) / (STRIBECK * np.max(np.abs(omega))))
     ),
-    "torque_ripple": lambda q, omega, reach: np.sin(np.round(4.0 * np.pi / reach) * q + 0.7),
+    "torque_ripple": lambda q, omega, reach: np.sin(min(np.round(4.0 * np.pi / reach), MOST_CYCLES) * q + 0.7),
 }
 
 

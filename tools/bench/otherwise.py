@@ -120,16 +120,16 @@ def trial(folder: Path, name: str) -> list[Row]:
     logs = load_logs(sorted(folder.glob(of.logs)))
     rows: list[Row] = []
 
-    def add(method: str, rms: float, started: float, **more: object) -> None:
+    def add(method: str, rms: float | None, started: float, **more: object) -> None:
         seconds = time.process_time() - started
         rows.append({"set": name, "method": method, "rms": rms, "seconds": seconds, **more})
 
     started = time.process_time()
     report = json.loads(diagnose(logs, model, hold_out=of.hold_out).to_json())
     causes = [[cause["effect"], *cause["alternatives"]] for cause in report["causes"]]
-    told = {"causes": causes, "verdict": report["verdict"]}
+    told = {"causes": causes, "verdict": report["verdict"], "summary": report["summary"]}
     for method, key in zip(STEPS, ("as_given", "recalibrated", "extended"), strict=True):
-        add(method, report["rms"][key] if report["rms"] else float("nan"), started, **told)
+        add(method, report["rms"][key], started, **told)
     data, plain = split(prepare(logs, model), of.hold_out), isinstance(model, RigidDrive)
     runs = data.frame.runs
     fit, held = masks(data)
@@ -164,7 +164,9 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         cells = []
         for name in sets:
             row = by[name, method]
-            cells.append(f"{row['rms'] * (1.0 if name in units else 1e3):.3g} ({row['seconds']:.2g})")
+            factor = 1.0 if name in units else 1e3
+            error = "refused" if row["rms"] is None else f"{row['rms'] * factor:.3g}"
+            cells.append(f"{error} ({row['seconds']:.2g})")
         lines.append((method, *cells))
     named = []
     for name in sets:
