@@ -5,7 +5,8 @@ Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 
 Each log of a set is diagnosed as it is; then again with one effect added to its measured torque, as the drive would
 show it, by formulas of this file, at a size in multiples of the floor that the untouched logs have. The size is the
 RMS of what is left of it once inertia, friction, drag and offset are projected out. "found": the name (or its group)
-comes in addition to what the untouched logs say, and no other name does; "wrong": another name without it. A parameter
+comes in addition to what the untouched logs say, and no other name does; "wrong": another name without it; "refused":
+the logs were found insufficient. A parameter
 that the untouched logs have already is no addition: those effects are left out. And one half of a set (of its logs, or
 of its one log's time) is diagnosed with the model that the diagnosis of the other half has written: nothing may be
 added. Rows are kept in --out (default: the file that the manual's table is written from), and not made again. The data
@@ -134,6 +135,8 @@ def _kept(report: Row) -> Row:
 
 def answer(row: Row, untouched: Row) -> str:
     """What came in addition to what the untouched logs say."""
+    if row["report"]["verdict"] == "insufficient":
+        return "refused"
     before = names_of(untouched["report"])
     new = [claim for claim in claims_of(row["report"]) if not claim & before]
     if any(claim == {row["effect"]} for claim in new):
