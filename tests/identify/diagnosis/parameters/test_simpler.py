@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tsa_ctrl.identify import diagnose
-from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
+from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut, straight
 from tsa_ctrl.identify.diagnosis.refusals import InsufficientError, refuse_useless
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.diagnosis.report.words import remarks
@@ -52,6 +52,26 @@ def test_a_recalibration_that_is_better_is_shipped() -> None:
     assert result.model.coulomb_friction == pytest.approx(0.36, abs=0.005)
     assert "recalibrated, the simulation is off by" in result.sentence
     assert not any(remark.startswith("Recalibration alone") for remark in remarks(result))
+
+
+def test_a_mean_that_is_right_by_chance_is_no_baseline() -> None:
+    """Of four loads the mean is the fifth one, in their middle; the other way round it is off by what they spread."""
+    rng = np.random.default_rng(1)
+    loads = np.repeat([-2.0, -1.0, 1.0, 2.0, 0.0], 200)
+    target = loads + 0.1 * rng.standard_normal(len(loads))
+    held = np.arange(len(loads)) >= 800
+    run = SimpleNamespace(full=target, full_target=target, full_bin=1)
+    frame = Parts(runs=[run], target=target, slices=[slice(0, len(target))])
+    split = SimpleNamespace(frame=frame, fit=~held, held=held)
+    assert float(np.std(target[held])) < 0.11
+    assert straight(split, ()) == pytest.approx(np.sqrt(np.mean(loads[~held] ** 2)), rel=0.02)  # type: ignore[arg-type]
+
+
+class Parts(SimpleNamespace):
+    """Of a frame, what a baseline looks at."""
+
+    def __len__(self) -> int:
+        return len(self.target)
 
 
 def _errors(**changed: float) -> HeldOut:
