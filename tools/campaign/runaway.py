@@ -1,7 +1,7 @@
 """Whether compensation ever moves a joint by itself: loads, set-points and sudden changes, in virtual time.
 
 Usage: tools/run campaign/runaway [--sample N] [--rows FILE] [--delays 1 3] [--compensation 0.95] [--json]
-       [--loads free ...] [--set-points constant ...] [--missed FILE] [--healthy SECONDS [--slices N]]
+       [--loads free ...] [--set-points constant ...] [--missed FILE] [--which] [--healthy SECONDS [--slices N]]
 
 Each case is one run of the real loop on distributed tendons, whose model file is true until 1.2 s: then pretension,
 friction or bending step to a share of what they were, and a joint that stands is nudged (a limb's hand lets go). Judged
@@ -18,9 +18,10 @@ by the plant's truth from then on:
 With nothing changed the set-point ends instead: 3 s later the joint must stand (0.02 rad/s RMS) and the motor be quiet
 (0.02 N*m peak to peak). --sample N: N cases spread over all, the same ones each time. --missed FILE: those alone that
 missed a goal in that file of rows. --rows FILE: cases that are in the file are not run again, new ones are added, and
-the table is that of the file. --healthy SECONDS: instead, that long of gait (of a sine on weight, free and wearer) on
-each load with nothing wrong, in slices of `SLICE` s with noise of their own: the guard must say nothing. With --rows
-it goes on where it was, by --slices of each load at most. Exit code 1: a goal was missed.
+the table is that of the file; --which: a table of those that missed, instead. --healthy SECONDS: instead, that long of
+gait (of a sine on weight, free and wearer) on each load with nothing wrong, in slices of `SLICE` s with noise of their
+own: the guard must say nothing. With --rows it goes on where it was, by --slices of each load at most. Exit code 1: a
+goal was missed.
 """
 
 from __future__ import annotations
@@ -88,6 +89,35 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     return found
 
 
+def which(rows: Sequence[dict[str, Any]]) -> Table:
+    """A line for each that missed, and how much of what it was given came when everything had been taken back."""
+    heads = (
+        "load",
+        "set-point",
+        "change",
+        "delay (periods)",
+        "at first (rad/s)",
+        "added (mJ)",
+        "after (mJ)",
+        "late (mJ)",
+    )
+    found = Table(*heads, "told", title="missed", title_justify="left")
+    for row in rows:
+        if not row["good"] and row["change"]:
+            found.add_row(
+                row["load"],
+                row["set_point"],
+                f"{row['change']} {row['share']:g}",
+                str(row["delay"]),
+                f"{abs(row['speed']):.1f}",
+                f"{1e3 * row['added']:.1f}",
+                "-" if row["acted"] is None else f"{1e3 * row['after']:.1f}",
+                f"{1e3 * row['late_added']:.1f}",
+                "no" if row["silent"] else "yes",
+            )
+    return found
+
+
 def spread(all_cases: list[Case], number: int) -> list[Case]:
     """`number` of them, in steps that meet every load, set-point and change alike."""
     stride = 37  # prime to any count of cases here
@@ -100,6 +130,7 @@ def main() -> int:
     parser.add_argument("--sample", type=int, default=0, help="so many cases; 0: all")
     parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")
     parser.add_argument("--missed", type=Path, help="JSON lines of an earlier run: only what missed a goal there")
+    parser.add_argument("--which", action="store_true", help="a table of what missed a goal, instead")
     parser.add_argument("--loads", nargs="+", choices=HEALTHY, default=HEALTHY)
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--delays", type=int, nargs="+", default=(1, 3), help="periods from measurement to torque")
@@ -118,7 +149,8 @@ def main() -> int:
         chosen = [case for case in chosen if _key_of(case, options) in missed]
     rows = [row for row in _known(options) if "healthy" not in row]
     done = {_key(row) for row in rows}
-    if not options.json:
+    quiet = options.json or options.which
+    if not quiet:
         for row in rows:
             say(row)
     for case in chosen:
@@ -129,9 +161,11 @@ def main() -> int:
         _keep(options, row)
         if options.json:
             print(json.dumps(row), flush=True)
-        else:
+        elif not quiet:
             say(row)
-    if not options.json:
+    if options.which:
+        Console(width=130).print(which(rows))
+    elif not options.json:
         Console(width=130).print(table(rows))
         count = sum(not row["good"] for row in rows)
         print(f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed")

@@ -169,7 +169,7 @@ def _pulls(listener: ListenerProcess) -> dict[str, Pull]:
     found = msgspec.convert(listener.ask("pull"), dict[str, Pull])
     for axis, each in found.items():
         if each.wrong:
-            raise BusError(f"axis '{axis}': {each.wrong}; nothing else was tried")
+            raise BusError(f"axis '{axis}': {each.wrong}; correct it, then start again: nothing else was tried")
     return found
 
 

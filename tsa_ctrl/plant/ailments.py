@@ -131,5 +131,9 @@ AILMENTS: Mapping[str, FaultKind] = {
         -1.0, "of what is there", -10, 10,
     ),
     "watchdogs_lost": FaultKind("the drive's time-outs are gone, and no frame says so", _watchdogs_lost),
+    "sparse_rpdo": FaultKind(
+        "so many commands in a row do not reach the node, then one does",
+        lambda t: swap(t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
+    ),
     "deaf": FaultKind("a broken wire: the node sends, but hears nothing", lambda t: swap(t.node, "unhearing", True)),
 }  # fmt: skip

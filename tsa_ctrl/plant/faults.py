@@ -109,10 +109,6 @@ FAULTS: Mapping[str, FaultKind] = {
     ),
     "foreign_sdo": FaultKind("somebody else writes by SDO: the node watches our heartbeat no more", _foreign_sdo),
     "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t.node, "deaf", True)),
-    "sparse_rpdo": FaultKind(
-        "so many commands in a row do not reach the node, then one does",
-        lambda t: swap(t.node, "lost_in_a_row", int(t.value)), 2, "RPDOs", 0, 1000,
-    ),
     "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t.outlet, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),
     "replay": FaultKind("the TPDOs of the last time are sent again at once", _replay, 0.05, "s", 0.0, 10.0),

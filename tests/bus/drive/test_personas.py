@@ -54,7 +54,8 @@ class Plant:
     def bring_up(self, profile: str) -> Report:
         bus = PythonCan("virtual", self.channel, 1_000_000, {})
         settings = BusSettings(interface="virtual", channel=self.channel)
-        drive = DriveSettings(node_id=1, profile=profile, max_torque=2.0, max_speed=50.0)
+        # half a second: plant and master are two threads of one interpreter, and the machine has other work
+        drive = DriveSettings(node_id=1, profile=profile, max_torque=2.0, max_speed=50.0, host_timeout=0.5)
         try:
             chosen = [load_profile(profile, CONFIG)]
             return bring_up(bus, settings, [AxisNodes(name="knee", drive=drive)], chosen, PERIOD)
