@@ -62,6 +62,27 @@ def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a
     assert "the wrong way round" in str(run(sense, sign=-1.0, seconds=0.1, omega_j=0.0))
 
 
+@pytest.mark.parametrize(("wound", "found"), [(0.0, True), (0.02, False)])
+def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: float, found: bool) -> None:
+    """Something moves the joint by 0.04 rad in half a second, and friction stretches the tendon against the torque."""
+    sense = Sense(2.0, GEARED, PERIOD, wound)
+    said, travel = None, 0.0
+    for n in range(1200):
+        omega_j = 0.06 if n < 600 else 0.3
+        travel += GEARED * omega_j * PERIOD
+        torque = 0.4 * n * PERIOD
+        apart = torque / STIFFNESS - 2.0 * min(travel, 0.025)
+        said = said or sense.update(n * PERIOD, torque, apart, UNKNOWN, 1.0, omega_j)
+    assert (said is not None) is found
+
+
+def test_a_motor_that_turns_round_on_a_joint_that_goes_on_is_found_when_its_tendons_slide() -> None:
+    """Half a radian a second: after 30 mrad at the motor the torque's way is seen, a quarter of a second later said."""
+    sense = Sense(2.0, GEARED, PERIOD, 0.02)
+    found = run(sense, sign=-1.0, seconds=0.5, omega_j=0.5)
+    assert "the wrong way round" in str(found)
+
+
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
     for gain, expected in ((0.5, float), (-0.5, str)):
         assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)

@@ -17,7 +17,7 @@ from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import transmitted_by
+from tsa_ctrl.model.sliding import transmitted_by, wound_by_friction
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
@@ -86,9 +86,7 @@ class ControlAxis:
         self.bound = bound
         self.plausibility = plausibility
         self.joint_torque = joint_torque
-        self.sense = Sense(limiter.torque, model.joint_pulley_radius / model.motor_pulley_radius, period)
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
-        limiter.ceiling = self.sense.ceiling
         self.most_age = most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
@@ -102,6 +100,8 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
+        self.sense = Sense(limiter.torque, self._gearing, period, wound_by_friction(model))
+        limiter.ceiling = self.sense.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
         self._transmitted = transmitted_by(model)

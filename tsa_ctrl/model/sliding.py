@@ -88,6 +88,15 @@ def sliding_stiffness(model: TendonSheath) -> float:
     return motor_stiffness(model) * 0.5 * (1.0 + transmission.series) * (1.0 / alpha + 1.0 / beta)
 
 
+def wound_by_friction(model: TendonSheath) -> float:
+    """Rad at the motor by which friction stretches the tendons at most, from sliding one way to sliding the other way.
+
+    2 h/K, with the half loop h at the motor: that of all bends at the motor, where the whole tendon takes part.
+    """
+    half_loop = abs(sliding(model).half_loop) * model.motor_pulley_radius / model.joint_pulley_radius
+    return 2.0 * half_loop / motor_stiffness(model)
+
+
 def bending_centre(model: TendonSheath) -> float:
     """s_c, 1: where the bending lies along the sheath, 0 at the motor and 1 at the joint, as (3.55) has it."""
     transmission = Stack.of(model.effects, model.source).transmission(model)

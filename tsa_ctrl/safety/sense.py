@@ -6,7 +6,8 @@ a joint that is held by r_J/r_M at most: friction only takes away there. On one 
 the motion, not with the torque, and what it gives back after a reversal may follow the torque by more: nothing is said
 of it there. All are filtered to a band in which neither the motor's ringing on its tendons nor the drift of the
 friction counts, and correlated over the last fifth of a second, but for what came before the tendon turned last: on a
-joint that is moved, friction stretches the tendon against the torque that begins.
+joint that is moved, friction stretches the tendon against the torque that begins, until it slides all along: that takes
+a way of the joint, and where something moves it slowly more than a second.
 
 On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
 below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
@@ -34,6 +35,8 @@ EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
 FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb makes it look so
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
+WOUND = 1.5  # of the way in which the model's friction is wound up: friction and stiffness may be off by a fifth each
+RESTING = 0.1  # of that way: less is a joint that is held, whose tendons the torque alone stretches
 LAST = 0.02  # s that either must be wrong, on a joint that nothing moved before the motor pulled
 # s that a sense must be wrong that was shown, or on a joint that something else moves: friction looks so for 0.18
 SURE = 0.25
@@ -49,11 +52,16 @@ class Sense:
     Attribute: `ceiling` (N*m, most torque for now).
     """
 
-    def __init__(self, limit: float, geared: float, period: float) -> None:
-        """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s."""
+    def __init__(self, limit: float, geared: float, period: float, wound: float = 0.0) -> None:
+        """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s.
+
+        `wound`: rad at the motor, by which friction stretches the tendons from one way of sliding to the other.
+        """
         self._limit = limit
         self._least = (RIPPLE * limit) ** 2
         self._geared = geared
+        self._way = WOUND * wound
+        self._travel_step = geared * period
         self._period = period
         self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
         self._memory = 1.0 - math.exp(-period / MEMORY)
@@ -77,6 +85,12 @@ class Sense:
         """Look at nothing `until` then, s, and then afresh."""
         self._direction = direction
         self._until = until
+        self._travel = 0.0  # rad at the motor, since the tendon turned
+        self._winding = False
+        self._forget()
+
+    def _forget(self) -> None:
+        """What was seen before does not count."""
         self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
         self._tt = self._ta = self._aa = self._tj = self._jj = 0.0
 
@@ -101,8 +115,14 @@ class Sense:
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
             self._begin(direction, now + TURN)
+        if omega_j == omega_j:
+            self._travel += self._travel_step * omega_j
         if now < self._until:
             return None
+        winds_up = self._winds_up()
+        if winds_up is not self._winding:  # what was seen of the one says nothing of the other
+            self._winding = winds_up
+            self._forget()
         memory = self._memory
         t, a, j = self._torque.of(torque), self._apart.of(apart), self._joint.of(tau_j)
         self._tt += memory * (t * t - self._tt)
@@ -118,8 +138,10 @@ class Sense:
         self._suspect = sense < -SHOWN
         if not self._suspect:
             self._waited += self._period
-        if sense > SHOWN or self._waited > PATIENCE:
+        if (sense > SHOWN and not winds_up) or self._waited > PATIENCE:
             self._shown = True
+        if winds_up:
+            return None
         wrong = self._turned if self._shown or self._driven else self._reversed
         if wrong.update(now, self._suspect):
             return (
@@ -135,6 +157,11 @@ class Sense:
                 f"{self._geared:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
             )
         return None
+
+    def _winds_up(self) -> bool:
+        """Whether a joint that something moves has not gone so far that its tendons slide all along again."""
+        driven = self._shown or self._driven
+        return driven and RESTING * self._way < abs(self._travel) < self._way
 
 
 def _correlation(product: float, squares: float) -> float:
