@@ -85,10 +85,13 @@ def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path,
 @pytest.mark.slow
 @pytest.mark.parametrize("load", LOADS)
 def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_path: Path, load: str) -> None:
-    """Soon after the torque changes, on a free joint by turns with its friction: the opposite of 0.8 N*m."""
+    """Soon after the torque changes, on a free joint by turns with its friction: the opposite of 0.8 N*m.
+
+    0.4 s of contradiction are asked for where the sense was shown before: shaken tendons look so for 0.3 s.
+    """
     result = play(tmp_path, load, GAIT if load == "imposed" else sine(0.8, 1.0), 2.6, faults=["reversed_sign@1.1"])
     fault = next(event for event in result.summary.events if event.fault)
-    assert fault.t < 2.2
+    assert fault.t < 2.3
 
 
 def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> None:

@@ -38,8 +38,8 @@ TURN = 0.1  # s after the tendon turned: by then its friction, which stretches i
 WOUND = 1.5  # of the way in which the model's friction is wound up: friction and stiffness may be off by a fifth each
 RESTING = 0.1  # of that way: less is a joint that is held, whose tendons the torque alone stretches
 LAST = 0.02  # s that either must be wrong, on a joint that nothing moved before the motor pulled
-# s that a sense must be wrong that was shown, or on a joint that something else moves: friction looks so for 0.18
-SURE = 0.25
+SURE = 0.25  # s, on a joint that something else moves: friction looks so for 0.18
+SHAKEN = 0.4  # s, of a sense that was shown: a heavy motor that is shaken on its tendons looks so for 0.3
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
 RESTS = 0.1  # s after which a torque that does not change may grow slowly, so that it shows its sense by that
 SLOWLY = 2.0  # s in which it would come to the limit: a reversed one is found within 20 ms of it
@@ -66,6 +66,7 @@ class Sense:
         self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
         self._memory = 1.0 - math.exp(-period / MEMORY)
         self._reversed, self._turned, self._excessive = Leaky(LAST), Leaky(SURE), Leaky(LAST)
+        self._altered = Leaky(SHAKEN)
         self.reset()
 
     def reset(self) -> None:
@@ -78,6 +79,7 @@ class Sense:
         self._pulled = self._driven = self._suspect = False
         self._reversed.reset()
         self._turned.reset()
+        self._altered.reset()
         self._excessive.reset()
         self._begin(0.0, -math.inf)
 
@@ -142,7 +144,7 @@ class Sense:
             self._shown = True
         if winds_up:
             return None
-        wrong = self._turned if self._shown or self._driven else self._reversed
+        wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
         if wrong.update(now, self._suspect):
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
