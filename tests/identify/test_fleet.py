@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.identify.diagnosis.test_pipeline import MODEL
+from tests.identify.diagnosis.nominal import MODEL
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.fleet import Row, logs_in, sweep
 from tsa_ctrl.identify.fleet.executors import Workers, local

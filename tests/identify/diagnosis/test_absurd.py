@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.blind.soft_tendons import record
-from tests.identify.diagnosis.test_pipeline import MODEL
+from tests.identify.diagnosis.nominal import MODEL
 from tsa_ctrl.cli import main
 
 Columns = dict[str, np.ndarray]

@@ -15,33 +15,12 @@ import pytest
 
 from tests.blind import case
 from tests.dashboard.chromium import chromium
+from tests.identify.diagnosis.nominal import T, model
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.result import Verdict
 from tsa_ctrl.identify.diagnosis.report.words import told_torque
-from tsa_ctrl.model.parameters import TendonSheath, load_model, model_from
-
-T = np.arange(0.0, 20.0, 0.005)
-MODEL = """
-[actuator]
-motor_pulley_radius = 0.02
-joint_pulley_radius = 0.025
-[tendon]
-axial_stiffness = 6e4
-unstrained_length = 1.2
-diameter = 6e-4
-[sheath]
-friction_coefficient = 0.1
-bending_angle = 2.6
-[pretension]
-value = 45.0
-"""
-
-
-def model(text: str = MODEL) -> TendonSheath:
-    made = model_from(tomllib.loads(text), "nominal.toml")
-    assert isinstance(made, TendonSheath)
-    return made
+from tsa_ctrl.model.parameters import load_model, model_from
 
 
 def diagnosed(family: str, name: str, seed: int) -> Diagnosis:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.blind.soft_tendons import record
-from tests.identify.diagnosis.test_pipeline import model
+from tests.identify.diagnosis.nominal import model
 from tsa_ctrl.identify import diagnose
 
 

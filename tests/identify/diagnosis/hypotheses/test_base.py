@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tests.identify.diagnosis.test_pipeline import model
+from tests.identify.diagnosis.nominal import model
 from tsa_ctrl.identify.diagnosis.hypotheses.base import TendonBase
 
 

@@ -3,31 +3,16 @@
 from __future__ import annotations
 
 import math
-import tomllib
 
 import numpy as np
 import pytest
 
+from tests.identify.diagnosis.nominal import T, model
 from tsa_ctrl.identify import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.words import remarks
-from tsa_ctrl.model.parameters import TendonSheath, model_from
+from tsa_ctrl.model.parameters import TendonSheath
 
-T = np.arange(0.0, 20.0, 0.005)
 X, PRETENSION, R_J, R_M = 0.26, 45.0, 0.025, 0.02
-MODEL = """
-[actuator]
-motor_pulley_radius = 0.02
-joint_pulley_radius = 0.025
-[tendon]
-axial_stiffness = 6e4
-unstrained_length = 1.2
-diameter = 6e-4
-[sheath]
-friction_coefficient = 0.1
-bending_angle = 2.6
-[pretension]
-value = 45.0
-"""
 
 
 def diagnosed(x: float, pretension: float, gain: float = 1.0) -> tuple[Diagnosis, TendonSheath]:
@@ -42,9 +27,7 @@ def diagnosed(x: float, pretension: float, gain: float = 1.0) -> tuple[Diagnosis
         "omega_j": omega,
         "tau_j": tau_j + 0.05 * rng.normal(size=T.size),
     }
-    model = model_from(tomllib.loads(MODEL), "nominal.toml")
-    assert isinstance(model, TendonSheath)
-    result = diagnose([columns], model)
+    result = diagnose([columns], model())
     assert isinstance(result.model, TendonSheath)
     return result, result.model
 

@@ -1,0 +1,31 @@
+"""An actuator's file and a time axis, for logs that tests make by hand."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+
+from tsa_ctrl.model.parameters import TendonSheath, model_from
+
+T = np.arange(0.0, 20.0, 0.005)
+MODEL = """
+[actuator]
+motor_pulley_radius = 0.02
+joint_pulley_radius = 0.025
+[tendon]
+axial_stiffness = 6e4
+unstrained_length = 1.2
+diameter = 6e-4
+[sheath]
+friction_coefficient = 0.1
+bending_angle = 2.6
+[pretension]
+value = 45.0
+"""
+
+
+def model(text: str = MODEL) -> TendonSheath:
+    made = model_from(tomllib.loads(text), "nominal.toml")
+    assert isinstance(made, TendonSheath)
+    return made
