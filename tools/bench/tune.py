@@ -1,15 +1,15 @@
 """Runs of `tsa tune` alone on rigs drawn by number, in virtual time: nothing of the nominal file is quite true.
 
-Usage: tools/run bench/tune [--rigs 1..20] [--seed 1] [--rate 1000] [--curvature any] [--without-sensor] [-- OPTION]
+Usage: tools/run bench/tune [--rigs 1..20] [--seed 1] [--curvature any] [--without-sensor] [--write] [-- OPTION]
 A rig has its own friction, pretension, stiffness of the tendons, shape of the sheath, inertia of the motor and delay of
 one to three periods (tests/virtual/rigs.py); the controller's file says nothing of motor and delay. Prints, for each
 rig, the truth against the nominal file; by how much compensation reduces the RMS joint torque error with the given
 file, with what tune wrote and with all that is true (model, shape, motor, delay), on a motion not used for the fit;
 what tune measured over what is true; the gain margin. The last lines sum up by where the sheath bends, and over all.
 With --results FILE each rig is appended to it as it ends; those that it holds are not run again, unless they failed, so
-that a long list is done in slices. With --without-sensor the rig has none of the joint torque: the file says where the
-sheath bends, and the runs that are compared are made once more with a sensor that nothing is learned from. What stands
-after -- are options of tsa tune.
+that a long list is done in slices; --write takes the reductions over into the manual's figures. With --without-sensor
+the rig has none of the joint torque: the file says where the sheath bends, and the runs that are compared are made once
+more with a sensor that nothing is learned from. What stands after -- are options of tsa tune.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from tests.tune import rig
 from tests.virtual.rigs import CURVATURES, Drawn, draw
 from tools import command
 from tools.bench.results import Results, Row
+from tools.manual.measure import note
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.rig import FADE_IN
 from tsa_ctrl.errors import BusError
@@ -161,6 +162,22 @@ def shares(found: Row, drawn: Drawn) -> str:
     return f"{inertia:4.2f} {stiffness:4.2f} {delay:4.2f}  {centre:4.2f}  {margin:>6s}"
 
 
+def write(runs: list[Row], arguments: argparse.Namespace) -> None:
+    """Take over what `tsa tune` wrote, and what all that is true gives, by where the sheath bends."""
+    asked = f"tools/run bench/tune --rigs {arguments.rigs[0]}..{arguments.rigs[-1]} --seed {arguments.seed}"
+    for curvature in CURVATURES:
+        part = [r for r in runs if r["curvature"] == curvature]
+        tuned = [float(r["verification"]["reduction_percent"]["after"]) for r in part]
+        ways = (
+            ("tuned", "tuned by `tsa tune` alone", tuned),
+            ("true", "true parameters", list(map(true_reduction, part))),
+        )
+        for key, said, values in ways:
+            if values:
+                words = f"rigs that bend {curvature.replace('_', ' ')}, {said}: error of the joint torque less"
+                note(f"tune-{curvature}-{key}", words, values, "%", asked)
+
+
 def line(number: int, found: Row, drawn: Drawn) -> str:
     factors = "  ".join(f"{value:.2f}" for value in found["truth"].values())
     motor = f"{1e4 * found['inertia']:4.2f}  {1e-3 * found['stiffness']:4.0f}  {found['delay']}"
@@ -194,6 +211,7 @@ def main() -> int:
     parser.add_argument("--verify-seconds", type=float, default=8.0, help="of each of the three verifying runs")
     parser.add_argument("--results", type=Path, help="a JSON object per run; those that it holds are not made again")
     parser.add_argument("--at-most", type=int, help="make so many new runs, then stop; with --results")
+    parser.add_argument("--write", action="store_true", help="the reductions, as figures of the manual")
     parser.add_argument("more", nargs="*", help="further options of tsa tune, after --")
     arguments = parser.parse_args()
     print(
@@ -227,4 +245,6 @@ def main() -> int:
     if good:
         print(f"  {'all':10s} {len(good):2d} rigs  {spread(good)}")
     print(f"{len(results) - len(good)} of {len(results)} runs failed")
+    if arguments.write:
+        write(good, arguments)
     return int(len(good) < len(results))
