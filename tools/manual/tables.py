@@ -25,6 +25,8 @@ COMMANDS: Mapping[str, str] = {
     "coverage": "tools/run bench/calibrate --logs 7000",
     "folds": "tools/run measured/diagnose",
     "blind": "tools/run bench/diagnose --short --seed 8000",
+    "runaway": "tools/run campaign/runaway --rows FILE",
+    "runaway-missed": "tools/run campaign/runaway --rows FILE --which",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",
 }
 Row = dict[str, Any]
