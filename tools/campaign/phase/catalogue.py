@@ -65,6 +65,10 @@ _FALLS = (
     "a weight whose tendon tears while its torque is turned over is at 3.2 rad/s, by 0.5 J, when over-speed ends the "
     "torque: it falls, and the other tendon pulls the same way; an end stop, a counterweight, less [axis.limits] speed"
 )
+_PULLED = (
+    "a free joint without a torque sensor, pulled by the tendon that is left with its pretension, is at 2.5 rad/s, by 1.5 "
+    "J, below over-speed, and motor and joint stay together; a joint torque sensor, an end stop, less [axis.limits] speed"
+)
 _WANDERS = (
     "a weight is given 0.11 J more, a free joint is 2.0 rad/s faster, before motor and joint are 0.3 rad apart: until "
     "then tendons that stretch look the same; a second encoder"
@@ -158,7 +162,7 @@ HAZARDS: tuple[Hazard, ...] = (
     Hazard("motor gives twice", MOVES, "", ("torque_gain value=2",), lie=True, residual=_UNSEEN, open=_LATE),
     Hazard("drive's clock drifts by 1 %", OLD, "", ("clock_drift duration=0.3",), goes_on="a value is a period old"),
     # tendons
-    Hazard("tendon b tears", MOVES, "", ("torn_tendon value=1",), lie=True, stays=True, residual=_TORN),
+    Hazard("tendon b tears", MOVES, "", ("torn_tendon value=1",), lie=True, stays=True, residual=_TORN, open=_PULLED),
     Hazard("tendon a tears", MOVES, "", ("torn_tendon value=0",), lie=True, stays=True, residual=_TORN, open=_FALLS),
     Hazard("slack: a tenth of the pretension", MOVES, "", ("slack",), lie=True, released=True, open=_SLACK),
     Hazard("slack: half of the pretension", MOVES, "", ("slack value=0.5",), lie=True, released=True, open=_BLIND),
