@@ -66,8 +66,8 @@ _FALLS = (
     "torque: it falls, and the other tendon pulls the same way; an end stop, a counterweight, less [axis.limits] speed"
 )
 _PULLED = (
-    "a free joint without a torque sensor, pulled by the tendon that is left with its pretension, is at 2.5 rad/s, by 1.5 "
-    "J, below over-speed, and motor and joint stay together; a joint torque sensor, an end stop, less [axis.limits] speed"
+    "a free joint without a torque sensor, pulled by the tendon that is left with its pretension, is at 2.5 rad/s, by "
+    "1.5 J, below over-speed, and motor and joint stay together; a joint torque sensor, an end stop"
 )
 _WANDERS = (
     "a weight is given 0.11 J more, a free joint is 2.0 rad/s faster, before motor and joint are 0.3 rad apart: until "
