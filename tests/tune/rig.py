@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.model.parameters import TendonSheath
 
 MODEL = "nominal.toml"
 CONTROLLER = "controller-tune.toml"
 TRUTH = {"friction_coefficient": 1.15, "pretension": 0.88, "axial_stiffness": 0.9}  # factors on nominal
 COMPENSATION = 0.95
+
+
+def without(controller: Path, *tables: str) -> None:
+    """Take these tables out of the axis of a controller's file."""
+    data = tomllib.loads(controller.read_text(encoding="utf-8"))
+    for table in tables:
+        del data["axis"][0][table]
+    controller.write_text(tomlkit.dumps(data), encoding="utf-8")
+
+
+def true_half_loop(nominal: TendonSheath) -> float:
+    """Of the plant, evenly bent, N*m at the joint; `nominal`: the file's model."""
+    x = nominal.friction_angle * TRUTH["friction_coefficient"]
+    return 2.0 * nominal.joint_pulley_radius * nominal.pretension * TRUTH["pretension"] * x
 
 
 def write(

@@ -33,8 +33,7 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it(
 ) -> None:
     rig.write(tmp_path, VIRTUAL, RATE)
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
-    x = truth.friction_angle * rig.TRUTH["friction_coefficient"]
-    half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * rig.TRUTH["pretension"] * x  # evenly bent
+    half_loop = rig.true_half_loop(truth)
     assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *SHORT) == 0
     data = json.loads(capsys.readouterr().out)
     found = data["calibration"]["combinations"]["half_loop_torque"]

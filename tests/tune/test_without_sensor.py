@@ -6,21 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-import tomlkit
 
 from tests.tune import rig
 from tests.tune.test_in_virtual_time import RATE, SHORT, tune
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath
-
-
-def without_sensor(folder: Path, *tables: str) -> None:
-    """The rig's controller without these tables of its axis."""
-    path = folder / rig.CONTROLLER
-    data = tomlkit.parse(path.read_text(encoding="utf-8")).unwrap()
-    for table in tables:
-        del data["axis"][0][table]
-    path.write_text(tomlkit.dumps(data), encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -29,10 +19,9 @@ def test_the_half_loop_and_the_stiffness_are_found_and_written(
 ) -> None:
     """15 % more friction, 12 % less pretension, 10 % softer tendons than the file says."""
     rig.write(tmp_path, VIRTUAL, RATE, "distributed")
-    without_sensor(tmp_path, "torque_sensor")
+    rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
-    x = truth.friction_angle * rig.TRUTH["friction_coefficient"]
-    half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * rig.TRUTH["pretension"] * x  # evenly bent
+    half_loop = rig.true_half_loop(truth)
     assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *SHORT) == 0
     data = json.loads(capsys.readouterr().out)
     found = data["calibration"]["combinations"]["half_loop_torque"]
@@ -47,7 +36,7 @@ def test_the_half_loop_and_the_stiffness_are_found_and_written(
 
 def test_what_the_stretch_needs_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig.write(tmp_path, VIRTUAL, RATE)
-    without_sensor(tmp_path, "torque_sensor", "encoder")
+    rig.without(tmp_path / rig.CONTROLLER, "torque_sensor", "encoder")
     assert tune(tmp_path, "--yes", *SHORT) == 2
     said = capsys.readouterr().err
     assert "has no joint torque sensor" in said

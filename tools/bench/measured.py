@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results, Row
+from tools.bench.results import Results, Row, read_rows
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset, load_logs
 from tsa_ctrl.model.parameters import load_model
@@ -169,11 +169,6 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     return head, lines
 
 
-def load(path: Path = FILE) -> list[Row]:
-    """The rows of a results file; none without it."""
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
-
-
 def main() -> int:
     """Run what is asked and not known yet, and print the table."""
     parser = command.parser(__name__, __doc__)
@@ -199,7 +194,7 @@ def main() -> int:
             for size in asked.sizes:
                 if (name, effect, size) not in results:
                     results.add(trial(folder, effect, size, untouched))
-    head, lines = table(load(asked.out))
+    head, lines = table(read_rows(asked.out))
     shown = Table(*head)
     for line in lines:
         shown.add_row(*line)

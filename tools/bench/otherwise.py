@@ -30,7 +30,7 @@ from rich.table import Table
 from tools import command
 from tools.bench import regressions
 from tools.bench.regressions import Array, Predict
-from tools.bench.results import Results, Row
+from tools.bench.results import Results, Row, read_rows
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.identify.diagnosis.data.prepare import prepare
@@ -177,11 +177,6 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     return head, lines
 
 
-def load(path: Path = FILE) -> list[Row]:
-    """The rows of a results file; none without it."""
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
-
-
 def main() -> int:
     """Run what is not known yet, and print the table."""
     parser = command.parser(__name__, __doc__)
@@ -198,7 +193,7 @@ def main() -> int:
             if (name, METHODS[-1]) not in results:
                 for row in trial(data.parent / name, name):
                     results.add(row)
-    head, lines = table(load(asked.out))
+    head, lines = table(read_rows(asked.out))
     shown = Table(*head)
     for line in lines:
         shown.add_row(*line)

@@ -10,6 +10,12 @@ from typing import Any
 Row = dict[str, Any]
 
 
+def read_rows(path: Path | None) -> list[Row]:
+    """The rows of a results file; none without it. The last line of a run that was killed may be torn: it is none."""
+    text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
+    return [json.loads(line) for line in text.splitlines() if line.endswith("}")]
+
+
 class Results:
     """Rows by `key`; with a path each is on the disk before the next is made. What `counts` denies is left out."""
 
@@ -19,10 +25,8 @@ class Results:
         self._path = path
         self._key = key
         self._rows: dict[Hashable, Row] = {}
-        text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
-        for line in text.splitlines():
-            row = json.loads(line) if line.endswith("}") else None  # the last line of a run that was killed
-            if row is not None and counts(row):
+        for row in read_rows(path):
+            if counts(row):
                 self._rows[key(row)] = row
 
     def __contains__(self, key: Hashable) -> bool:

@@ -67,7 +67,7 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
         nominal = drawn.nominal
         if arguments.without_sensor:
             nominal = nominal.with_effects({"elongation_coupling": {"curvature_profile": profile_of(drawn)}})
-            take_sensor(controller)
+            rig.without(controller, "torque_sensor")
             save_model(drawn.nominal, folder / "actuator.toml")  # the plant's own
             plant = (folder / "plant.toml").read_text(encoding="utf-8").replace(rig.MODEL, "actuator.toml")
             (folder / "plant.toml").write_text(plant, encoding="utf-8")
@@ -92,13 +92,6 @@ def one(number: int, arguments: argparse.Namespace) -> Row:
 def profile_of(drawn: Drawn) -> Points:
     """Where the sheath of a rig bends."""
     return tuple((float(place), float(share)) for place, share in SHAPES[drawn.curvature])
-
-
-def take_sensor(controller: Path) -> None:
-    """A controller's file without the joint torque sensor."""
-    data = tomllib.loads(controller.read_text(encoding="utf-8"))
-    del data["axis"][0]["torque_sensor"]
-    controller.write_text(tomlkit.dumps(data), encoding="utf-8")
 
 
 def once_more(out: Path, plant: Path, nominal: TendonSheath, seconds: float) -> dict[str, dict[str, float]]:

@@ -39,8 +39,10 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
+from tools.bench.results import read_rows
 from tools.campaign.passive.cases import LOADS, SET_POINTS, Case, cases
 from tools.campaign.passive.judge import healthy, judge, words
+from tsa_ctrl.errors import UsageError
 
 HEALTHY = ("imposed", *LOADS, "wearer")
 SLICE = 60.0  # s of a healthy run at once: what was run is kept, and a log of an hour does not fit into memory
@@ -48,7 +50,7 @@ SLICE = 60.0  # s of a healthy run at once: what was run is kept, and a log of a
 
 def all_healthy(options: argparse.Namespace) -> int:
     """Slices of each load up to what is asked for, a slice of each in turn; 1 if the guard said anything."""
-    rows = [row for row in _known(options) if "healthy" in row and row["compensation"] == options.compensation]
+    rows = [row for row in read_rows(options.rows) if "healthy" in row and row["compensation"] == options.compensation]
     loads = [load for load in HEALTHY if load in options.loads]
     for _, load in itertools.product(range(min(options.slices, math.ceil(options.healthy / SLICE))), loads):
         done = [row for row in rows if row["healthy"] == load]
@@ -145,9 +147,11 @@ def main() -> int:
     chosen = spread(wanted, options.sample) if options.sample else wanted
     chosen = [case for case in chosen if case.load in options.loads and case.set_point in options.set_points]
     if options.missed is not None:
-        missed = {_key(row) for row in _read(options.missed) if not row["good"]}
+        if not options.missed.is_file():
+            raise UsageError(f"{options.missed}: no such file; give the rows of an earlier run")
+        missed = {_key(row) for row in read_rows(options.missed) if not row["good"]}
         chosen = [case for case in chosen if _key_of(case, options) in missed]
-    rows = [row for row in _known(options) if "healthy" not in row]
+    rows = [row for row in read_rows(options.rows) if "healthy" not in row]
     done = {_key(row) for row in rows}
     quiet = options.json or options.which
     if not quiet:
@@ -177,14 +181,6 @@ def say(row: dict[str, Any]) -> None:
     if not row["good"]:
         case = Case(**{field.name: row[field.name] for field in dataclasses.fields(Case)})
         print(f"missed: {case.name}: {words(row)}", flush=True)
-
-
-def _read(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-
-
-def _known(options: argparse.Namespace) -> list[dict[str, Any]]:
-    return _read(options.rows) if options.rows is not None and options.rows.is_file() else []
 
 
 def _keep(options: argparse.Namespace, row: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from tools.bench.results import read_rows
 from tools.manual import drives, hazards, measure, tables
 from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
@@ -130,14 +131,14 @@ def otherwise_table() -> str:
     """The diagnosis on measured drives of others, beside what people do otherwise."""
     from tools.bench import otherwise  # the diagnosis with it: slow to import
 
-    return table(*otherwise.table(otherwise.load()))
+    return table(*otherwise.table(read_rows(otherwise.FILE)))
 
 
 def hidden_in_measured() -> str:
     """Known effects hidden in measured logs, and what the diagnosis said by their size."""
     from tools.bench import measured  # the diagnosis with it: slow to import
 
-    return table(*measured.table(measured.load()))
+    return table(*measured.table(read_rows(measured.FILE)))
 
 
 SOURCES: Mapping[str, Callable[[], str]] = {

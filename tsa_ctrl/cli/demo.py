@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 SECONDS = 11.0  # of a gait and of a sine; the hand of a wearer takes longer
 LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
-FULL_RATE = 1000.0  # Hz
 FULL_SECONDS = 20.0  # as long as the motion takes until it repeats
 STAGE_WORDS = {
     "none": "without compensation",
@@ -81,9 +80,7 @@ def command(
             raise UsageError(
                 "demo: --full has a motion and tendons of its own; leave --setpoint, --tendon and --load out"
             )
-        _full_circle(
-            seed, hidden, FULL_SECONDS if seconds is None else seconds, rate or FULL_RATE, bus, virtual, out, as_json
-        )
+        _full_circle(seed, hidden, FULL_SECONDS if seconds is None else seconds, rate, bus, virtual, out, as_json)
         return
     if hidden:
         raise UsageError("demo: --hidden belongs to --full; give both")
@@ -130,7 +127,7 @@ def _full_circle(
     seed: int,
     names: tuple[str, ...],
     seconds: float,
-    rate: float,
+    rate: float | None,
     bus: str | None,
     virtual: bool,
     out: Path | None,
@@ -138,12 +135,13 @@ def _full_circle(
 ) -> None:
     from tsa_ctrl.demo.circle import circle  # the diagnosis is heavy to load
     from tsa_ctrl.demo.hidden import draw
+    from tsa_ctrl.demo.run import RATE
 
     hidden = draw(seed, names)
     chosen = _bus(bus, virtual)
     folder = _folder(out)
     with _progress(chosen) as say:
-        found = circle(folder, chosen, hidden, seconds, rate, say)
+        found = circle(folder, chosen, hidden, seconds, rate or RATE, say)
     if as_json:
         click.echo(json.dumps({**found.to_dict(), "folder": str(folder)}, allow_nan=False))
     else:

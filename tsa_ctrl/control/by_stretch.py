@@ -103,10 +103,12 @@ class ByStretch:
         half_loop = sliding(self._model, 1.0, observer.friction_angle, observer.pretension).half_loop
         if self._went >= self._least:
             self._shown[self._way] = half_loop
-        *_, inside = self._split.solve(half_loop)
-        self.state = EstimateState.ESTIMATED if inside else EstimateState.INVALID
+        angle, pretension, inside = self._split.solve(half_loop)
         most = max(self._split.nominal, (1.0 + ROOM) * min(self._shown))
-        self._target = self._split.solve(min(half_loop, most))[:2] if inside else self._fallback()
+        if inside and half_loop > most:
+            angle, pretension, _ = self._split.solve(most)
+        self.state = EstimateState.ESTIMATED if inside else EstimateState.INVALID
+        self._target = (angle, pretension) if inside else self._fallback()
 
     def _fallback(self) -> tuple[float, float]:
         """The model file's values, but no more than was used last: it cannot be said which of them is wrong."""
