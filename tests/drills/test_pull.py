@@ -5,27 +5,42 @@ from __future__ import annotations
 import math
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.drills.test_listener import Bench
 from tests.virtual.joints import play
-from tsa_ctrl.drills.pull import Pull, pull
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.drills.pull import Pull, Row, pull
+from tsa_ctrl.model.sliding import wound_by_friction
 
 GEARED = 1.25  # of the shipped actuator
 RATED = 1.0  # N*m
+WOUND = wound_by_friction(NOMINAL)
+
+
+def rows(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1, **more: Any) -> list[Row]:
+    """Of a trial's torque, N*m at the motor, faded in within 0.2 s without compensation."""
+    axis = {"law": {"fade_in": 0.2}, "plausibility": {"joint_torque": 100.0}, "encoder": {"node_id": 32}}
+    setpoint = {"kind": "constant", "offset": torque * GEARED}
+    options: dict[str, Any] = {"seconds": 0.6} | more
+    faults = [f"{fault}@0"] if fault else []
+    result = play(folder, load, setpoint, axis=axis, compensation=0.0, faults=faults, **options)
+    (one,) = result.axes
+    last = int(np.flatnonzero(one.counted)[-1]) + 1  # after it the loop stops, which no trial does
+    log = {name: column[:last] for name, column in one.log.items()}
+    angle = GEARED * log["q_j"]
+    apart = log["q_m"] - angle
+    joint = log["tau_j"] if sensor else np.full_like(apart, math.nan)
+    columns = (column.tolist() for column in (log["tau_m"], apart, joint, angle))
+    return [Row(*row) for row in zip(*columns, strict=True)]
 
 
 def seen(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1) -> Pull:
-    """Of half a second of a trial's torque, N*m at the motor, faded in within 0.2 s without compensation."""
-    axis = {"law": {"fade_in": 0.2}, "plausibility": {"joint_torque": 100.0}, "encoder": {"node_id": 32}}
-    setpoint = {"kind": "constant", "offset": torque * GEARED}
-    result = play(folder, load, setpoint, 0.6, axis=axis, compensation=0.0, faults=[f"{fault}@0"] if fault else [])
-    log = result.axes[0].log
-    apart = log["q_m"] - GEARED * log["q_j"]
-    joint = log["tau_j"] if sensor else np.full_like(apart, math.nan)
-    return pull(list(zip(log["tau_m"].tolist(), apart.tolist(), joint.tolist(), strict=True)), RATED, GEARED)
+    """Of half a second of it."""
+    return pull(rows(folder, load, fault, sensor, torque), RATED, GEARED, WOUND)
 
 
 @pytest.mark.slow
@@ -59,19 +74,42 @@ def test_a_motor_that_gives_twice_what_it_says_is_found_by_the_sensor(tmp_path: 
     assert "the joint torque sensor follows the motor's torque by" in found.wrong
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sensor", [True, False])
+def test_of_a_joint_that_something_else_moves_nothing_wrong_is_said(tmp_path: Path, sensor: bool) -> None:
+    """From any moment of its gait on, to any later one: friction stretches the tendons there, not the torque."""
+    torque = 0.1
+    walked = rows(tmp_path, "imposed", sensor=sensor, torque=0.0, seconds=4.5)
+    for start in range(1000, 2600, 40):  # the torque of a trial on top, as it begins, and what it stretches
+        for begins, seconds in ((20, 170), (100, 500), (300, 700), (300, 900)):
+            faded = [
+                row._replace(torque=row.torque + min(max(n - begins, 0) / 200, 1.0) * torque)
+                for n, row in enumerate(walked[start : start + seconds])
+            ]
+            assert pull(faded, RATED, GEARED, WOUND).wrong == ""
+
+
+def test_a_hand_that_draws_the_joint_against_the_motor_is_no_motor_that_turns_the_wrong_way() -> None:
+    """The tendons give way to a hand that begins soon after the torque; a motor goes ahead of its joint."""
+    drawn = [Row(0.001 * n, -0.0001 * n, math.nan, 0.001 * max(n - 40, 0)) for n in range(100)]
+    led = [row._replace(angle=-row.angle) for row in drawn]
+    assert pull(drawn, RATED, GEARED, WOUND).wrong == ""
+    assert "the wrong way round" in pull(led, RATED, GEARED, WOUND).wrong
+
+
 def test_without_torque_or_without_anything_that_moves_nothing_is_said() -> None:
-    flat = [(0.001 * (n % 2), 0.01 * n, math.nan) for n in range(100)]
-    still = [(0.01 * n, 0.5, math.nan) for n in range(100)]
-    for rows in ([], flat, still, [(0.1 * n, 0.1 * n, 0.1 * n) for n in range(19)]):
-        found = pull(rows, RATED, GEARED)
+    flat = [Row(0.001 * (n % 2), 0.01 * n, math.nan, 0.0) for n in range(100)]
+    still = [Row(0.01 * n, 0.5, math.nan, 0.0) for n in range(100)]
+    for few in ([], flat, still, [Row(0.1 * n, 0.1 * n, 0.1 * n, 0.0) for n in range(19)]):
+        found = pull(few, RATED, GEARED, WOUND)
         assert (found.stretch, found.sensor, found.gain, found.wrong, str(found)) == (None, None, None, "", "not shown")
 
 
 @pytest.mark.parametrize(("gain", "wrong"), [(1.0, False), (1.6, False), (1.65, True), (3.7, True), (3.8, False)])
 def test_a_sensor_that_follows_by_more_than_the_pulleys_give_is_wrong_up_to_three(gain: float, wrong: bool) -> None:
     """Beyond three times as much it is a hand at the joint."""
-    rows = [(0.01 * n, 0.02 * n, gain * 0.01 * n) for n in range(50)]
-    assert bool(pull(rows, RATED, GEARED).wrong) is wrong
+    straight = [Row(0.01 * n, 0.02 * n, gain * 0.01 * n, 0.0) for n in range(50)]
+    assert bool(pull(straight, RATED, GEARED, WOUND).wrong) is wrong
 
 
 def test_the_listener_takes_what_answers_one_sync_for_one_sample(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 The tendons stretch by the torque, so that motor and joint move apart with its sign, held or free; the joint torque
 sensor, where there is one, follows it by r_J/r_M at most. Both are straight lines through all that was seen: the loop
-under trial judges by a filter of its own (`safety.sense`), this is said of the whole pull.
+under trial judges by a filter of its own (`safety.sense`), this is said of the whole pull. Of a joint that something
+else moves nothing is said: there friction stretches the tendons, a hundred times as far as a small torque does.
 """
 
 from __future__ import annotations
@@ -10,13 +11,15 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import msgspec
 
 from tsa_ctrl.bus.canopen import cia301
 from tsa_ctrl.bus.live.axis import Axis
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.safety.sense import CLEAR, EXCESS, FAR, SHOWN
+from tsa_ctrl.model.sliding import wound_by_friction
+from tsa_ctrl.safety.sense import CLEAR, EXCESS, FAR, RESTING, SHOWN
 
 KEPT = 4000  # samples of each axis: the last seconds
 LEAST = 20  # samples
@@ -41,7 +44,7 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
                 "motor and joint answer the motor's torque the wrong way round: torque_sign and position_sign of the "
                 "drive, sign of the encoder, crossed tendons or motor wires"
             )
-        if self.gain is not None and EXCESS * self.geared < self.gain < FAR * self.geared:
+        if self.gain is not None and self.gain > EXCESS * self.geared:
             return (
                 f"the joint torque sensor follows the motor's torque by {self.gain:.2f}, the pulleys give "
                 f"{self.geared:.2f} at most: torque constant and rated torque of the motor, gain of the sensor"
@@ -58,22 +61,54 @@ class Pull(msgspec.Struct, frozen=True, kw_only=True):
         return "right" if self.gain is None else f"right, gain {self.gain:.2f} of {self.geared:.2f}"
 
 
-def pull(rows: Sequence[tuple[float, float, float]], rated: float, geared: float) -> Pull:
-    """`rows`: the motor's torque, N*m, how far motor and joint are apart, rad, joint torque, N*m; nan: not there."""
-    torques = [torque for torque, _, _ in rows]
+class Row(NamedTuple):
+    """One cycle; nan is what is not there."""
+
+    torque: float  # N*m, the motor's
+    apart: float  # rad, q_m - (r_J/r_M) q_j
+    joint: float  # N*m, of the joint torque sensor
+    angle: float  # rad, of the joint, geared to the motor; the motor's own where there is no joint encoder
+
+
+def pull(rows: Sequence[Row], rated: float, geared: float, wound: float) -> Pull:
+    """`rated`: N*m; `geared`: r_J/r_M; `wound`: rad at the motor by which friction stretches the tendons."""
+    torques = [row.torque for row in rows]
+    nothing = Pull(stretch=None, sensor=None, gain=None, geared=geared)
     if len(rows) < LEAST or max(torques) - min(torques) < MOVED * rated:
-        return Pull(stretch=None, sensor=None, gain=None, geared=geared)
-    stretch, _ = _line(torques, [apart for _, apart, _ in rows])
+        return nothing
+    least = RESTING * wound
+    if _moved_by_something(rows, MOVED * rated, least):
+        return nothing
+    stretch, _ = _line(torques, [row.apart for row in rows])
     most = max(map(abs, torques))
-    upper = [row for row in rows if abs(row[0]) > HALF * most]  # below it the sheath's friction may keep all of it
-    sensor, slope = _line([torque for torque, _, _ in upper], [joint for _, _, joint in upper])
-    clear = sensor is not None and sensor > CLEAR
+    upper = [row for row in rows if abs(row.torque) > HALF * most]  # below it the sheath's friction may keep all of it
+    sensor, slope = _line([row.torque for row in upper], [row.joint for row in upper])
+    held = _range([row.angle for row in rows]) <= least  # else a hand may be in it, too
+    clear = sensor is not None and slope is not None and sensor > CLEAR and slope < (FAR if held else EXCESS) * geared
     return Pull(stretch=stretch, sensor=sensor, gain=slope if clear else None, geared=geared)
+
+
+def _moved_by_something(rows: Sequence[Row], begun: float, least: float) -> bool:
+    """Whether the joint moved `least` rad while there was no torque (`begun`, N*m), or against what the motor does.
+
+    A motor that moves its joint goes ahead of it; one that is drawn along stays behind.
+    """
+    if _range([row.angle for row in rows if abs(row.torque) < begun]) > least:
+        return True
+    angles = [row.angle for row in rows]
+    against, _ = _line(angles, [row.apart for row in rows])
+    return _range(angles) > least and against is not None and against < -SHOWN
+
+
+def _range(values: Sequence[float]) -> float:
+    """0 where nothing is known."""
+    known = [value for value in values if math.isfinite(value)]
+    return max(known) - min(known) if known else 0.0
 
 
 def _line(x: Sequence[float], y: Sequence[float]) -> tuple[float | None, float | None]:
     """Correlation and slope; None for a quantity that is not there or does not move."""
-    if not all(map(math.isfinite, y)):
+    if not all(map(math.isfinite, (*x, *y))):
         return None, None
     mean_x, mean_y = math.fsum(x) / len(x), math.fsum(y) / len(y)
     xx = math.fsum((value - mean_x) ** 2 for value in x)
@@ -91,8 +126,9 @@ class Watch:
         self._axis = axis
         self._geared = model.joint_pulley_radius / model.motor_pulley_radius
         self._rated = drive.rated_torque * drive.gear_ratio
+        self._wound = wound_by_friction(model)
         self._inboxes = dict(zip(axis.tpdo_ids, axis.inboxes, strict=True))
-        self._rows: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+        self._rows: deque[Row] = deque(maxlen=KEPT)
         self._arm()
 
     @property
@@ -119,7 +155,9 @@ class Watch:
         image = self._axis.image
         if not any(inbox.armed for inbox in self._inboxes.values()):
             self._axis.settle(now, True)
-            self._rows.append((image.tau_m, image.q_m - self._geared * image.q_j, image.tau_j))
+            geared = self._geared * image.q_j
+            angle = geared if math.isfinite(geared) else image.q_m
+            self._rows.append(Row(image.tau_m, image.q_m - geared, image.tau_j, angle))
         self._arm()
 
     def _arm(self) -> None:
@@ -127,4 +165,4 @@ class Watch:
             inbox.armed = True
 
     def seen(self) -> Pull:
-        return pull(tuple(self._rows), self._rated, self._geared)
+        return pull(tuple(self._rows), self._rated, self._geared, self._wound)
