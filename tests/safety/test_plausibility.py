@@ -10,11 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tsa_ctrl.safety.apart import Give
 from tsa_ctrl.safety.plausibility import Plausibility, PlausibilitySettings
 
 PERIOD = 0.002  # s
 RADII = (0.020, 0.025)  # m
 MODEL = (0.26, 45.0)
+GIVE = Give(stiffness=40.0, wound=0.03, domain=1.8, play=0.0)
 NO_SENSOR = math.nan
 
 
@@ -23,7 +25,7 @@ class Motion:
 
     def __init__(self, has_encoder: bool = True, **settings: float) -> None:
         chosen = PlausibilitySettings(**{"slip": 0.5} | settings)
-        self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder)
+        self.check = Plausibility(chosen, 2.0, 1.0, RADII, has_encoder, GIVE, PERIOD)
         self.time = 0.0
         self.offset = 0.0  # rad of the motor
         self.stuck: tuple[float, float, float] | None = None
@@ -71,7 +73,7 @@ def test_frozen_feedback_is_noticed_once_the_command_moved_by_a_twentieth() -> N
 
 
 def test_a_drive_at_rest_with_a_resting_command_is_not_frozen() -> None:
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
     assert all(
         check.update(n * PERIOD, 0.5 + 0.02 * (n % 2), (0.5, 0.0, 0.0), 0.0, NO_SENSOR, (0.0, 0.0)) is None
         for n in range(2000)
@@ -80,7 +82,7 @@ def test_a_drive_at_rest_with_a_resting_command_is_not_frozen() -> None:
 
 def test_a_step_after_long_rest_may_be_answered_later() -> None:
     """A drive without noise at rest repeats itself; what it owes begins with the step."""
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
     late = 0.008  # s, of a current loop behind a filter
     for n in range(1000):
         time = n * PERIOD
@@ -90,7 +92,7 @@ def test_a_step_after_long_rest_may_be_answered_later() -> None:
 
 
 def test_a_step_that_nothing_answers_is_noticed_within_the_time_of_a_drive() -> None:
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
     found = next(
         time
         for n in range(1000)
@@ -180,7 +182,7 @@ def test_a_reversed_joint_torque_is_noticed_and_the_model_s_is_not() -> None:
 def test_no_parameter_error_of_a_quarter_is_a_contradiction(x_share: float, t_share: float) -> None:
     """Friction angle and pretension, both, up to a quarter off: calibration, not a lie."""
     x, t_p = MODEL[0] * x_share, MODEL[1] * t_share
-    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True)
+    check = Plausibility(PlausibilitySettings(), 2.0, 1.0, RADII, True, GIVE, PERIOD)
     for n in range(200):
         torque = 0.6 + 0.4 * math.sin(0.05 * n)
         tau_j = 0.025 * (torque / 0.020 * math.cosh(x) - 2.0 * t_p * math.sinh(x))
@@ -202,7 +204,7 @@ def test_a_reset_forgets_what_was_pending() -> None:
 
 def at_rest(**settings: float) -> Plausibility:
     """Of a drive rated 2 N*m, whose limit is 2 N*m."""
-    return Plausibility(PlausibilitySettings(**{"slip": 0.5} | settings), 2.0, 2.0, RADII, True)
+    return Plausibility(PlausibilitySettings(**{"slip": 0.5} | settings), 2.0, 2.0, RADII, True, GIVE, PERIOD)
 
 
 def look(
@@ -286,6 +288,24 @@ def test_creeping_apart_is_noticed() -> None:
     assert [bool(text) for text in found] == [False] * 27 + [True] * 13
 
 
+@pytest.mark.parametrize(
+    ("settings", "seconds", "words"), [({}, 0.35, "the torque explains"), ({"slip": 0.5}, 0.8, "slip allows")]
+)
+def test_without_an_angle_the_torque_in_use_says_how_far(
+    settings: dict[str, float], seconds: float, words: str
+) -> None:
+    """The motor creeps away at 1 rad/s from a joint that trembles by a count; nothing pulls."""
+    check = Plausibility(PlausibilitySettings(**settings), 2.0, 2.0, RADII, True, GIVE, PERIOD)
+    for n in range(1000):
+        t = n * PERIOD
+        said = check.update(t, 0.0, (0.0, t, 1.0), 1e-5 * (n % 2), NO_SENSOR, (0.0, 0.0))
+        if said is not None:
+            break
+    assert said is not None
+    assert words in said
+    assert t < seconds
+
+
 def tendons(tau_m: float, sigma: float) -> float:
     """The same joint torque from the two tensions, each with its capstan's exponential."""
     x, t_p = MODEL
@@ -348,7 +368,7 @@ def test_each_reset_forgets_slip_and_joint_torque() -> None:
 def test_defaults() -> None:
     """What holds when the file says nothing."""
     settings = PlausibilitySettings()
-    assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, 0.3)
+    assert (settings.torque, settings.joint_torque, settings.duration, settings.slip) == (None, None, 0.1, None)
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,11 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.simplified import SimplifiedFeedforward
+from tsa_ctrl.model.sliding import motor_stiffness, wound_by_friction
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
+from tsa_ctrl.safety.apart import DOUBT, Give
 from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
@@ -82,6 +84,8 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     settings.drive.rated_torque * settings.drive.gear_ratio,
                     (model.motor_pulley_radius, model.joint_pulley_radius),
                     settings.encoder is not None,
+                    give_of(settings, model),
+                    period,
                 ),
                 joint_torque=joint_torque,
                 period=period,
@@ -113,6 +117,25 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     inverse = inverse_of(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
+
+
+def give_of(settings: AxisSettings, model: TendonSheath) -> Give:
+    """How far motor and joint may be apart, with the file's doubt of friction and stiffness."""
+    stiffness = motor_stiffness(model)
+    friction = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+    lost = float(model.effects.get("motor_side_friction", {}).get("coulomb", 0.0))
+    geared = model.joint_pulley_radius / model.motor_pulley_radius
+    play = 2.0 * geared * float(model.effects.get("backlash", {}).get("gap", 0.0))
+    play += 2.0 * math.pi / (settings.drive.counts_per_revolution * settings.drive.gear_ratio)
+    if settings.encoder is not None:
+        play += 2.0 * math.pi * geared / settings.encoder.counts_per_revolution
+    return Give(
+        stiffness=stiffness,
+        wound=friction * wound_by_friction(model) + 2.0 * lost / stiffness,
+        domain=2.0 * model.pretension * model.motor_pulley_radius,
+        play=play,
+        doubt=max(DOUBT, 2.0 * model.axial_stiffness_uncertainty),
+    )
 
 
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:

@@ -22,7 +22,7 @@ CURES: Mapping[str, str] = MappingProxyType(
         ),
         "moved apart": (
             "look at the tendons: torn, loose or slipped; then coupling, counts and signs of the encoders "
-            "(torque_sign, position_sign)"
+            "(torque_sign, position_sign); tendons that give more than axial_stiffness says: [axis.plausibility] slip"
         ),
         "feedback is frozen": "the drive repeats old values: its firmware, or what sits between it and the bus",
         "the drive reports": "it gives another torque than is asked: its limits, derating, torque constant, sign",

@@ -2,7 +2,8 @@
 
     torque        the drive reports another torque than was commanded
     frozen        not one bit of what the drive reports moves, while the command does
-    slip          motor and joint moved apart: a torn or loose tendon, a slipped encoder, a wrong count or sign
+    slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
+                  sign; by the torque in use and what the tendons give (`safety.apart`), or by a given angle
     joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign,
                   or a motor that gives more than it reports
 
@@ -18,6 +19,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.safety.apart import LASTING, Apart, Give
 from tsa_ctrl.safety.leaky import Leaky
 
 Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
@@ -29,7 +31,7 @@ PREDICTION_SHARE = 0.4  # of what the model says without friction: calibration m
 FROZEN_SHARE = 0.05  # of rated torque that the command moves while nothing of the feedback does
 BEGUN = 0.5  # of that, from which on a drive owes something: a command that rests trembles by less
 FROZEN_TIME = 0.03  # s that a drive may take to show it, from then on
-SLIP_TIME = 0.01  # s
+SLIP_TIME = 0.01  # s beyond a given angle
 
 
 class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -38,9 +40,7 @@ class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     torque: Torque | None = None  # N*m at the motor; default: a quarter of limits.torque
     joint_torque: Torque | None = None  # N*m at the joint; default: 0.15 of limits.torque, at the joint
     duration: Duration = 0.1  # s that either must last, less a quarter of the time for which it did not
-    slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] = (
-        0.3  # rad at the motor since the enable; tendons stretch by less than 0.1
-    )
+    slip: Annotated[float, Meta(gt=0.0, le=10_000.0)] | None = None  # rad at the motor; default: by the torque in use
 
 
 class Plausibility:
@@ -53,8 +53,13 @@ class Plausibility:
         rated: float,
         radii: tuple[float, float],
         has_encoder: bool,
+        give: Give,
+        period: float,
     ) -> None:
-        """`limit`: of the limiter, N*m; `rated`: torque at the motor pulley, N*m; `radii`: r_M, r_J in m."""
+        """`limit`: of the limiter, N*m; `rated`: torque at the motor pulley, N*m; `radii`: r_M, r_J in m.
+
+        `give`: what the tendons between motor and joint give; `period`: s.
+        """
         r_m, r_j = radii
         self._torque = DEFAULT_TORQUE * limit if settings.torque is None else settings.torque
         self._joint_torque = (
@@ -65,9 +70,10 @@ class Plausibility:
         self._frozen = FROZEN_SHARE * rated
         self._geared = r_j / r_m
         self._has_encoder = has_encoder
+        self._expected = Apart(give, period)
         self._torque_wrong = Leaky(settings.duration)
         self._joint_wrong = Leaky(settings.duration)
-        self._slipped = Leaky(SLIP_TIME)
+        self._slipped = Leaky(LASTING if settings.slip is None else SLIP_TIME)
         self.reset()
 
     def reset(self) -> None:
@@ -75,6 +81,7 @@ class Plausibility:
         self._offset = math.nan
         for clock in (self._torque_wrong, self._joint_wrong, self._slipped):
             clock.reset()
+        self._expected.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
         self._moved_at = math.inf  # s, since when the command is away from what it was
@@ -94,7 +101,7 @@ class Plausibility:
         `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
         sensor; `expected`: the joint torques between which it may lie, as the model makes them of the reported torque.
         """
-        tau_m, q_m, _ = feedback
+        tau_m = feedback[0]
         if feedback != self._last:
             self._last = feedback
             self._frozen_since = now
@@ -114,19 +121,25 @@ class Plausibility:
                 )
         if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        return self._apart(now, q_m, q_j) or self._joint(now, tau_j, *expected)
+        return self._apart(now, *feedback, q_j) or self._joint(now, tau_j, *expected)
 
-    def _apart(self, now: float, q_m: float, q_j: float) -> str | None:
+    def _apart(self, now: float, tau_m: float, q_m: float, omega_m: float, q_j: float) -> str | None:
         if not self._has_encoder:
             return None
-        apart = q_m - self._geared * q_j
+        joint = self._geared * q_j
+        apart = q_m - joint
         if self._offset != self._offset:
             self._offset = apart
-        if not self._slipped.update(now, abs(apart - self._offset) > self._slip):
+        if self._slip is None:
+            beyond = self._expected.update(tau_m, q_m, omega_m, joint)
+        else:
+            beyond = abs(apart - self._offset) - self._slip
+        if not self._slipped.update(now, beyond is not None and beyond > 0.0):
             return None
         return (
-            f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable: a tendon is "
-            "torn or loose, or an encoder slipped, or its counts or sign are wrong"
+            f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable, beyond what "
+            f"{'the torque explains' if self._slip is None else 'slip allows'}: a tendon is torn or loose, an encoder "
+            "slipped or stuck, or its counts or sign are wrong"
         )
 
     def _joint(self, now: float, tau_j: float, one: float, other: float) -> str | None:
