@@ -6,6 +6,7 @@ import io
 import json
 import os
 import pty
+import re
 import select
 import subprocess
 import termios
@@ -186,7 +187,7 @@ def test_the_live_page_takes_keys_and_gives_the_terminal_back(serving: Serving) 
     with loop_taking(serving) as taken:
         command = tsa("status", "--socket", serving.path)
         process = subprocess.Popen(command, stdin=slave, stdout=slave, env={**os.environ, "TERM": "xterm"})
-        for words, key in ((b"q: leave", b"+"), (b"compensation: 0.95 -> 0.974 1", b"q")):
+        for words, key in ((b"q: leave", b"+"), (b"compensation: 0.95 -> 0.974", b"q")):
             while words not in shown:
                 readable, _, _ = select.select([master], [], [], PATIENCE)
                 assert readable, shown
@@ -219,10 +220,22 @@ def test_sparkline_spans_the_extremes() -> None:
 def test_a_narrow_terminal_shows_every_name_and_no_empty_past(
     serving: Serving, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At 60 columns the names are whole; the recent past needs a wider one."""
-    monkeypatch.setenv("COLUMNS", "60")
-    output = call(serving, "status").output
-    for name in ("tau_j_des", "friction_term", "friction_angle", "compensation"):
-        assert name in output
-    assert "past" not in output
-    assert max(len(line) for line in output.splitlines() if "│" in line) <= 60
+    """Names and values are whole, however many parameters there are; only a wide one has the recent past."""
+    status = json.loads(call(serving, "status", "--json").output)
+    (axis,) = status["axes"]
+    axis["omega_j"] = -12.3456
+    figures = {"value": 1e4, "low": 1.0, "high": 1e6, "unit": "N*m/s"}
+    axis["parameters"] |= dict.fromkeys(("slew", "direction_zone", "torque_limit"), figures)
+    page = Page()
+    page.take(status)
+    for columns, past in ((60, False), (80, False), (120, True)):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        console = Console(width=columns, record=True, file=io.StringIO())
+        console.print(page.render())
+        output = console.export_text()
+        for word in ("tau_j_stretch", "friction_angle", "compensation", "direction_zone", "-12.3456", "1e+04 N*m/s"):
+            assert word in output, columns
+        assert ("past" in output) == past
+        assert "…" not in output
+        assert max(len(line) for line in output.splitlines() if "│" in line) <= columns
+        assert not re.search(r"[\d.] +1 ", output), "a pure number's unit"

@@ -17,6 +17,10 @@ class Finite(click.FloatRange):
             self.fail(f"{number} is not a finite number", param, ctx)
         return number
 
+    def _describe_range(self) -> str:
+        """Nothing in the help where there is no bound: click would write `x<=None`."""
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
 
 CUTOFF = click.option(
     "--cutoff",

@@ -11,6 +11,7 @@ from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.parameters import of_unit
 
 RECOVERY = 15.0  # s: a bring-up of a slow drive, and the cycles that settle
 
@@ -67,8 +68,9 @@ def command(
             click.echo(_recovered(client))
             return
         answer = client.ask(protocol.Set(name, value))
-    unit = "" if answer["unit"] == "1" else f" {answer['unit']}"
-    click.echo(f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g}{unit}")
+    click.echo(
+        f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g}{of_unit(answer['unit'])}"
+    )
 
 
 def _recovered(client: Client) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import math
 import os
 import select
@@ -12,7 +13,7 @@ import termios
 import tty
 from collections import defaultdict, deque
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeAlias
 
 from rich.console import Group, RenderableType
 from rich.live import Live
@@ -21,6 +22,7 @@ from rich.text import Text
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.parameters import of_unit
 from tsa_ctrl.ipc.protocol import Set, Status
 
 PERIOD = 0.1  # s between two looks
@@ -28,9 +30,11 @@ HISTORY = 60  # values in a sparkline
 STEP = 0.02  # of a parameter's range per key press
 DECADES = 1000.0  # between the bounds of a parameter that is moved by a share of its value instead
 SHARE = 0.1
-BANDS = 72  # columns of a terminal from which there is room for bands
+BANDS = 72  # columns of a terminal from which there is room for bands, and for parameters beside the values
 WIDE = 100  # columns of a terminal from which there is room for the recent past
 STALE = 0.5  # s without news from the loop
+VALUES = ("", "value", "unit")
+PARAMETERS = ("parameter", "set to")
 BARS = " ▁▂▃▄▅▆▇█"
 SHOWN = (
     ("tau_j_des", "N*m"),
@@ -41,11 +45,13 @@ SHOWN = (
     ("tau_m", "N*m"),
     ("omega_j", "rad/s"),
     ("q_j", "rad"),
-    ("sigma", "1"),
+    ("sigma", ""),
     ("friction_term", "N*m"),
-    ("friction_angle", "1"),
+    ("friction_angle", ""),
     ("pretension", "N"),
 )
+
+Cell: TypeAlias = str | Text
 
 
 class Page:
@@ -115,36 +121,51 @@ class Page:
             parts.append(Text(f"{event['t']:.3f} s  {where}{event['text']}", style="red" if event["fault"] else ""))
         return Group(*parts)
 
-    def _axis(self, axis: dict[str, Any]) -> Table:
+    def _axis(self, axis: dict[str, Any]) -> RenderableType:
+        """Values beside parameters; below each other where the terminal is narrow: no name is cut."""
         kind = f" ({axis['estimator'].partition(' (')[0]})" if axis.get("estimator") else ""
         title = (
             f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}{kind}"
         )
         columns = shutil.get_terminal_size().columns
-        past, bands = columns >= WIDE, columns >= BANDS
-        table = Table(title=title, title_justify="left")
-        for heading in ("", "value", "unit", *(["past"] if past else []), "parameter", "set to"):
-            table.add_column(heading, no_wrap=heading != "past")
-        chosen = self.parameters()[self._chosen][:2] if self.parameters() else ("", "")
-        live = [(name, figures) for name, figures in axis["parameters"].items() if figures["low"] is not None]
-        for row in range(max(len(SHOWN), len(live))):
-            cells: list[str | Text] = ["" for _ in range(3 + past)]
-            if row < len(SHOWN):
-                name, unit = SHOWN[row]
-                value = _value(axis[name])
-                cells = [
-                    name,
-                    "-" if value is None else f"{value:.4f}{_half(axis[name]) if bands else ''}",
-                    unit,
-                ]
-                if past:
-                    cells.append(sparkline(self._past[axis["name"], name]))
-            if row < len(live):
-                name, figures = live[row]
-                style = "reverse" if (axis["name"], name) == chosen else ""
-                cells += [Text(name, style=style), f"{figures['value']:.4g} {figures['unit']}"]
-            table.add_row(*cells)
-        return table
+        values, parameters = self._values(axis, columns), self._set(axis)
+        if columns < BANDS:
+            return Group(_table(title, VALUES, values), _table("", PARAMETERS, parameters))
+        past = ("past",) if columns >= WIDE else ()
+        empty = ("",) * (len(VALUES) + len(past))
+        rows = itertools.zip_longest(values, parameters)
+        beside = [(*(left or empty), *(right or ("", ""))) for left, right in rows]
+        return _table(title, (*VALUES, *past, *PARAMETERS), beside)
+
+    def _values(self, axis: dict[str, Any], columns: int) -> list[tuple[Cell, ...]]:
+        found: list[tuple[Cell, ...]] = []
+        for name, unit in SHOWN:
+            value = _value(axis[name])
+            shown = "-" if value is None else f"{value:.4f}{_half(axis[name]) if columns >= BANDS else ''}"
+            past = (sparkline(self._past[axis["name"], name]),) if columns >= WIDE else ()
+            found.append((name, shown, unit, *past))
+        return found
+
+    def _set(self, axis: dict[str, Any]) -> list[tuple[Cell, ...]]:
+        known = self.parameters()
+        chosen = known[self._chosen][:2] if known else ("", "")
+        return [
+            (
+                Text(name, style="reverse" if (where, name) == chosen else ""),
+                f"{figures['value']:.4g}{of_unit(figures['unit'])}",
+            )
+            for where, name, figures in known
+            if where == axis["name"]
+        ]
+
+
+def _table(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...]]) -> Table:
+    table = Table(title=title or None, title_justify="left")
+    for heading in headings:
+        table.add_column(heading, no_wrap=heading != "past")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 def _value(found: float | dict[str, Any] | None) -> float | None:
@@ -196,9 +217,8 @@ def watch(client: Client) -> None:
                 if request is not None:
                     try:
                         answer = client.ask(request)
-                        page.message = (
-                            f"{answer['name']}: {answer['before']:.4g} -> {answer['value']:.4g} {answer['unit']}"
-                        )
+                        now = f"{answer['value']:.4g}{of_unit(answer['unit'])}"
+                        page.message = f"{answer['name']}: {answer['before']:.4g} -> {now}"
                     except UsageError as error:
                         page.message = str(error)
             page.take(client.ask(Status()))

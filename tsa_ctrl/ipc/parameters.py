@@ -42,5 +42,10 @@ def axis_index(description: Description, name: str) -> int:
 def check_bounds(name: str, value: float, low: float, high: float, unit: str) -> None:
     """Raises UsageError unless the value lies between them."""
     if not low <= value <= high:
-        of = "" if unit == "1" else f" {unit}"
+        of = of_unit(unit)
         raise UsageError(f"{name} {value:g}{of} is out of bounds; allowed is {low:g} to {high:g}{of}")
+
+
+def of_unit(unit: str) -> str:
+    """What stands behind a number: a space and its unit; nothing where it is a pure number ("1" in the tables)."""
+    return "" if unit == "1" else f" {unit}"
