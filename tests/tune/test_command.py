@@ -146,7 +146,7 @@ def test_what_was_measured_of_the_motor_goes_into_the_controllers_file_and_back_
     law = report.to_dict(outcome, "knee", None, None)["law"]
     assert (law["keys"]["damping"], law["gain_margin"]) == (0.02, 3.1)
     assert law["quantities"]["motor_inertia"]["low"] == 1.0e-4
-    assert ("motor inertia", "", "0.000102", "0.0001 to 0.000104", "kg*m^2") in parameter_rows(outcome)
+    assert ("motor inertia", "", "0.000102", "0.0001 to 0.000104", "kg·m²") in parameter_rows(outcome)
     assert set(session.write(outcome)) == {Path("actuator.toml"), Path("controller.toml")}
     assert load_configuration(folder / "controller.toml").file.axes[0].law.damping == 0.02
 

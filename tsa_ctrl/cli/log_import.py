@@ -66,7 +66,7 @@ def show(done: Understood) -> None:
     """The table of what was understood, before anything is written."""
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
+    from rich.table import Column, Table
 
     shape, console = done.table.shape, Console()
     named = {"\t": "tab", " ": "white space"}.get(shape.separator, f"'{shape.separator}'")
@@ -79,7 +79,7 @@ def show(done: Understood) -> None:
     )
     if done.table.ignored:
         console.print(f"note: {done.table.ignored} lines that are no rows of the table are left out", markup=False)
-    view = Table("column", "from", "unit", "SI per unit", "lowest", "highest", "SI unit")
+    view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")
     for column in done.mapped:
         low, high = _span(done.columns[column.name])
         unit = BY_NAME[column.name].unit if column.name in BY_NAME else "rad/s^2"

@@ -17,6 +17,7 @@ from tsa_ctrl.doctor.check import Check, Result, judge
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.realtime import RealtimeSettings
+from tsa_ctrl.system.signals import unheard_by_children
 from tsa_ctrl.system.sleep import sleep_until
 
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page")
@@ -108,12 +109,16 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_measure, args=(theirs, settings, rate, seconds), daemon=True)
-    process.start()
+    with unheard_by_children():
+        process.start()
     theirs.close()
     try:
         fifo, priority, locked, missing, late = ours.recv()
     except EOFError:
         raise BusError("doctor: the measuring process died; see the system's log (dmesg)") from None
+    except BaseException:
+        process.terminate()
+        raise
     finally:
         process.join()
     wanted = Result.WARN if settings.allow_without else Result.FAIL

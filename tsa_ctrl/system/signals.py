@@ -15,6 +15,23 @@ def ignore(*numbers: signal.Signals) -> None:
 
 
 @contextlib.contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """Ctrl-C never reaches a process that this thread starts in the block; its parent, which ends it, has it after it.
+
+    By the mask, which a new program keeps from its first instruction: a handler of its own comes a second too late,
+    and until then it would end with a traceback. The tracker of multiprocessing would undo the mask as it starts.
+    """
+    from multiprocessing import resource_tracker  # most processes have no children
+
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
 def postponed() -> Iterator[None]:
     """SIGINT and SIGTERM are handled when the block is left.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from jinja2 import Environment, StrictUndefined
 
-from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.quantity import Quantity, spelled
 from tsa_ctrl.tune.procedure import Outcome
 from tsa_ctrl.version import __version__
 
@@ -72,7 +72,7 @@ def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
             "" if given is None else f"{given:.4g}",
             f"{found.value:.4g}",
             f"{found.low:.4g} to {found.high:.4g}",
-            found.unit,
+            "" if found.unit == "1" else spelled(found.unit),
         )
         for name, given, found in rows
     ]

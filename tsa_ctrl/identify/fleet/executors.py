@@ -9,11 +9,12 @@ import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import forkserver
 from typing import Any
 
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.parent import end_with_parent
-from tsa_ctrl.system.signals import ignore
+from tsa_ctrl.system.signals import ignore, unheard_by_children
 
 CONNECT = 10.0  # s to reach a scheduler
 
@@ -35,6 +36,8 @@ def local(jobs: int | None = None) -> Iterator[Workers]:
         os.environ.setdefault(variable, "1")  # threads inside would only get in the other processes' way
     context = multiprocessing.get_context("forkserver")  # a fork of this process would take its threads' locks along
     context.set_forkserver_preload(["tsa_ctrl.identify.fleet.job"])
+    with unheard_by_children():
+        forkserver.ensure_running()
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
     try:
         yield Workers(pool, count, same_disk=True)
