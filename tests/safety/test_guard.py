@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from tsa_ctrl.safety.guard import FORGIVEN, HOLD, RECOVERY, Guard
+from tsa_ctrl.safety.guard import FORGIVEN, HOLD, RECOVERY, RETURNED, Guard
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.passivity import PassivitySettings
 
@@ -41,6 +41,16 @@ def test_the_first_time_goes_to_nothing_and_comes_back() -> None:
     rig.run(HOLD, speed=0.0)
     assert guard.back_off < 0.1
     rig.run(RECOVERY + 0.01, speed=0.0)
+    assert (guard.back_off, guard.reason, guard.latched) == (RETURNED, Reason.PASSIVITY, False)
+    assert "up again to 90 % within 0.35 s, to all of it after 60 s" in guard.words
+    rig.run(FORGIVEN - RECOVERY - HOLD - 0.1, speed=0.0)
+    assert guard.back_off == RETURNED
+    while guard.back_off == RETURNED:
+        rig.run(PERIOD, speed=0.0)
+    rig.run(0.02, speed=0.0)  # no step
+    assert guard.back_off == pytest.approx(0.9 + 0.021 / 0.3, abs=1e-6)
+    assert guard.reason is Reason.PASSIVITY
+    rig.run(0.01, speed=0.0)
     assert (guard.back_off, guard.reason, guard.latched) == (1.0, Reason.NONE, False)
 
 
@@ -133,7 +143,7 @@ def test_a_buzz_takes_the_damping_too() -> None:
     assert (guard.count, guard.back_off, guard.damping, guard.reason) == (1, 0.0, 0.0, Reason.OSCILLATION)
     assert "the motor buzzes at about 80 Hz" in guard.words
     rig.run(HOLD + RECOVERY + 0.01, speed=0.0)
-    assert (guard.back_off, guard.damping, guard.reason) == (1.0, 1.0, Reason.NONE)
+    assert (guard.back_off, guard.damping, guard.reason) == (RETURNED, 1.0, Reason.OSCILLATION)
     rig.run(0.5, speed=0.0, buzz=0.2)
     assert (guard.back_off, guard.damping, guard.latched) == (0.5, 0.0, True)
 
@@ -148,6 +158,20 @@ def test_a_back_off_that_is_set_stays_until_it_is_set_to_1() -> None:
     assert rig.run(1.0).back_off == 0.4
     rig.guard.back_off = 1.0
     assert rig.run(1.0).back_off == 1.0
+    rig.guard.back_off = 0.95
+    assert rig.run(1.0).back_off == 0.95
+
+
+def test_a_back_off_that_is_set_releases_the_latch_and_forgives() -> None:
+    rig = Rig()
+    assert rig.run(0.5).latched
+    rig.guard.back_off = 1.0
+    assert (rig.guard.latched, rig.guard.reason) == (False, Reason.NONE)
+    count = rig.guard.count
+    while rig.guard.count == count:
+        rig.run(PERIOD)
+    assert not rig.guard.latched
+    assert "taken back, up again" in rig.guard.words
     assert not rig.guard.latched
 
 
@@ -163,14 +187,14 @@ def test_without_a_value_nothing_happens() -> None:
 
 
 def test_the_times_are_those_that_people_are_told() -> None:
-    """Up again within 0.35 s, not before; forgiven after a minute."""
+    """Up again to 90 % within 0.35 s; forgiven after a minute."""
     rig = Rig()
     rig.run(0.03)
     assert rig.guard.count == 1
     guard = rig.run(0.31, speed=0.0)
     assert 0.0 < guard.back_off < 1.0
     assert guard.reason is Reason.PASSIVITY
-    assert rig.run(0.06, speed=0.0).back_off == 1.0
+    assert rig.run(0.03, speed=0.0).back_off == 0.9
     for pause, latched in ((59.3, True), (63.0, False)):
         rig = Rig()
         rig.run(0.03)
