@@ -15,15 +15,26 @@ from tests.tune.shaken import LAG, PERIOD, play, true_delay
 from tests.virtual.rigs import Drawn, draw
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.margin import gain_margin
+from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.plant.axis import CURVATURES
 from tsa_ctrl.tune.bends import bends, course
 from tsa_ctrl.tune.delay import Delay, command_delay, torque_of
 from tsa_ctrl.tune.estimate import Estimate, Form
 from tsa_ctrl.tune.excitation import multi_sine
-from tsa_ctrl.tune.mechanics import LawTuning, Mechanics, law_tuning, measured, pulling, rounded, stiffened
+from tsa_ctrl.tune.mechanics import (
+    LawTuning,
+    Mechanics,
+    bearable,
+    law_tuning,
+    measured,
+    pulling,
+    rounded,
+    stiffened,
+)
 from tsa_ctrl.tune.shake import shaken
 from tsa_ctrl.tune.swing import Swing
 
@@ -159,6 +170,13 @@ def around(value: float, unit: str) -> Quantity:
     return Quantity(value, 0.98 * value, 1.02 * value, unit)
 
 
+def learned_of(model: TendonSheath) -> Estimate:
+    """A model whose half loop is known to 2 %."""
+    loop = around(0.5, "N*m")
+    calibration = Calibration(loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, 0.1, 0.1, "", (), model)
+    return Estimate(model, calibration, Form.GIVEN, {}, (), ())
+
+
 def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
     """What [axis.law] gets for a motor of 1e-4 kg*m^2 that rings so (Hz), after so long a delay (s)."""
     folder = Path(__file__).resolve().parents[2] / "config"
@@ -170,11 +188,7 @@ def tuned(tmp_path: Path, delay: float, ringing: float = 150.0) -> LawTuning:
     found = Mechanics(
         Delay(delay / PERIOD - 1.0, LAG, late), Swing(inertia, stiffness, around(ringing, "Hz"), 5.0, 0.0, 20)
     )
-    loop = around(0.5, "N*m")
-    calibration = Calibration(
-        loop, loop, loop, loop, False, 1.0, 9.0, (), 0.1, 0.1, 0.1, 0.1, "", (), configuration.models[0]
-    )
-    learned = Estimate(configuration.models[0], calibration, Form.GIVEN, {}, (), ())
+    learned = learned_of(configuration.models[0])
     made = law_tuning(configuration, configuration.file.axes[0], learned, found)
     assert made is not None
     return made
@@ -201,3 +215,26 @@ def test_a_delay_without_margin_gets_no_damping_and_that_is_said(tmp_path: Path)
 
 def test_the_compensation_is_what_the_half_loop_surely_has(tmp_path: Path) -> None:
     assert tuned(tmp_path, 2e-3).values["compensation"] == pytest.approx(0.98)
+
+
+@pytest.mark.parametrize(("share", "tried"), [(1.2, 0.95), (1.0, 0.95), (0.9, 0.88), (0.5, 0.49)])
+def test_a_file_is_tried_with_no_more_friction_than_the_rig_surely_has(share: float, tried: float) -> None:
+    """Evenly bent the half loop at the motor grows with the pretension; 98 % of it is its lower end."""
+    given = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
+    learned = learned_of(given.recalibrated(given.friction_angle, share * given.pretension))
+    found, reason = bearable(0.95, given, learned)
+    assert found == pytest.approx(tried, abs=3e-3)
+    assert (reason is None) is (tried == 0.95)
+    if reason is not None:
+        assert f"with {100.0 * found:.3g} % of its friction term, not 95 %" in reason
+    assert bearable(0.0, given, learned) == (0.0, None)
+
+
+def test_a_sheath_that_bends_at_the_joint_bears_less_of_one_that_bends_evenly() -> None:
+    """tanh x instead of x."""
+    given, at_joint = (
+        NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+        for profile in ("uniform", "joint_end")
+    )
+    x = NOMINAL.friction_angle
+    assert bearable(1.0, given, learned_of(at_joint))[0] == pytest.approx(0.98 * math.tanh(x) / x, abs=2e-3)

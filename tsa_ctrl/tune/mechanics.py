@@ -25,7 +25,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import zero_phase_derivative
-from tsa_ctrl.model.sliding import motor_stiffness, sliding_stiffness
+from tsa_ctrl.model.sliding import motor_stiffness, sliding, sliding_stiffness
 from tsa_ctrl.tune.controller_file import MOTOR, Key
 from tsa_ctrl.tune.delay import Delay, command_delay
 from tsa_ctrl.tune.estimate import Estimate
@@ -160,6 +160,25 @@ def law_tuning(
         f"{swing.ringing.value:.3g} Hz: the motor's swing is not damped"
     )
     return LawTuning(keys, known, None, tuple(notes))
+
+
+def bearable(compensation: float, given: TendonSheath, learned: Estimate) -> tuple[float, str | None]:
+    """The share of the given file's friction term with which it may be tried, and why that is less than was asked for.
+
+    c h_given <= h at the lower end of what the logs show: a file that says more friction than the rig has makes the
+    joint run, and would never come through its own trial.
+    """
+    loop, new = learned.calibration.half_loop_torque, sliding(learned.model)
+    least = abs(new.motor_half_loop) * min(1.0, max(0.0, loop.low / loop.value))
+    said = abs(sliding(given).motor_half_loop)
+    if not compensation * said > least:
+        return compensation, None
+    share = _floored(least / said)
+    return share, (
+        f"the given file has {said:.3g} N*m of friction at the motor, the rig at least {least:.3g} N*m: so that the "
+        f"joint does not run by itself, the file was tried with {100.0 * share:.3g} % of its friction term, not "
+        f"{100.0 * compensation:.3g} %"
+    )
 
 
 def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:

@@ -25,7 +25,7 @@ from tsa_ctrl.tune.excitation import (
     probe,
     response,
 )
-from tsa_ctrl.tune.mechanics import LawTuning, Mechanics, measured, pulling, stiffened
+from tsa_ctrl.tune.mechanics import LawTuning, Mechanics, bearable, measured, pulling, stiffened
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 from tsa_ctrl.tune.shake import SHARE, fastest, shaken
 
@@ -128,15 +128,17 @@ class Procedure:
             logs = tuple(pulling(log, mechanics.swing.inertia.value) for log in logs)
         found = stiff(learn(logs, self._model, self._settings), mechanics)
         law = self._law_of(found, mechanics)
-        notes = mechanics.notes if law is None else law.notes
+        factor = self._settings.compensation
+        tried, reason = bearable(factor, self._model, found)
+        notes = (*(mechanics.notes if law is None else law.notes), *([reason] if reason else []))
         found = dataclasses.replace(found, notes=(*found.notes, *notes))
         text = new_file(self._path, found, logs, "tune", law)
         new = self._folder / f"new-{self._path.name}"
         new.write_text(text, encoding="utf-8")
-        factor, motion = self._settings.compensation, designed.verification
+        motion = designed.verification
         verification = Verification(
             without=self._play("without", self._path, 0.0, motion, BARE),
-            before=self._play("before", self._path, factor, motion),
+            before=self._play("before", self._path, tried, motion),
             after=self._play("after", new, factor, motion, None if law is None else law.values),  # its own factor
         )
         return Outcome(self._model, found, logs, designed, verification, text, law)
