@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from tsa_ctrl.safety.buzz import Buzz
 
@@ -20,8 +21,60 @@ def watch(added: np.ndarray, wanted: np.ndarray | None = None, period: float = P
     return [n for n, pair in enumerate(zip(added.tolist(), other.tolist(), strict=True)) if buzz.update(*pair)]
 
 
+def above(values: np.ndarray, period: float) -> np.ndarray:
+    """What of them is above 20 Hz, from the second on: each less what a first-order filter had before it."""
+    keep = math.exp(-2.0 * math.pi * 20.0 * period)
+    slow = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])[0]
+    return np.asarray(values[1:] - slow[:-1])
+
+
+def foretold(added: np.ndarray, wanted: np.ndarray, period: float) -> list[tuple[int, float]]:
+    """Cycles in which it is to be told, and the frequencies (Hz), by blocks of 40 ms, ten loud ones in a row."""
+    fast, other = above(added, period), above(wanted, period)
+    length = max(2, round(0.04 / period))
+    turned = np.concatenate(([False], fast[1:] * fast[:-1] < 0.0))
+    blocks = fast.size // length
+    power, explained, turns = (
+        part[: blocks * length].reshape(blocks, length).sum(axis=1)
+        for part in (fast * fast, other * other, turned.astype(float))
+    )
+    loud = (power > LEVEL**2 * length) & (explained < 0.04 * power)
+    found, begin = [], 0
+    for block in range(blocks):
+        if not loud[block]:
+            begin = block + 1
+        elif block + 1 - begin == 10:
+            found.append(((block + 1) * length, turns[begin : block + 1].sum() / (20 * length * period)))
+            begin = block + 1
+    return found
+
+
 def times(seconds: float, period: float = PERIOD) -> np.ndarray:
     return np.arange(0.0, seconds, period)
+
+
+@pytest.mark.parametrize(("period", "drawn"), [(1e-3, 60), (2.5e-3, 20), (5e-2, 40)])
+def test_is_told_in_the_cycle_in_which_ten_blocks_have_been_loud(period: float, drawn: int) -> None:
+    """Swings near the level, explained by nearly as much of the set-point as explains them, that come and go."""
+    draw = np.random.default_rng(5)
+    told = 0
+    for _ in range(drawn):
+        t = times(2.5 if period < 0.01 else 20.0, period)
+        frequency = math.exp(draw.uniform(math.log(10.0), math.log(300.0))) * min(1.0, 1e-3 / period)
+        size = LEVEL * math.sqrt(2.0) * draw.uniform(0.8, 3.0)
+        swing = size * np.sin(2.0 * math.pi * frequency * t + draw.uniform(0.0, 6.0))
+        swing[t > draw.uniform(0.3, 2.0) * t[-1]] = 0.0
+        added = 0.2 + swing + draw.normal(0.0, 1e-3, t.size)
+        wanted = draw.uniform(0.0, 0.3) * np.roll(swing, 1) - 0.1
+        buzz, found = Buzz(LEVEL, period), []
+        for n, pair in enumerate(zip(added.tolist(), wanted.tolist(), strict=True)):
+            if buzz.update(*pair):
+                found.append((n, buzz.frequency))
+        expected = foretold(added, wanted, period)
+        assert [n for n, _ in found] == [n for n, _ in expected]
+        assert [hertz for _, hertz in found] == pytest.approx([hertz for _, hertz in expected])
+        told += len(found)
+    assert told > drawn / 2
 
 
 @pytest.mark.parametrize("period", [2e-3, 1e-3, 5e-4])
@@ -77,3 +130,19 @@ def test_what_is_not_finite_does_not_stick_and_reset_forgets() -> None:
     for value in [math.nan, math.inf, *swing[:380]]:
         assert not buzz.update(value, 0.0)
     assert any(buzz.update(value, 0.0) for value in swing[380:])
+    assert buzz.frequency > 0.0
+    buzz.reset()
+    assert buzz.frequency == 0.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_number_that_no_torque_can_have_is_passed_over(side: float) -> None:
+    """Beyond a million, of both together; below it is a swing like any other."""
+    swing = 4e5 * np.sin(2.0 * math.pi * 60.0 * times(0.5))
+    added = side * 5e5 + swing
+    assert watch(added, np.full_like(swing, side * 9e4)) != []  # 0.99e6 at its peaks
+    assert watch(np.abs(added) * side, np.full_like(swing, side * 9.5e5)) == []
+    few = np.where(np.arange(500) % 2, 0.2 * np.sin(2.0 * math.pi * 60.0 * times(0.5)), side * 1.01e6)
+    assert watch(few) == []
+    nan_first = np.concatenate(([math.nan, side * 1.01e6], 0.2 * np.sin(2.0 * math.pi * 60.0 * times(0.5))))
+    assert [n - 2 for n in watch(nan_first)] == watch(nan_first[2:])

@@ -41,6 +41,8 @@ TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must see its m
     "tsa_ctrl/safety/leaky.py": ("tests/safety/test_leaky.py",),
     "tsa_ctrl/safety/guard.py": ("tests/safety/test_guard.py",),
     "tsa_ctrl/safety/passivity.py": ("tests/safety/test_passivity.py",),
+    "tsa_ctrl/safety/buzz.py": ("tests/safety/test_buzz.py",),
+    "tsa_ctrl/safety/sense.py": ("tests/safety/test_sense.py",),
     "tsa_ctrl/safety/plausibility.py": ("tests/safety/test_plausibility.py",),
     "tsa_ctrl/control/axis.py": ("tests/control/test_axis.py", "tests/daemon/test_loop.py"),
     "tsa_ctrl/control/cycle.py": ("tests/control/test_cycle.py", "tests/daemon/test_loop.py"),
