@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import shutil
 import signal
@@ -16,6 +17,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+CLAIMS = "TSA_CLAIMS"  # folder of two runs that share their tests: in it stands what one of them has begun
 SIOCGIFFLAGS, IFF_UP = 0x8913, 0x1  # linux/sockios.h, linux/if.h
 
 hypothesis.settings.register_profile("local", deadline=None)
@@ -31,19 +33,30 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     Tests that talk on a bus share one: two at once would hear each other. So do those that share a fixture of their
     module: it is made once. Groups come first, the largest one at once, then what is slow: no worker ends alone.
-    With TSA_HALF=1/2 or 2/2 only the modules of that half of the tests on a vcan: each has a vcan and a processor.
+    Of two runs at once that share their tests (TSA_CLAIMS) each comes to the longest ones first, too.
     """
     for item in items:
         if item.get_closest_marker("hil"):
             item.add_marker(pytest.mark.xdist_group("bus"))
         elif item.get_closest_marker("xdist_group") is None and _shares_a_fixture(item):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
-    if half := os.environ.get("TSA_HALF"):
-        mine = set(_half([item for item in items if _in_real_time(item)], int(half[0])))
-        config.hook.pytest_deselected(items=[item for item in items if item.nodeid.partition("::")[0] not in mine])
-        items[:] = [item for item in items if item.nodeid.partition("::")[0] in mine]
-    if hasattr(config, "workerinput"):
+    if CLAIMS in os.environ:
+        items.reverse()  # the campaign, the longest one, is in one of the last files
+    if hasattr(config, "workerinput") or CLAIMS in os.environ:
         items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> bool | None:
+    """Of two runs at once, each on a vcan and a processor of its own, the one that comes first to a test runs it."""
+    if CLAIMS not in os.environ or session.testsfailed or session.config.option.collectonly:
+        return None
+    for item in session.items:
+        if claimed(Path(os.environ[CLAIMS]), item.nodeid):
+            item.ihook.pytest_runtest_protocol(item=item, nextitem=None)  # which test is the next is not known yet
+        if session.shouldstop:
+            raise session.Interrupted(session.shouldstop)
+    return True
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -99,31 +112,21 @@ def lack_of_vcan() -> str | None:
     return None if up else f"no vcan: TSA_VCAN={name} is down"
 
 
+def claimed(folder: Path, name: str) -> bool:
+    """Whether this run is the first one to ask for the test `name`: `folder` is that of both."""
+    try:
+        (folder / hashlib.sha256(name.encode()).hexdigest()).mkdir()
+    except FileExistsError:
+        return False
+    return True
+
+
 def _shares_a_fixture(item: pytest.Item) -> bool:
     """Whether it asks for a fixture that its module makes once."""
     if not isinstance(item, pytest.Function):
         return False
     found = (each for made in item._fixtureinfo.name2fixturedefs.values() for each in made)
     return any(each.scope == "module" for each in found)
-
-
-def _in_real_time(item: pytest.Item) -> bool:
-    return bool(item.get_closest_marker("vcan")) and not item.get_closest_marker("soak")
-
-
-def _half(items: list[pytest.Item], which: int) -> list[str]:
-    """The modules of one half (1 or 2) of `items`: the largest first, each to the half that has less until then."""
-    weights: dict[str, float] = {}
-    for item in items:  # those marked slow run daemon and plant, ten seconds and more; the others take a tenth of one
-        module = item.nodeid.partition("::")[0]
-        weights[module] = weights.get(module, 0.0) + (1.0 if item.get_closest_marker("slow") else 0.01)
-    halves: tuple[list[str], list[str]] = ([], [])
-    loads = [0.0, 0.0]
-    for module in sorted(weights, key=lambda module: (-weights[module], module)):
-        less = loads.index(min(loads))
-        halves[less].append(module)
-        loads[less] += weights[module]
-    return halves[which - 1]
 
 
 def _browser() -> str | None:
