@@ -41,8 +41,10 @@ ensure_venv() { # [EXTRA]
             "$python" -m venv --clear "$venv" >"$log" 2>&1 ||
                 die "'$python -m venv' failed (on Debian and Ubuntu: apt-get install python3-venv); see $log"
         fi
-        "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --retries 2 \
-            --editable "$root${extra:+[$extra]}" >"$log" 2>&1 ||
+        # Byte code is written at first use, of the modules that are used; and the project is a plain line in
+        # a .pth file, not a finder that each start of Python loads first.
+        "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --retries 2 --no-compile \
+            --config-settings editable_mode=compat --editable "$root${extra:+[$extra]}" >"$log" 2>&1 ||
             die "pip could not install the project: $(grep -m1 ERROR "$log" || tail -n1 "$log")$(
                 if grep -q 'connection broken' "$log"; then echo ' (a registry was not reached)'; fi
             ); all of it in $log"
