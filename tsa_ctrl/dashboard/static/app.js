@@ -90,7 +90,7 @@ function addAxis(axis) {
         width: target.clientWidth || 900,
         height,
         scales: { x: { time: false } },
-        axes: [{ ...style, label: kind === "torque" ? "s" : undefined }, { ...style, label: unit, size: 64 }],
+        axes: [{ ...style, label: kind === "torque" ? "s" : undefined }, { ...style, label: unit, size: 64, space: 18 }],
         series: [{ label: "s" }, ...known.map(([, label, stroke]) => ({ label, stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
         bands: ends ? [{ series, fill: "#12a59433" }] : [],
       },
