@@ -20,7 +20,7 @@ from rich.console import Console
 
 from tests.daemon.serving import PATIENCE, Serving, description
 from tests.daemon.test_server import loop_taking
-from tsa_ctrl.cli import cli
+from tsa_ctrl.cli import cli, set_
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.page import Page, sparkline
@@ -99,12 +99,43 @@ def test_what_is_no_number_is_said_to_be_none(serving: Serving, arguments: tuple
     assert "is not a finite number" in result.output
 
 
-def test_set_recover(serving: Serving) -> None:
+def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
     """`tsa set recover 1` asks for a new start; any other value is refused."""
+    monkeypatch.setattr(set_, "HELD", 0.0)
     with loop_taking(serving) as taken:
         assert call(serving, "set", "recover", "1").exit_code == 0
     assert taken == [Command(0, RECOVER, 0.0)]
     assert isinstance(call(serving, "set", "recover", "0").exception, UsageError)
+
+
+class Phases:
+    """A client whose daemon goes through these phases, one an answer; the last one stays."""
+
+    def __init__(self, *phases: str) -> None:
+        self._phases = list(phases)
+
+    def ask(self, request: object) -> dict[str, object]:
+        phase = self._phases.pop(0) if len(self._phases) > 1 else self._phases[0]
+        return {"phase": phase, "faults": [{"text": "over-speed"}]}
+
+
+@pytest.mark.parametrize(
+    ("phases", "words"),
+    [
+        (
+            ("faulted", "starting", "running", "running", "faulted"),
+            "not for long, phase faulted: over-speed; mend",
+        ),
+        (("faulted",), "not recovered after 0.3 s, phase faulted: over-speed; mend that"),
+    ],
+)
+def test_a_recovery_that_does_not_last_is_told(
+    phases: tuple[str, ...], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A torn tendon lets the rig start, and stops it when it moves: the verb waits for that."""
+    monkeypatch.setattr(set_, "RECOVERY", 0.3 if len(phases) == 1 else 60.0)
+    with pytest.raises(BusError, match=words):
+        set_._recovered(Phases(*phases))  # type: ignore[arg-type]
 
 
 def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:

@@ -36,7 +36,8 @@ def test_a_sparse_regression_finds_the_three_terms_and_predicts_what_it_has_not_
 
 
 @pytest.mark.skipif(importlib.util.find_spec("sklearn") is None, reason="scikit-learn is not installed (extra dev)")
-@pytest.mark.parametrize("method", ["boosted trees", pytest.param("small network", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["boosted trees", "small network"])
 def test_what_knows_no_causes_beats_a_constant_far(method: str) -> None:
     signals, torque = drive()
     half = len(torque) // 2
