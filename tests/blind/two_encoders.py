@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from . import sensors
-from .bench import Bench, Run
-from .cases import Case, finish, generator
+from . import sensors, stretch_effects
+from .bench import Bench, Recipe, Run, draw_bench, rms
+from .cases import Case, finish, generator, in_domain, log_uniform
 from .confounded import ROWS, drawn
 from .plant import Effects, Tensions
 from .rig import Rig
@@ -24,6 +24,8 @@ SHAPES = ("joint", "even", "motor")
 _PROFILES = {"even": "uniform", "motor": "motor_end"}
 _COURSE = np.linspace(0.0, 1.0, 201)  # along the sheath; the strain is summed by trapezia
 _AT_JOINT = "bending_centre = 0.99\n"  # as near to 1 as a file may say
+NOTHING = "nothing"  # a log of a rig as its file says
+BESIDE = (*stretch_effects.NAMES, NOTHING)  # rows without a twin in the torque
 _ONLY_AT_JOINT = {"elongation_coupling", "sheath_asymmetry"}  # they are, or exclude, another shape
 
 
@@ -32,6 +34,7 @@ def names() -> tuple[str, ...]:
     out = [f"{name}:joint" for name in ROWS]
     for shape in _PROFILES:
         out += [f"{name}:{shape}" for name, row in ROWS.items() if not _ONLY_AT_JOINT & set(row.twins)]
+    out += [f"{name}:{shape}" for shape in SHAPES for name in BESIDE]
     return tuple(out)
 
 
@@ -66,6 +69,8 @@ def _ends_half(count: int) -> Array:
 def two_encoder_case(name: str, seed: int, short: bool = False) -> Case:
     """A row of twins on a sheath of a shape ("ROW:SHAPE"); the logs have q_j and q_m. `without` takes them out."""
     label, _, shape = name.partition(":")
+    if label in BESIDE:
+        return _beside_the_torque(label, shape, seed, short)
     row = ROWS[label]
     for attempt in range(200):
         rng = generator("two_encoders", name, seed, attempt)
@@ -86,9 +91,49 @@ def two_encoder_case(name: str, seed: int, short: bool = False) -> Case:
         _add_angles(rng, bench, run, effects, bends, log.columns)
     case.truth.effects = {key: value for key, value in case.truth.effects.items() if key in hidden}
     case.truth.twins, case.truth.exact = row.twins, False
+    if shape in _PROFILES or "elongation_coupling" not in row.twins:
+        return _told_the_shape(case, shape)
+    return case
+
+
+def _beside_the_torque(label: str, shape: str, seed: int, short: bool) -> Case:
+    """A rig in whose torque nothing is hidden; in one of its logs, or in all, the angles show what `label` says."""
+    for attempt in range(200):
+        rng = generator("two_encoders", f"{label}:{shape}", seed, attempt)
+        bench = draw_bench(rng, Recipe(joint_angle=True, bare=True, short=short))
+        effects: dict[str, dict[str, Any]] = {}
+        if shape in _PROFILES:
+            effects["elongation_coupling"] = {"curvature_profile": _PROFILES[shape]}
+        if in_domain(bench, effects):
+            break
+    else:
+        raise RuntimeError(f"no case of {label} for seed {seed}")
+    case = finish(
+        rng,
+        "two_encoders",
+        f"{label}:{shape}",
+        seed,
+        bench,
+        effects,
+        bench.reading * log_uniform(rng, 0.005, 0.02),
+        "rich",
+    )
+    case.truth.effects, case.truth.twins, case.truth.exact = {}, (), False
+    chosen = int(rng.integers(len(bench.runs)))
+    if label != NOTHING:
+        reach = rms(stretch(bench.rig, bench.runs[chosen].simulate(bench.rig, effects, False), shape))
+        case.truth.effects[label] = stretch_effects.draw(rng, label, bench, bench.runs[chosen], reach)
+    for number, (log, run) in enumerate(zip(case.logs, bench.runs, strict=True)):
+        here = label != "pulley_slip" or number == chosen
+        _add_angles(rng, bench, run, effects, shape, log.columns, case.truth.effects if here else {})
+    return _told_the_shape(case, shape)
+
+
+def _told_the_shape(case: Case, shape: str) -> Case:
+    """With a model file that says where the sheath bends."""
     if shape in _PROFILES:
         case.model += f'\n[effects.elongation_coupling]\ncurvature_profile = "{_PROFILES[shape]}"\n'
-    elif "elongation_coupling" not in row.twins:
+    else:
         case.model = case.model.replace("[sheath]\n", f"[sheath]\n{_AT_JOINT}")
     return case
 
@@ -100,11 +145,20 @@ def without_motor_angle(case: Case) -> Case:
 
 
 def _add_angles(
-    rng: np.random.Generator, bench: Bench, run: Run, effects: Effects, bends: str, columns: dict[str, Array]
+    rng: np.random.Generator,
+    bench: Bench,
+    run: Run,
+    effects: Effects,
+    bends: str,
+    columns: dict[str, Array],
+    beside: Effects = {},  # noqa: B006 - read only
 ) -> None:
     rig = bench.rig
     q_j = run.pick(run.scene.q)
-    s = stretch(rig, run.simulate(rig, effects, bench.motor_angle), bends)
+    tensions = run.simulate(rig, effects, bench.motor_angle)
+    s = stretch(rig, tensions, bends)
+    for name, parameters in beside.items():
+        s = s + stretch_effects.added(name, dict(parameters), tensions, columns["t"], rig.joint_radius)
     offset = rng.uniform(-0.3, 0.3)
     columns["q_j"] = sensors.encoder(rng, q_j, bench.counts)
     columns["q_m"] = sensors.encoder(rng, offset + (s + rig.joint_radius * q_j) / rig.motor_radius, 4 * bench.counts)

@@ -84,6 +84,7 @@ SCALES = Scales(
     middle=0.1,
     motor_reach=0.6,
     motor_step=0.002,
+    begin=0.0,
     seconds=60.0,
     period=0.002,
     heating=12.0,

@@ -69,6 +69,12 @@ INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
         }
     ),
 }
+INVERTIBLE |= {  # nothing of the torque
+    "series_spring": st.fixed_dictionaries({"stiffness": numbers(1e3, 1e5), "end": st.just("joint")}),
+    "tendon_creep": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time_constant": numbers(0.1, 100.0)}),
+    "pulley_slip": st.fixed_dictionaries({"length": numbers(-1e-3, 1e-3), "time": numbers(0.0, 1.0)}),
+    "joint_play": st.fixed_dictionaries({"gap": numbers(1e-4, 0.1)}),
+}
 NOT_INVERTIBLE = {"transport_delay", "backlash", "velocity_lag"}
 
 

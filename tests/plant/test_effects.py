@@ -6,8 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from tests.blind import stretch_effects
+from tests.blind.plant import Tensions
 from tests.model.test_vectors import CASES, STATES
 from tests.plant.bench import R_J, R_M, axis
 
@@ -127,3 +130,37 @@ def test_the_plant_runs_a_formula_of_its_file(tmp_path: Path, stage: str) -> Non
         # At the motor it changes the slope's input: cosh x of these four states' actuator follows from two torques.
         slope = 1.0 if stage == "joint" else (delivered(tmp_path, {}, (tau_m + 0.1, *state[1:]), 0.0) - plain) / 0.1
         assert plain - found == pytest.approx(slope * taken, abs=5e-6)
+
+
+BESIDE: dict[str, dict[str, Any]] = {
+    "series_spring": {"stiffness": 9e3},
+    "tendon_creep": {"length": -3e-4, "time_constant": 1.5},
+    "pulley_slip": {"length": 2e-4, "time": 1.1},
+    "joint_play": {"gap": 0.03},
+}
+
+
+@pytest.mark.parametrize("name", list(BESIDE))
+def test_what_only_the_angles_show(tmp_path: Path, name: str) -> None:
+    """r_M q_M - r_J q_J as the encoders have it, against the definitions; torque and mechanics know nothing of it."""
+    plain = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0})
+    other = axis(tmp_path, motion={"kind": "sine", "ramp": 0.0}, effects={name: BESIDE[name]})
+    side, compared = 0.0, 0
+    for step in range(1, 21):
+        t, torque = 0.1 * step, 0.3 if step <= 12 else -0.3
+        stretches = []
+        for each in (plain, other):
+            each.command.enabled, each.command.torque = True, torque
+            each.advance(t)
+            stretches.append(R_M * each.readings.motor_angle - R_J * each.readings.joint_angle)
+        values = other.values()
+        assert values["tau_j"] == plain.values()["tau_j"]
+        before, side = side, math.copysign(1.0, values["t4"] - values["t2"])
+        if side != before:
+            continue  # the play is being crossed
+        compared += 1
+        tensions = Tensions(*(np.array([values[key]]) for key in ("t1", "t2", "t3", "t4", "tau_j")))
+        clock = np.array([0.0, t])  # it starts creeping with the log
+        expected = stretch_effects.added(name, BESIDE[name], tensions, clock, R_J)[-1]
+        assert stretches[1] - stretches[0] == pytest.approx(expected, abs=3e-6)
+    assert compared > 12

@@ -1,10 +1,12 @@
 """What the angles of both pulleys add to a diagnosis: groups that become single names, and pairs that stay.
 
 Usage: tools/run bench/two_encoders [--draws 2] [--seed 0] [--shapes joint even motor] [--rows ROW:SHAPE ...]
-                                    [--results FILE] [--jobs 1]
+                                    [--by-row] [--results FILE] [--jobs 1]
 Each row of the catalogue's twins is hidden in short logs (tests/blind/two_encoders.py) on a sheath that bends at the
 joint, evenly, or at the motor, as the model file says. The same logs are diagnosed without and with the motor's angle.
-With --results each case is kept in a file as it ends; those that it holds are not run again.
+Rows that no torque shows (a spring, creep, slip, play; `nothing`) are told by the angles alone. With --by-row the table
+has a line for each row instead of each shape. With --results each case is kept in a file as it ends; those that it
+holds are not run again.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from tests.blind.two_encoders import SHAPES, names, two_encoder_case, without_motor_angle
+from tests.blind.two_encoders import NOTHING, SHAPES, names, two_encoder_case, without_motor_angle
 from tools import command
 from tools.bench.diagnose import ask
 from tools.bench.results import Results, Row
@@ -34,7 +36,7 @@ def one(job: tuple[str, int]) -> Row:
         case = two_encoder_case(name, seed, short=True)
     except RuntimeError as problem:
         return {"name": name, "seed": seed, "error": str(problem)}
-    row: Row = {"name": name, "seed": seed, "truth": next(iter(case.truth.effects)), "error": ""}
+    row: Row = {"name": name, "seed": seed, "truth": next(iter(case.truth.effects), NOTHING), "error": ""}
     for key, each in (("without", without_motor_angle(case)), ("with", case)):
         try:
             causes = ask(each.logs, each.model)[0]["causes"]
@@ -47,7 +49,7 @@ def one(job: tuple[str, int]) -> Row:
 def kind(causes: list[list[str]], truth: str) -> str:
     """Of `KINDS`: the truth as the only name, among others, no name at all, or only other names."""
     if not causes:
-        return "not named"
+        return "found alone" if truth == NOTHING else "not named"
     if not any(truth in group for group in causes):
         return "wrong"
     return "found alone" if causes == [[truth]] else "in a group"
@@ -63,14 +65,22 @@ def staying(rows: list[Row]) -> Counter[str]:
     return pairs
 
 
-def report(rows: list[Row]) -> None:
-    table = Table("sheath bends", "cases", *(f"{kind}: torque" for kind in KINDS), *(f"{kind}: both" for kind in KINDS))
-    for shape in (*SHAPES, "all"):
-        part = [row for row in rows if shape in ("all", row["name"].partition(":")[2])]
+def report(rows: list[Row], by_row: bool) -> None:
+    """The table by shape, or by row, and what parts and what stays."""
+    place = 0 if by_row else 2
+    lines = list(dict.fromkeys(row["name"].partition(":")[place] for row in rows))
+    table = Table(
+        "hidden, its twins" if by_row else "sheath bends",
+        "cases",
+        *(f"{kind}: torque" for kind in KINDS),
+        *(f"{kind}: both" for kind in KINDS),
+    )
+    for shape in (*lines, "all"):
+        part = [row for row in rows if shape in ("all", row["name"].partition(":")[place])]
         if part:
             counts = [Counter(kind(row[key], row["truth"]) for row in part) for key in ("without", "with")]
             table.add_row(shape, str(len(part)), *(str(count[each]) for count in counts for each in KINDS))
-    console = Console(width=150)
+    console = Console(width=230)  # names of rows in full
     console.print(table)
     grouped = [row for row in rows if kind(row["without"], row["truth"]) == "in a group"]
     single = sum(kind(row["with"], row["truth"]) == "found alone" for row in grouped)
@@ -96,6 +106,7 @@ def main() -> int:
     parser.add_argument(
         "--shapes", nargs="+", choices=SHAPES, default=list(SHAPES), help="only sheaths that bend there"
     )
+    parser.add_argument("--by-row", action="store_true", help="a line of the table for each row, not for each shape")
     parser.add_argument("--results", type=Path, help="a JSON object per case; those that it holds are not run again")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     arguments = parser.parse_args()
@@ -110,5 +121,5 @@ def main() -> int:
     for row in rows:
         if row["error"]:
             print(f"{row['name']} {row['seed']}: {row['error']}")
-    report([row for row in rows if not row["error"]])
+    report([row for row in rows if not row["error"]], arguments.by_row)
     return 0

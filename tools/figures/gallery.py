@@ -1,4 +1,4 @@
-"""The signature of each effect: what it adds to (3.55), against speed, load, angle and time, as PNG.
+"""The signature of each effect: what it adds to (3.55), or to the stretch, against speed, load, angle and time, as PNG.
 
 Usage: tools/run figures/gallery [--out out/gallery] [EFFECT ...]
 
@@ -20,10 +20,10 @@ from tools import command
 from tools.figures import look as pictures
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
-from tsa_ctrl.model.effects.specification import Shown
+from tsa_ctrl.model.effects.specification import Shown, Stage
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import load_tendon_sheath
-from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.predict import predict, stretch
 from tsa_ctrl.model.signals import Signals, hold_direction
 
 SHORT = (14.0, 20.0)  # s, a few reversals at several speeds
@@ -84,11 +84,12 @@ def views(log: Signals, tau_j: Array) -> dict[str, tuple[str, Array]]:
 
 @dataclass(frozen=True)
 class Signature:
-    """A log, what (3.55) says for it, and what one effect adds, N*m."""
+    """A log, what (3.55) says for it, and what one effect adds, N*m, or µm of the tendons' stretch."""
 
     log: Signals
     tau_j: Array
     residual: Array
+    unit: str = "N·m"
 
 
 def draw(axis: Axes, label: str, abscissa: Array, shown: Signature, span: tuple[float, float] | None) -> None:
@@ -119,7 +120,7 @@ def page(folder: Path, name: str, shown: Signature) -> None:
     figure, (axes,) = pictures.grid(1, len(keys), 3.1 * len(keys), 3.2)
     for axis, key in zip(axes, keys, strict=True):
         draw(axis, *every[key], shown, seconds_of(entry) if key == "time" else None)
-    axes[0].set_ylabel("residual (N·m)")
+    axes[0].set_ylabel(f"residual ({shown.unit})")
     values = ", ".join(f"{key} = {value}" for key, value in entry.parameters.items())
     figure.suptitle(f"{name}   {entry.equation}      {values}", x=0.01, ha="left", fontsize=10)
     axes[-1].plot([], [], ".", color=pictures.FORWARD, label="ω > 0")
@@ -138,7 +139,8 @@ def overview(folder: Path, effects: dict[str, Signature]) -> None:
         draw(
             axis, *views(shown.log, shown.tau_j)[entry.view], shown, seconds_of(entry) if entry.view == "time" else None
         )
-        axis.set_title(f"{name}\n{entry.equation}", fontsize=8.5)
+        unit = "" if shown.unit == "N·m" else f"   ({shown.unit})"
+        axis.set_title(f"{name}\n{entry.equation}{unit}", fontsize=8.5)
         axis.xaxis.label.set_fontsize(8)
         axis.tick_params(labelsize=7.5)
     for cell in cells[len(effects) :]:
@@ -172,8 +174,10 @@ def main() -> int:
     for name in arguments.effects or CATALOGUE:
         log = logs[CATALOGUE[name].shown.view == "theta"]
         tau_j = predict(model, log)
-        residual = predict(model.with_effects({name: CATALOGUE[name].shown.parameters}), log) - tau_j
-        effects[name] = Signature(log, tau_j, residual)
+        extended = model.with_effects({name: CATALOGUE[name].shown.parameters})
+        effects[name] = Signature(log, tau_j, predict(extended, log) - tau_j)
+        if CATALOGUE[name].stage is Stage.STRETCH:
+            effects[name] = Signature(log, tau_j, 1e6 * (stretch(extended, log) - stretch(model, log)), "µm")
         page(arguments.out, name, effects[name])
     if not arguments.effects:
         overview(arguments.out, effects)

@@ -7,19 +7,25 @@ its class, in `tsa_ctrl.model.effects`.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects import EFFECTS
 from tsa_ctrl.model.effects.custom import NAMES
-from tsa_ctrl.model.effects.specification import Parameter, Setting, Specification
+from tsa_ctrl.model.effects.specification import Parameter, Setting, Specification, Stage
 from tsa_ctrl.model.expression import FUNCTIONS
 
 CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
 )
+
+
+def of_the_stretch(names: Collection[str]) -> tuple[list[str], list[str]]:
+    """Of the effects that only the tendons' stretch shows: those among `names`, and the others."""
+    every = [spec.name for spec in CATALOGUE.values() if spec.stage is Stage.STRETCH]
+    return [name for name in every if name in names], [name for name in every if name not in names]
 
 
 def twins_of(name: str) -> frozenset[str]:

@@ -63,6 +63,12 @@ class JointEffect(Protocol):
     def torque(self, functions: Functions[F], state: State[F]) -> F: ...
 
 
+class StretchEffect(Protocol):
+    """Gives the length that it adds to the tendons' stretch, m, beside what T3 - T1 and T4 - T2 (`ends`, N) do."""
+
+    def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F: ...
+
+
 @dataclass(frozen=True)
 class Stack:
     """The effects of one model, by stage; None or empty where there is none."""
@@ -82,6 +88,7 @@ class Stack:
     joint: tuple[JointEffect, ...]
     custom: Custom | None
     delay: TransportDelay | None
+    stretch: tuple[StretchEffect, ...]
 
     @classmethod
     def of(cls, effects: Effects, source: str = "") -> Stack:
@@ -109,6 +116,7 @@ class Stack:
             joint=tuple(effect for effect in present.at(Stage.JOINT) if not isinstance(effect, Custom)),
             custom=present.one(Custom),
             delay=present.one(TransportDelay),
+            stretch=present.at(Stage.STRETCH),
         )
 
     def custom_at(self, stage: str) -> Custom | None:

@@ -16,11 +16,13 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
 from tsa_ctrl.model.effects.memory import integrate
+from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import FourTensions, Transmission
 from tsa_ctrl.model.functions import ARRAYS, Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.signals import Signals, hold_direction
+from tsa_ctrl.model.stretch import compliances
 
 # Friction states and exponentials of one log that are kept, and their bytes at most: a search asks for the same grid of
 # states with every fit, and an hour at 1 kHz must stay below a gigabyte
@@ -104,7 +106,24 @@ def stretching(model: TendonSheath, signals: Signals) -> tuple[Array, Array]:
     """
     stack = Stack.of(model.effects, model.source)
     _require_columns(model, signals)
+    return _ends(model, stack, signals, _joint_state(model, stack, signals))
+
+
+def stretch(model: TendonSheath, signals: Signals) -> Array:
+    """s = r_M q_M - r_J q_J of the model while it slides, m, shape (n,), but for the encoders' zero. As `predict`."""
+    stack = Stack.of(model.effects, model.source)
+    _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
+    ends = _ends(model, stack, signals, state)
+    motor, joint = compliances(model)
+    length = motor * ends[0] + joint * ends[1]
+    for effect in stack.stretch:
+        length = length + effect.lengthens(ARRAYS, ends, model.joint_pulley_radius, state)
+    return length
+
+
+def _ends(model: TendonSheath, stack: Stack, signals: Signals, state: State[Array]) -> tuple[Array, Array]:
+    """`stretching`, of a stack and state that are there."""
     tau_m = _on_the_tendons(stack, state, signals.tau_m)
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     x = friction_angle(ARRAYS, model, stack, state, theta)
@@ -128,12 +147,13 @@ def beyond_slack(model: Model, signals: Signals) -> float:
 
 
 def missing_columns(model: Model, signals: Signals) -> dict[str, tuple[str, ...]]:
-    """For each effect that this log cannot carry: the columns of which one would be needed."""
+    """For each effect that this log cannot carry: the columns of which one would be needed; none for the stretch's."""
     rigid = isinstance(model, RigidDrive)
     return {
         name: lack
         for name, parameters in model.effects.items()
-        if (lack := missing_for(name, signals, rigid=rigid, parameters=parameters))
+        if CATALOGUE[name].stage is not Stage.STRETCH
+        and (lack := missing_for(name, signals, rigid=rigid, parameters=parameters))
     }
 
 

@@ -22,6 +22,7 @@ import math
 from dataclasses import dataclass
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.curvature import Profile, centred
 from tsa_ctrl.model.effects.transmission import Elongating
@@ -90,6 +91,10 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
 
 def why_not(model: TendonSheath) -> str:
     """Why the stretch cannot tell the joint torque of this model; empty where it can."""
+    beside, _ = of_the_stretch(model.effects)
+    if beside:
+        cure = "give it as [tendon] series_stiffness" if beside[0] == "series_spring" else "mend it, and remove it here"
+        return f"[effects.{beside[0]}] lies in the tendons' stretch, which then does not tell the joint torque; {cure}"
     centre = compliance_centre(model)
     if centre <= MOST_CENTRE:
         return ""

@@ -35,7 +35,8 @@ _LEAST_ADVANCE = 1e-9  # s: less is the rounding of sub-steps
 _TIME, _TORQUE, _MOTOR_SPEED, _MOTOR_ANGLE, _JOINT_ANGLE, _JOINT_SPEED, _JOINT_TORQUE, _TEMPERATURE, _SPEED_LIMITED = (
     (STATE.names or ()).index(name)
     for name in (
-        "t", "torque_loop", "omega_m", "q_m", "q_lagged", "omega_lagged", "tau_sensed", "temperature", "speed_limited",
+        "t", "torque_loop", "omega_m", "q_m_seen", "q_lagged", "omega_lagged", "tau_sensed", "temperature",
+        "speed_limited",
     )
 )  # fmt: skip
 
@@ -117,6 +118,7 @@ class Axis:
             q_j=angle,
             q_lagged=angle,
             q_m=angle * float(p["r_j"]) / float(p["r_m"]),
+            q_m_seen=angle * float(p["r_j"]) / float(p["r_m"]),
             started=0.0 if self._start_at_once else -1.0,
             theta=float(p["theta"]),
             temperature=25.0,

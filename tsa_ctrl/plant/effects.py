@@ -17,6 +17,7 @@ import numpy as np
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.plant.compiled import compiled
 
+CROSSING = 0.02  # s, in which a joint of 0.01 kg*m^2 crosses its play under 0.1 N*m or so
 MICRO = 1e-3  # rad over which Coulomb friction of motor and joint builds up
 MAX_ELEMENTS = 64  # Maxwell-slip elements of presliding_hysteresis
 _MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
@@ -70,6 +71,14 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("hysteresis", _I),  # Presliding
     ("hysteresis_distance", _F),  # rad
     ("hysteresis_elements", _I),
+    # what only the angles of motor and joint show
+    ("softness_at_motor", _F),  # m per N of T3 - T1
+    ("softness_at_joint", _F),  # m per N of T4 - T2
+    ("creep", _F),  # m
+    ("creep_time", _F),  # s
+    ("slipped", _F),  # m
+    ("slip_time", _F),  # s
+    ("play", _F),  # rad
     # sensors
     ("sensor_delay", _F),  # s
     ("velocity_lag", _F),  # s
@@ -81,6 +90,7 @@ _NEUTRAL = {  # values of absent effects that are not zero
     "stribeck_shape": 2.0,
     "reference_temperature": 25.0,
     "relaxation_time": 1.0,
+    "creep_time": 1.0,
     "hysteresis": Presliding.ELASTIC,
 }
 
@@ -116,6 +126,9 @@ _NAMES: dict[str, dict[str, str]] = {
     "joint_stiffness": {"stiffness": "spring", "rest_angle": "spring_rest"},
     "torque_offset": {"offset": "offset"},
     "transport_delay": {"delay": "sensor_delay"},
+    "tendon_creep": {"length": "creep", "time_constant": "creep_time"},
+    "pulley_slip": {"length": "slipped", "time": "slip_time"},
+    "joint_play": {"gap": "play"},
 }  # tendon_slack is always there; torque_constant_error and elongation_coupling are not a plain number
 
 
@@ -128,6 +141,9 @@ def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath)
                 values[target] = parameters[key]
     if "torque_constant_error" in effects:
         values["torque_gain"] = 1.0 + effects["torque_constant_error"]["relative_error"]
+    if "series_spring" in effects:
+        spring = effects["series_spring"]
+        values[f"softness_at_{spring.get('end', 'motor')}"] = 0.5 / spring["stiffness"]
     if effects.get("pretension_relaxation", {}).get("law") == "logarithmic":
         values["relaxation_logarithmic"] = 1
     if "custom" in effects:
@@ -188,6 +204,22 @@ def track_backlash(s: Any, p: Any) -> None:
         s.direction = -s.direction
         s.extreme = s.q_j
     s.in_gap = 1 if abs(s.q_j - s.reversal) < p.backlash else 0
+
+
+@compiled
+def lengths_beside(s: Any, p: Any, h: float) -> tuple[float, float]:
+    """m that the motor's angle has beside the tendons, and rad that the joint's is behind its pulley."""
+    since = s.t - s.started if s.started >= 0.0 else 0.0
+    length = p.softness_at_motor * (s.t3 - s.t1)
+    if p.creep != 0.0:
+        length += p.creep * (1.0 - math.exp(-since / p.creep_time))
+    if p.slipped != 0.0 and since >= p.slip_time:
+        length += p.slipped
+    behind = p.softness_at_joint * (s.t4 - s.t2) / p.r_j
+    if p.play != 0.0:
+        s.play_side += (math.copysign(1.0, s.t4 - s.t2) - s.play_side) * (1.0 - math.exp(-h / CROSSING))
+        behind += 0.5 * p.play * s.play_side
+    return float(length), float(behind)
 
 
 @compiled

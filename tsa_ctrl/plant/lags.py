@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from tsa_ctrl.plant.compiled import compiled
+from tsa_ctrl.plant.effects import lengths_beside
 from tsa_ctrl.plant.state import DELAY_SAMPLES
 
 
@@ -29,7 +30,7 @@ def torque_loop(s: Any, p: Any, command: float, enabled: bool, max_speed: float,
 
 @compiled
 def sense(s: Any, p: Any, ring: Any, h: float) -> None:
-    """Delay of the torque sensor, lag of the encoder."""
+    """Delay of the torque sensor, lag of the encoder, and what lies between encoders and tendons."""
     if p.sensor_delay > 0.0:
         n = DELAY_SAMPLES
         head = (s.ring_head + 1) % n
@@ -49,5 +50,7 @@ def sense(s: Any, p: Any, ring: Any, h: float) -> None:
     else:
         s.tau_sensed = s.tau_j
     gain = 1.0 if p.velocity_lag <= 0.0 else 1.0 - math.exp(-h / p.velocity_lag)
-    s.q_lagged += (s.q_j - s.q_lagged) * gain
+    length, behind = lengths_beside(s, p, h)
+    s.q_m_seen = s.q_m + length / p.r_m
+    s.q_lagged += (s.q_j - behind - s.q_lagged) * gain
     s.omega_lagged += (s.omega_j - s.omega_lagged) * gain

@@ -102,6 +102,8 @@ STATE = np.dtype(
         ("reversal", _F),  # rad, angle at the last reversal
         ("in_gap", _I),
         ("q_lagged", _F),
+        ("q_m_seen", _F),  # rad, with what lies between the motor's encoder and the tendons
+        ("play_side", _F),  # of joint_play, -1 to 1
         ("omega_lagged", _F),
         ("theta", _F),
         ("temperature", _F),

@@ -15,7 +15,7 @@ from tsa_ctrl.identify.calibrate import Calibration, calibrate
 from tsa_ctrl.identify.calibrate.prepared import prepare
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -167,29 +167,32 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
     from tsa_ctrl.identify.diagnosis import diagnose
 
     found = diagnose(list(logs), model)
-    open_names = ", ".join(cause.effect for cause in found.causes if cause.alternatives)
-    if not found.causes or not isinstance(found.model, TendonSheath):
+    causes = found.of_torque
+    open_names = ", ".join(cause.effect for cause in causes if cause.alternatives)
+    if not causes or not isinstance(found.model, TendonSheath):
         return dataclasses.replace(without, notes=(*without.notes, f"diagnosis: {found.sentence}"))
+    beside, _ = of_the_stretch(found.model.effects)
+    better = found.model.with_effects({name: v for name, v in found.model.effects.items() if name not in beside})
     reason = f"rivals of {open_names} are not excluded" if open_names else ""
     if found.gain < LEAST_GAIN:
         reason = f"its gain is {found.gain:.0%}"
     try:
-        notes = Feedforward(found.model, PERIOD).notes
+        notes = Feedforward(better, PERIOD).notes
     except UsageError as error:
         reason = str(error)
     if reason:
         note = f"diagnosis: {found.sentence} Not used: {reason}"
         return dataclasses.replace(without, notes=(*without.notes, note))
     return Estimate(
-        model=found.model,
-        calibration=_as_extended(without.calibration, found, found.model),
+        model=better,
+        calibration=_as_extended(without.calibration, found, better),
         form=Form.GIVEN,
         errors=without.errors,
-        effects=tuple(cause.effect for cause in found.causes),
+        effects=tuple(cause.effect for cause in causes),
         notes=(f"diagnosis: {found.sentence}", *notes),
         parameters={
             f"{cause.effect}.{name}": value
-            for cause in found.causes
+            for cause in causes
             for name, value in cause.parameters.items()
             if isinstance(value, Quantity) and value.low < value.high  # counts and choices are not measured
         },

@@ -34,6 +34,7 @@ from tsa_ctrl.identify.diagnosis.report.details import Outcome
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.residual.structure import residual_structure, structure_share
 from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
+from tsa_ctrl.identify.diagnosis.rivals.by_stretch import by_stretch
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select, without_causes
@@ -85,6 +86,7 @@ def diagnose(
             selection = without_causes(selection, [worthless])
             groups = (*groups[:worthless], *groups[worthless + 1 :])
             errors = held_out(selection.problem, base, selection.fitted, data, share)
+        beside = by_stretch(selection, scales)
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
         reported = in_proportion(data.frame, reported)
         refuse_unrelated(problem, data.held, errors, share)
@@ -99,5 +101,19 @@ def diagnose(
     limits = detection_limits(selection)
     return conclude(
         model,
-        Outcome(data, audited, scales, testable, base, selection, findings, groups, reported, errors, formula, limits),
+        Outcome(
+            data,
+            audited,
+            scales,
+            testable,
+            base,
+            selection,
+            findings,
+            groups,
+            beside,
+            reported,
+            errors,
+            formula,
+            limits,
+        ),
     )

@@ -29,6 +29,7 @@ from tsa_ctrl.model.effects.pretension import (
     PretensionRelaxation,
     StiffnessNonlinearity,
 )
+from tsa_ctrl.model.effects.stretch import JointPlay, PulleySlip, SeriesSpring, TendonCreep
 from tsa_ctrl.model.effects.transmission import ElongationCoupling, SheathAsymmetry, TendonSlack
 
 EFFECTS: tuple[type[Any], ...] = (
@@ -56,4 +57,8 @@ EFFECTS: tuple[type[Any], ...] = (
     TorqueOffset,
     Custom,
     TransportDelay,
+    SeriesSpring,
+    TendonCreep,
+    PulleySlip,
+    JointPlay,
 )

@@ -62,6 +62,7 @@ class Scales:
     middle: float  # mean of q_j, rad
     motor_reach: float  # half range of the displacement that presliding follows, rad
     motor_step: float  # 90 % of the steps of q_m are below, rad; nan without q_m
+    begin: float  # first sample of the longest run, s
     seconds: float  # longest run, s
     period: float  # compute period, s
     heating: float  # range of the temperature, K

@@ -38,6 +38,7 @@ class Stage(Enum):
     BACKLASH = "backlash"
     JOINT = "joint side"
     DELAY = "delay of the measurement"
+    STRETCH = "stretch of the tendons"
 
 
 class Motion(Enum):
@@ -51,6 +52,8 @@ class Motion(Enum):
     WARM = "heat and cool the drive while it moves, and log its temperature"
     BENDING = "repeat the same motion at two or more known bending angles (column theta) or known pretensions"
     GAIN = "hang a known weight on the joint and hold it, to certify the torque's gain"
+    LONGER = "record the same motion for several times as long"
+    STIFFNESS = "measure the stiffness of a tendon by itself, with a known weight on a known length"
 
 
 @dataclass(frozen=True)

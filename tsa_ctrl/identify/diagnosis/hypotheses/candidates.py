@@ -11,7 +11,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Scales, Variant
-from tsa_ctrl.model.effects.specification import Specification
+from tsa_ctrl.model.effects.specification import Specification, Stage
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import missing_for
@@ -33,13 +33,15 @@ class Candidates:
 
 
 def candidates(frame: Frame, model: Model, scales: Scales) -> Candidates:
-    """What the catalogue says of these logs."""
+    """What the catalogue says of these logs' torque."""
     found: dict[str, tuple[Variant, ...]] = {}
     refused: dict[str, str] = {}
     for name, spec in CATALOGUE.items():
         if spec.named:
             continue  # the user's own formula is no hypothesis
         reason = _untestable(spec, frame, model, scales)
+        if spec.stage is Stage.STRETCH and not reason:
+            continue  # no torque shows it
         variants = () if reason else tuple(variant for variant in spec.search(name, scales) if variant.starts)
         if variants:
             found[name] = variants
@@ -72,6 +74,7 @@ def scales_of(frame: Frame, model: Model) -> Scales:
     signals = [run.signals for run in frame.runs]
     speed = np.concatenate([np.abs(s.omega_j) for s in signals])
     fast = float(np.quantile(speed, 0.95))
+    longest = max(signals, key=lambda s: float(s.t[-1] - s.t[0]))
     reach = max((0.5 * float(np.ptp(s.q_j)) for s in signals if s.q_j is not None), default=0.0)
     motor = max((0.5 * float(np.ptp(s.q_m)) for s in signals if s.q_m is not None), default=0.0)
     if not reach:
@@ -88,7 +91,8 @@ def scales_of(frame: Frame, model: Model) -> Scales:
         middle=float(np.mean(frame.column("q_j"))) if frame.has("q_j") else 0.0,
         motor_reach=max(motor or reach, 1e-9),
         motor_step=_step([s.q_m for s in signals if s.q_m is not None]) if frame.has("q_m") else math.nan,
-        seconds=max(float(s.t[-1] - s.t[0]) for s in signals),
+        begin=float(longest.t[0]),
+        seconds=float(longest.t[-1] - longest.t[0]),
         period=signals[0].period,
         heating=max((float(np.ptp(s.temperature)) for s in signals if s.temperature is not None), default=0.0),
         bending=0.0 if isinstance(model, RigidDrive) else _range_of_bending(frame, model),

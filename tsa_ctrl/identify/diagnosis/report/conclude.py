@@ -14,9 +14,11 @@ from tsa_ctrl.identify.diagnosis.parameters.proportion import SPLIT, at_bounds, 
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
 from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
 from tsa_ctrl.identify.diagnosis.report.experiment import advice, first_motion
-from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, Verdict
+from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, ParameterError, Rms, StretchRms, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, told_torque, what_is_left
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.identify.diagnosis.rivals.by_stretch import StretchCause
+from tsa_ctrl.model.catalogue import of_the_stretch
+from tsa_ctrl.model.parameters import Effects, Model, RigidDrive, TendonSheath
 
 
 def conclude(model: Model, outcome: Outcome) -> Diagnosis:
@@ -26,7 +28,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     order = sorted(range(len(proofs)), key=lambda i: (-errors.lost[i], -proofs[i].gain))  # most important first
     grouped = [outcome.groups[i] for i in order]
     parameters = effect_quantities(reported)
-    causes = tuple(
+    by_torque = tuple(
         Cause(
             effect=group.name,
             alternatives=tuple(rival.name for rival in group.alternatives),
@@ -36,6 +38,8 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         )
         for index, group in zip(order, grouped, strict=True)
     )
+    beside = outcome.beside
+    causes = (*by_torque, *(_by_stretch(cause) for cause in beside.causes))
     compared = {name for group in grouped for name in (group.name, *(rival.name for rival in group.rivals))}
     unseen = [name for name in outcome.limits.invisible if name not in compared]  # beside the causes it may well act
     nothing = dict.fromkeys(unseen, "it would change nothing in the motion and load of these logs")
@@ -44,23 +48,26 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         for name, size in outcome.limits.hidden.items()
         if name not in compared
     }
-    not_testable = {**outcome.testable.not_testable, **nothing, **hidden}
+    unasked = dict.fromkeys(of_the_stretch(model.effects)[1] if beside.unasked else (), beside.unasked)
+    not_testable = {**outcome.testable.not_testable, **unasked, **nothing, **hidden}
     left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
     verdict = _verdict(named=bool(causes), left=bool(left))
-    worse = not causes and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
+    worse = not by_torque and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
+    extended = model if worse else reported.fitted.hypothesis.model(reported.fitted.point)
     result = Diagnosis(
         verdict=verdict,
         sentence="",
         causes=causes,
         parameter_errors=_parameter_errors(reported, outcome.data.frame, model),
-        unexplained=what_is_left(left, () if causes else outcome.audit.suspicions),
+        unexplained=what_is_left(left, () if by_torque else outcome.audit.suspicions),
         not_testable=dict(sorted(not_testable.items())),
         detection_limit=dict(sorted(outcome.limits.sizes.items())),
         experiment=advice(model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque),
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
-        gain=min(errors.gain, 1.0) if causes else 0.0,
-        model=model if worse else reported.fitted.hypothesis.model(reported.fitted.point),
+        gain=min(errors.gain, 1.0) if by_torque else 0.0,
+        model=_with_more(extended, beside.effects),
         at_bounds={} if worse else at_bounds(reported),
+        stretch=None if beside.rms is None else StretchRms(*beside.rms),
         formula=None if worse else outcome.formula,  # which stands beside recalibrated numbers
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
@@ -88,6 +95,18 @@ def _simulated(outcome: Outcome, model: Model) -> float:
     """Error of the model as given over all samples of all logs, N*m: what `tsa simulate` prints, pooled."""
     squares = [np.square(residual) for residual in full_residuals(outcome.data.frame, model)]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _by_stretch(found: StretchCause) -> Cause:
+    """An effect that only the stretch shows: nothing of the torque's gain is lost without it."""
+    where = {"log": found.log} if found.log else {}
+    return Cause(found.effect, found.alternatives, found.probability, {**found.parameters, **where}, 0.0)
+
+
+def _with_more(model: Model, effects: Effects) -> Model:
+    if not effects or not isinstance(model, TendonSheath):
+        return model
+    return model.with_effects({**model.effects, **effects})
 
 
 def _verdict(named: bool, left: bool) -> Verdict:

@@ -16,6 +16,7 @@ from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
+from tsa_ctrl.identify.diagnosis.rivals.by_stretch import ByStretch
 from tsa_ctrl.identify.diagnosis.rivals.groups import Group
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import DetectionLimits
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
@@ -40,6 +41,7 @@ class Outcome:
     selection: Selection
     findings: tuple[Finding, ...]  # what is left
     groups: tuple[Group, ...]  # one for each cause
+    beside: ByStretch  # what no torque shows
     reported: Refit
     errors: HeldOut
     formula: Formula | None  # of what is left

@@ -80,7 +80,7 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
         each.plot(t, curves.measured[part], color=MEASURED, lw=1.6, label="measured")
         each.plot(t, curves.as_given[part], color=GIVEN, lw=1.0, ls=":", label="as given")
         each.plot(t, curves.recalibrated[part], color=CALIBRATED, lw=1.0, label="recalibrated")
-        if result.causes:
+        if result.of_torque:
             each.plot(t, middle, color=EXTENDED, lw=1.0, label="extended")
         each.set_ylabel(f"{details.target} (N·m)")
         each.set_title(curves.name, loc="left", fontsize=9)
@@ -104,7 +104,7 @@ def worst_segments(details: Details) -> list[tuple[Curves, slice]]:
 
 def _staircase(result: Diagnosis, details: Details) -> Figure:
     steps = [("as given", result.rms.as_given, GIVEN), ("recalibrated", result.rms.recalibrated, CALIBRATED)]
-    if result.causes:
+    if result.of_torque:
         steps.append(("extended", result.rms.extended, EXTENDED))
     steps.append(("noise floor", result.rms.noise_floor, "grey"))
     factor, unit = torque_scale(result.rms)
@@ -123,13 +123,13 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
 
 def _ranked(result: Diagnosis) -> str:
     """What the ranking shows."""
-    if result.causes:
+    if result.of_torque:
         return "What each cause explains, and what its rivals would in its place"
     return "What each effect of the catalogue would explain alone"
 
 
 def _ranking(result: Diagnosis, details: Details) -> Figure:
-    ranked = details.ranking if result.causes else details.ranking[:RANKED]
+    ranked = details.ranking if result.of_torque else details.ranking[:RANKED]
     figure, (axes,) = _figure(1, 1, 0.3 * max(3, len(ranked)) + 1.0)
     seen: set[int] = set()
     for place, entry in enumerate(ranked):
@@ -142,10 +142,10 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
             told = f"cause {entry.group + 1}" if named else f"in place of cause {entry.group + 1}: {role}"
             axes.text(entry.gain, place, f" {told}", va="center", fontsize=8)
     axes.set_yticks(range(len(ranked)), [spoken(entry.effect) for entry in ranked], fontsize=8)
-    axes.margins(x=0.45 if result.causes else 0.1)
+    axes.margins(x=0.45 if result.of_torque else 0.1)
     axes.grid(visible=False, axis="y")
     axes.invert_yaxis()
-    shown = "share of the gain that is lost without it" if result.causes else "decrease of the whitened mean square"
+    shown = "share of the gain that is lost without it" if result.of_torque else "decrease of the whitened mean square"
     axes.set_xlabel(shown)
     axes.set_xlim(left=0.0)
     return figure
@@ -186,7 +186,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
                 lw=1.4,
                 label=f"recalibrated, σ = {sign:+.0f}",
             )
-            if result.causes:
+            if result.of_torque:
                 each.plot(
                     *_binned(signal[there], factor * left[there]), color=colour, lw=1.2, ls="--", label="extended"
                 )
@@ -210,7 +210,7 @@ def _reversals(result: Diagnosis, details: Details) -> Figure:
     ):
         near = signal <= np.quantile(signal, 0.6)
         each.plot(*_binned(signal[near], factor * error[near]), color=CALIBRATED, label="recalibrated")
-        if result.causes:
+        if result.of_torque:
             each.plot(*_binned(signal[near], factor * left[near]), color=EXTENDED, label="extended")
         each.axhline(0.0, color="k", lw=0.5)
         each.set_xlabel(name)

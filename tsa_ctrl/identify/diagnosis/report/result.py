@@ -12,6 +12,7 @@ from typing import Any
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.details import Details
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.parameters import Model
 
 SCHEMA = 1
@@ -66,6 +67,14 @@ class Rms:
 
 
 @dataclass(frozen=True)
+class StretchRms:
+    """What is left of the tendons' stretch, m, without and with the effects that only it shows."""
+
+    without: float
+    extended: float
+
+
+@dataclass(frozen=True)
 class Experiment:
     """The motion that would settle what is open: in words, and as a set-point (t in s, tau_j_des in N*m)."""
 
@@ -85,8 +94,8 @@ class Diagnosis:
 
     `sentence` is the first line of the report. `model` is the extended model, or the recalibrated one when nothing was
     named, or the given one when the logs say nothing. `at_bounds`: (value, low, high, unit) of its friction angle or
-    pretension where [uncertainty] holds it. `formula`: what it leaves, where that follows one. `details` holds the
-    curves that `report.pictures.plot` draws.
+    pretension where [uncertainty] holds it. `formula`: what it leaves, where that follows one. `stretch`: None where
+    the logs lack an angle. `details` holds the curves that `report.pictures.plot` draws.
     """
 
     verdict: Verdict
@@ -102,7 +111,14 @@ class Diagnosis:
     model: Model
     at_bounds: Mapping[str, tuple[float, float, float, str]] = field(default_factory=dict)
     formula: Formula | None = None
+    stretch: StretchRms | None = None
     details: Details | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def of_torque(self) -> tuple[Cause, ...]:
+        """The causes without those that only the stretch shows."""
+        beside, _ = of_the_stretch([cause.effect for cause in self.causes])
+        return tuple(cause for cause in self.causes if cause.effect not in beside)
 
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object."""
@@ -141,6 +157,9 @@ class Diagnosis:
             },
             "formula": None if self.formula is None else _formula(self.formula),
             "simulated": {"rms": _rounded(self.rms.simulated), "unit": "N*m"},
+            "stretch": None
+            if self.stretch is None
+            else {"without": _rounded(self.stretch.without), "extended": _rounded(self.stretch.extended), "unit": "m"},
             "gain": _rounded(self.gain),
             "summary": self.sentence,
         }

@@ -56,16 +56,31 @@ def sentence(result: Diagnosis) -> str:
     if result.verdict is Verdict.UNEXPLAINED:
         noise = f"{how.capitalize()}, {off} where noise is {told_torque(rms.noise_floor)}, and no effect explains it"
         return _short(f"{noise}: {result.unexplained.split(';')[0]}.", f"{noise}.")
+    if not result.of_torque and result.stretch is not None:
+        return _of_the_stretch(result)
     factor, unit = torque_scale(rms)
     before, after, floor = (factor * (each or 0.0) for each in (best, rms.extended, rms.noise_floor))
     gained = (
         f"the error on held-out data falls from {before:.3g} to {after:.3g} {unit} RMS, noise is {floor:.3g} {unit}"
     )
     left = "; more is left" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
+    return _with_causes(result, f"{gained}{left}")
+
+
+def _of_the_stretch(result: Diagnosis) -> str:
+    """The first line where the torque shows nothing that has a name."""
+    assert result.stretch is not None
+    without, extended = (f"{1e6 * each:.3g}" for each in (result.stretch.without, result.stretch.extended))
+    left = "; the torque has more" if result.verdict is Verdict.PARTLY_EXPLAINED else ""
+    return _with_causes(result, f"what the tendons' stretch leaves falls from {without} to {extended} µm RMS{left}")
+
+
+def _with_causes(result: Diagnosis, gained: str) -> str:
+    """The causes and what they gained, as full as MOST_WORDS leave room for."""
     fullness = [listed([phrase(cause) for cause in result.causes]) for phrase in (cause_phrase, _named, _counted)]
     first, more = result.causes[0], len(result.causes) - 1
     fullness += [f"{phrase(first)}{f' with {more} more' if more else ''}" for phrase in (_named, _counted)]
-    return _short(*(f"{causes[0].upper()}{causes[1:]}: {gained}{left}." for causes in fullness))
+    return _short(*(f"{causes[0].upper()}{causes[1:]}: {gained}." for causes in fullness))
 
 
 def remarks(result: Diagnosis) -> tuple[str, ...]:
@@ -77,7 +92,7 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
         out.append(f"Recalibration alone makes it worse on held-out data, {figures}{kept}.")
     if result.verdict is Verdict.CONSISTENT and result.detection_limit:
         out.append(_visible(result))
-    if result.causes:
+    if result.of_torque:
         out.append(f"The causes gain {result.gain:.0%} of what could be explained.")
     if result.unexplained:
         out.append(f"{result.unexplained[0].upper()}{result.unexplained[1:]}.")

@@ -17,7 +17,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
@@ -26,12 +25,20 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion
 from tsa_ctrl.identify.diagnosis.rivals.groups import MOST_SPREAD, Group, Rival, groups
+from tsa_ctrl.identify.diagnosis.rivals.stretch import (
+    SHAPE,
+    Seen,
+    deviation,
+    ends_of,
+    of_the_file,
+    pinv,
+    seen_of,
+    softness,
+    solved,
+)
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, with_fit
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.predict import stretching
-from tsa_ctrl.model.stretch import compliances
 
 VISIBLY = 1.25  # of the squares of the best: encoders and what no hypothesis has leave that much open
 BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
@@ -39,22 +46,8 @@ ENOUGH = 30.0  # of the cost, that the difference must be: no matter of a few co
 ASIDE = 9.0 * MOST_SPREAD**2  # of what torque and file cost more: 3 standard deviations of the blocks' largest spread
 HONEST = 1.5  # times what is left with stiffness and shape free: more, and none of them is what stretches the tendons
 LEAST_TOLD = 0.5  # of the stretch's mean square less zero and drift, that the best must explain
-SHAPE = "elongation_coupling"
-ALL_AT_JOINT = "joint_end"
-INEXACT = 0.02  # 1, of stiffness: what lines of first order in the friction are off by
 ROUNDS = 2  # of Gauss-Newton: a hypothesis starts where the torque has it
-LIKELY = 1.96  # standard deviations of the 95 % that [uncertainty] is
-MOST_ALIKE = 0.98  # 1, correlation of neighbouring residuals
 MOST_CHANGES = 3  # of a name
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """The measured stretch at the samples that count: s (m,) in m, zero, drift and radius as columns (m, k)."""
-
-    stretch: Array
-    slow: Array
-    blocks: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -72,7 +65,7 @@ def parted(
 
     A cause that the stretch contradicts gives its place to the rival of its group that fits best.
     """
-    seen = _seen(chosen.problem) if any(group.alternatives for group in grouped) else None
+    seen = seen_of(chosen.problem) if any(group.alternatives for group in grouped) else None
     if seen is None:
         return chosen, tuple(grouped)
     for _ in range(MOST_CHANGES):
@@ -87,22 +80,7 @@ def parted(
     return chosen, tuple(grouped)
 
 
-def _seen(problem: Problem) -> _Seen | None:
-    frame = problem.frame
-    if not (isinstance(problem.base.given, TendonSheath) and frame.has("q_m") and frame.has("q_j")):
-        return None
-    model, mask = problem.base.given, problem.mask
-    stretch = model.motor_pulley_radius * frame.column("q_m") - model.joint_pulley_radius * frame.column("q_j")
-    slow = np.zeros((len(frame), 2 * len(frame.runs) + 1))
-    slow[:, -1] = frame.column("q_j")
-    for number, part in enumerate(frame.slices):
-        slow[part, 2 * number] = 1.0
-        slow[part, 2 * number + 1] = np.linspace(-1.0, 1.0, part.stop - part.start)
-    slow = slow[mask]
-    return _Seen(stretch[mask], slow[:, np.any(slow != 0.0, axis=0)], problem.blocks)
-
-
-def _judged(chosen: Selection, group: Group, seen: _Seen) -> tuple[Group, Rival | None]:
+def _judged(chosen: Selection, group: Group, seen: Seen) -> tuple[Group, Rival | None]:
     """The group with what the stretch excludes, and the rival that takes the cause's place, if one does."""
     members: list[tuple[Rival | None, Fit]] = [(None, chosen.fitted)]
     members += [(rival, rival.fitted) for rival in group.alternatives]
@@ -112,11 +90,11 @@ def _judged(chosen: Selection, group: Group, seen: _Seen) -> tuple[Group, Rival 
     if len(members) < 2 or members[0][0] is not None:
         return group, None
     least = min((rest for rest in free.values() if rest is not None), key=lambda rest: float(rest @ rest))
-    noise = _deviation(least)
+    noise = deviation(least)
     told = [(rival, _told(chosen.problem, fitted, seen, noise, shaped)) for rival, fitted in members]
     best, winner = min(told, key=lambda entry: float(entry[1].squares.sum()) / noise**2 + entry[1].beside)
     left = float(winner.squares.sum())
-    change = seen.stretch - seen.slow @ _solved(seen.slow, seen.stretch)
+    change = seen.stretch - seen.slow @ solved(seen.slow, seen.stretch)
     if left > HONEST * float(least @ least) or left > (1.0 - LEAST_TOLD) * float(change @ change):
         return group, None
     excluded = [rival for rival, found in told if _contradicted(found, winner, seen, noise)]
@@ -134,7 +112,7 @@ def _can_be_named(problem: Problem, rival: Rival) -> bool:
     return named and not meaningless(problem, fitted)
 
 
-def _contradicted(found: _Told, best: _Told, seen: _Seen, noise: float) -> bool:
+def _contradicted(found: _Told, best: _Told, seen: Seen, noise: float) -> bool:
     """Whether it leaves visibly more than the best, beyond the blocks' scatter, or asks too much of torque and file."""
     more = np.bincount(seen.blocks, found.squares - best.squares) / noise**2
     total = float(more.sum())
@@ -143,30 +121,23 @@ def _contradicted(found: _Told, best: _Told, seen: _Seen, noise: float) -> bool:
     return (total > visible and total > BEYOND * spread) or found.beside - best.beside + total > ASIDE
 
 
-def _left_free(problem: Problem, fitted: Fit, seen: _Seen) -> Array | None:
+def _left_free(problem: Problem, fitted: Fit, seen: Seen) -> Array | None:
     """What a hypothesis leaves of the stretch (m,) with stiffness and shape free; None where it cannot be computed."""
     try:
-        columns = np.hstack([_ends(problem, fitted, fitted.point)[0], seen.slow])
+        columns = np.hstack([ends_of(problem, fitted, fitted.point)[0], seen.slow])
     except UsageError:
         return None
-    return seen.stretch - columns @ _solved(columns, seen.stretch)
+    return seen.stretch - columns @ solved(columns, seen.stretch)
 
 
-def _deviation(rest: Array) -> float:
-    """m, of one sample among neighbours that say the same."""
-    alike = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
-    alike = min(max(alike, 0.0), MOST_ALIKE)
-    return float(np.sqrt(np.mean(np.square(rest)) * (1.0 + alike) / (1.0 - alike)))
-
-
-def _told(problem: Problem, fitted: Fit, seen: _Seen, noise: float, shaped: bool) -> _Told:
+def _told(problem: Problem, fitted: Fit, seen: Seen, noise: float, shaped: bool) -> _Told:
     """The stretch under a hypothesis, with its coordinates as torque and stretch together want them."""
     hypothesis, free = fitted.hypothesis, np.flatnonzero(fitted.free)
     point, moved = fitted.point.copy(), np.zeros(len(free))
-    ends, model = _ends(problem, fitted, point)
-    wanted, told = _of_the_file(model, shaped)
+    ends, model = ends_of(problem, fitted, point)
+    wanted, told = of_the_file(model, shaped)
     cost = told.T @ told, told.T @ wanted
-    soft = _softness(ends, seen, noise, *cost)
+    soft = softness(ends, seen, noise, *cost)
     by_torque = fitted.jacobian.T @ fitted.jacobian
     for _ in range(ROUNDS if len(free) else 0):
         columns = np.zeros((len(seen.stretch), len(free)))
@@ -174,7 +145,7 @@ def _told(problem: Problem, fitted: Fit, seen: _Seen, noise: float, shaped: bool
             there, step = point.copy(), hypothesis.steps[coordinate]
             step = step if point[coordinate] + step <= hypothesis.high[coordinate] else -step
             there[coordinate] += step
-            columns[:, place] = (_ends(problem, fitted, there)[0] - ends) @ soft / step
+            columns[:, place] = (ends_of(problem, fitted, there)[0] - ends) @ soft / step
         rows = np.hstack([columns, ends, seen.slow]) / noise
         rest = (seen.stretch - ends @ soft) / noise
         gram, right = rows.T @ rows, rows.T @ rest
@@ -183,70 +154,12 @@ def _told(problem: Problem, fitted: Fit, seen: _Seen, noise: float, shaped: bool
         right[own] -= by_torque @ moved
         gram[two, two] += cost[0]
         right[two] += cost[1] - cost[0] @ soft
-        step_to = np.clip(point[free] + _pinv(gram, right)[own], hypothesis.low[free], hypothesis.high[free])
+        step_to = np.clip(point[free] + pinv(gram, right)[own], hypothesis.low[free], hypothesis.high[free])
         moved += step_to - point[free]
         point[free] = step_to
-        ends, model = _ends(problem, fitted, point)
-        soft = _softness(ends, seen, noise, *cost)
+        ends, model = ends_of(problem, fitted, point)
+        soft = softness(ends, seen, noise, *cost)
     rest = seen.stretch - ends @ soft
-    rest = rest - seen.slow @ _solved(seen.slow, rest)
+    rest = rest - seen.slow @ solved(seen.slow, rest)
     beside = float(moved @ by_torque @ moved) + float(np.sum(np.square(told @ soft - wanted)))
     return _Told(np.square(rest), beside)
-
-
-def _ends(problem: Problem, fitted: Fit, point: Array) -> tuple[Array, TendonSheath]:
-    """T3 - T1 and T4 - T2 under a hypothesis at the samples that count, (m, 2) in N, and its model."""
-    model = fitted.hypothesis.model(point)
-    assert isinstance(model, TendonSheath)
-    pairs = [stretching(model, run.signals) for run in problem.frame.runs]
-    both = np.column_stack([problem.frame.stack([pair[end] for pair in pairs]) for end in range(2)])
-    return both[problem.mask], model
-
-
-def _of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
-    """What is known of (c_M, c_J): `told` @ (c_M, c_J) is `wanted`, each row in its own standard deviations.
-
-    Their sum by the stiffness; their ratio where a file or the hypothesis says where the sheath bends. In a group that
-    is about the shape, who does not couple the elongation has all bends at the joint.
-    """
-    says = SHAPE in model.effects or model.bending_centre is not None
-    if shaped and SHAPE not in model.effects:
-        model = model.with_effects({SHAPE: {"curvature_profile": ALL_AT_JOINT}})
-    motor, joint = compliances(model)
-    whole = motor + joint
-    sum_known = np.hypot(model.axial_stiffness_uncertainty / LIKELY, INEXACT) * whole
-    rows, wanted = [np.array([1.0, 1.0]) / sum_known], [whole / sum_known]
-    if says or shaped:
-        centre = motor / whole
-        known = max(model.bending_centre_uncertainty / LIKELY, INEXACT) * whole
-        rows.append(np.array([1.0 - centre, -centre]) / known)
-        wanted.append(0.0)
-    return np.array(wanted), np.array(rows)
-
-
-def _softness(ends: Array, seen: _Seen, noise: float, gram: Array, right: Array) -> Array:
-    """c_M and c_J, m/N, not below 0, that fit best beside what is known of them (its normal equations)."""
-    columns = np.hstack([ends, seen.slow]) / noise
-    matrix, vector = columns.T @ columns, columns.T @ seen.stretch / noise
-    matrix[:2, :2] += gram
-    vector[:2] += right
-    found, gained = np.zeros(2), -np.inf
-    for kept in ([0, 1], [0], [1]):
-        used = [*kept, *range(2, len(vector))]
-        solution = _pinv(matrix[np.ix_(used, used)], vector[used])
-        soft, gain = solution[: len(kept)], float(vector[used] @ solution)
-        if np.all(soft >= 0.0) and gain > gained:
-            found, gained = np.zeros(2), gain
-            found[kept] = soft
-    return found
-
-
-def _solved(columns: Array, y: Array) -> Array:
-    return _pinv(columns.T @ columns, columns.T @ y)
-
-
-def _pinv(gram: Array, right: Array) -> Array:
-    """The least solution of normal equations whose columns have sizes of their own."""
-    sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / sizes[:, None] / sizes
-    return np.asarray(np.linalg.lstsq(scaled, right / sizes, rcond=1e-12)[0] / sizes)

@@ -1,0 +1,211 @@
+"""Causes that no torque shows: effects of the tendons' stretch, where the logs have the angles of both pulleys.
+
+What the causes of the torque leave of the stretch takes one effect more at a time. One is named that the angles show
+visibly, or without which the file's softness would be far off; what does as well stays an alternative.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from tsa_ctrl.identify.diagnosis.rivals.groups import PARAMETER_ERROR
+from tsa_ctrl.identify.diagnosis.rivals.stretch_fit import BASE, ONCE, Stretch, StretchFit, Term
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
+from tsa_ctrl.model.effects.search import Scales, Value
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Effects
+
+SPRING = "series_spring"
+MOST = 3  # effects that are named
+ENOUGH = 30.0  # of the cost, that the angles must say: no matter of a few counts
+FROM_FILE = 16.0  # of the cost, that the file must say: 4 standard deviations of its [uncertainty]
+VISIBLY = 1.25  # of the squares with the effect, that are left without it
+BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
+FOR_ONCE = 1.5  # the same of what passes or happens once: k blocks that say all of it have t = sqrt(k)
+ALIKE = 9.0  # of the cost, within which another effect does as well: 3 standard deviations
+LEAST_TOLD = 0.9  # of the stretch's mean square less zero, drift and the effects, that the tensions must explain
+FREEDOM = 12.0  # degrees of freedom of the noise's density where it matters, as in parameters/refit.py
+LEVEL = 0.95
+DOUBLINGS, HALVINGS = 24, 16  # of a step that looks for the end of an interval
+NOT_FOLLOWED = "the angles of both pulleys do not follow the tendons' tensions"
+NOT_AS_STIFF = "the angles of both pulleys contradict the stiffness or shape of the model file beyond its [uncertainty]"
+
+Candidates = Mapping[str, Sequence[Term]]
+
+
+@dataclass(frozen=True)
+class StretchCause:
+    """An effect of the stretch, as `Cause`; `log`: the one in which it happened, empty where it acts in all."""
+
+    effect: str
+    alternatives: tuple[str, ...]
+    probability: float
+    parameters: Mapping[str, Quantity | str]
+    log: str = ""
+
+
+@dataclass(frozen=True)
+class ByStretch:
+    """What the angles of both pulleys say beside the torque; `rms`, m: what the file as given leaves of the stretch
+    but zero and drift, and what the effects do.
+
+    `unasked`: why they say nothing, where the logs have them.
+    """
+
+    causes: tuple[StretchCause, ...] = ()
+    rms: tuple[float, float] | None = None
+    unasked: str = ""
+
+    @property
+    def effects(self) -> Effects:
+        """Those for a model file: what happened once in one log is none of the model's."""
+        return {
+            cause.effect: {name: v if isinstance(v, str) else v.value for name, v in cause.parameters.items()}
+            for cause in self.causes
+            if not cause.log
+        }
+
+
+def by_stretch(chosen: Selection, scales: Scales) -> ByStretch:
+    """The effects that the stretch shows beside the causes of the torque."""
+    stretch = Stretch.of(chosen)
+    if stretch is None:
+        return ByStretch()
+    given = chosen.problem.base.given.effects
+    candidates = {name: stretch.terms(CATALOGUE[name], scales) for name in of_the_stretch(given)[1]}
+    found = stretch.fit(())
+    for _ in range(MOST):
+        named = {term.name for term in found.terms}
+        more = [_with_one_more(stretch, found, terms) for name, terms in candidates.items() if name not in named]
+        shown = [(gain, fit) for gain, fit in more if fit is not None and gain > 0.0]
+        if not shown:
+            break
+        found = max(shown, key=lambda entry: entry[0])[1]
+    if not _follows_the_tensions(stretch, found):
+        return ByStretch(unasked=NOT_FOLLOWED)
+    if found.beside > FROM_FILE:
+        return ByStretch(unasked=NOT_AS_STIFF)
+    logs = [run.name for run in chosen.problem.frame.runs]
+    causes = tuple(_cause(stretch, found, index, candidates, logs) for index in range(len(found.terms)))
+    return ByStretch(causes, (_rms(stretch.as_given()), _rms(found.rest)))
+
+
+def _with_one_more(stretch: Stretch, found: StretchFit, terms: Sequence[Term]) -> tuple[float, StretchFit | None]:
+    """The fit with an effect beside those of `found`, and by how much its cost is less; None where it is not shown."""
+    term = stretch.best(found, terms)
+    if term is None:
+        return 0.0, None
+    more = stretch.fit((*found.terms, term))
+    less = stretch.fit(found.terms, more.noise)
+    by_file = less.beside - more.beside
+    shown = _visibly_less(stretch, more, less, FOR_ONCE if term.shape else BEYOND) or (
+        term.name == SPRING and by_file > FROM_FILE
+    )
+    within = term.variant.coordinates[0].low < more.amplitudes[-1] < term.variant.coordinates[0].high
+    return (less.cost - more.cost, more) if shown and within else (0.0, None)
+
+
+def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, beyond: float) -> bool:
+    """Whether the first leaves visibly less of the stretch than the second, by `beyond` of the blocks' scatter."""
+    gained = np.bincount(stretch.seen.blocks, less.squares - more.squares)
+    total, left = float(gained.sum()), float(more.squares.sum())
+    spread = float(np.std(gained, ddof=1)) * math.sqrt(len(gained)) if len(gained) > 1 else math.inf
+    return total > ENOUGH and total > (VISIBLY - 1.0) * left and total > beyond * spread
+
+
+def _follows_the_tensions(stretch: Stretch, found: StretchFit) -> bool:
+    """Whether what the effects do not say of the stretch is explained by the tensions for the most part."""
+    own = found.columns[:, len(found.columns[0]) - len(found.terms) :]
+    alone = stretch.seen.stretch - own @ found.amplitudes
+    slow = found.columns[:, BASE : found.columns.shape[1] - len(found.terms)]
+    change = alone - slow @ np.linalg.lstsq(slow, alone, rcond=None)[0]
+    return float(found.rest @ found.rest) < (1.0 - LEAST_TOLD) * float(change @ change)
+
+
+def _cause(
+    stretch: Stretch, found: StretchFit, index: int, candidates: Candidates, logs: Sequence[str]
+) -> StretchCause:
+    """One of the effects with what does as well in its place, and its parameters."""
+    term = found.terms[index]
+    others = (*found.terms[:index], *found.terms[index + 1 :])
+    named = {other.name for other in found.terms}
+    smaller = stretch.fit(others, found.noise)
+    worse: dict[str, float] = {}
+    for name, terms in candidates.items():
+        rival = None if name in named else stretch.best(smaller, terms)
+        if rival is not None:
+            worse[name] = stretch.fit((*others, rival), found.noise).cost - found.cost
+    if term.name == SPRING:
+        stiffer = stretch.fit(others, found.noise, whatever_stiffness=True)
+        worse[PARAMETER_ERROR] = stiffer.cost - found.cost
+    alike = {name: more for name, more in worse.items() if more < ALIKE}
+    weights = [math.exp(-0.5 * max(more, 0.0)) for more in alike.values()]
+    return StretchCause(
+        term.name,
+        tuple(sorted(alike, key=lambda name: alike[name])),
+        1.0 / (1.0 + sum(weights)),
+        _parameters(stretch, found, index),
+        logs[term.run] if term.run is not None and term.name == ONCE else "",
+    )
+
+
+def _parameters(stretch: Stretch, found: StretchFit, index: int) -> dict[str, Quantity | str]:
+    """The parameters of an effect with their intervals."""
+    term, amplitude = found.terms[index], float(found.amplitudes[index])
+    factor = float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM))
+    half = factor * float(found.deviations[index])
+    coordinate = term.variant.coordinates[0]
+    corners = [term.values(min(max(amplitude + side * half, coordinate.low), coordinate.high)) for side in (-1.0, 1.0)]
+    if term.shape:
+        ends = [_end(stretch, found, index, side, factor**2) for side in (-1.0, 1.0)]
+        for corner, place in zip(corners, ends, strict=True):
+            shaped = term.at(place).values(amplitude)
+            name = next(name for name, value in shaped.items() if value != term.values(amplitude)[name])
+            corner[name] = shaped[name]
+    out: dict[str, Quantity | str] = {}
+    for parameter in term.spec.parameters:
+        value = term.values(amplitude).get(parameter.name)
+        if isinstance(value, str) or value is None:
+            out |= {parameter.name: value} if value is not None else {}
+            continue
+        low, high = sorted(_number(corner[parameter.name]) for corner in corners)
+        out[parameter.name] = Quantity(float(value), low, high, parameter.unit)
+    return out
+
+
+def _end(stretch: Stretch, found: StretchFit, index: int, side: float, allowed: float) -> float:
+    """How far the coordinate of an effect's shape may go on one side, until the cost has grown by `allowed`."""
+    term = found.terms[index]
+    coordinate, place = term.variant.coordinates[1], term.shape[0]
+
+    def cost(at: float) -> float:
+        terms = (*found.terms[:index], term.at(at), *found.terms[index + 1 :])
+        return stretch.fit(terms, found.noise).cost - found.cost
+
+    near, step = 0.0, coordinate.step
+    for _ in range(DOUBLINGS):
+        beyond = not coordinate.low < place + side * step < coordinate.high
+        if beyond or cost(place + side * step) > allowed:
+            break
+        near, step = step, 2.0 * step
+    step = min(step, coordinate.high - place if side > 0.0 else place - coordinate.low)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (near + step)
+        near, step = (middle, step) if cost(place + side * middle) <= allowed else (near, middle)
+    return place + side * step
+
+
+def _number(value: Value) -> float:
+    assert not isinstance(value, str)
+    return float(value)
+
+
+def _rms(y: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(y))))

@@ -1,0 +1,115 @@
+"""The tendons' stretch as the angles of both pulleys measure it, and what the model file knows of how it follows.
+
+s = r_M q_M - r_J q_J = zero + drift + e q_J + c_M (T3 - T1) + c_J (T4 - T2)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.predict import stretching
+from tsa_ctrl.model.stretch import compliances
+
+SHAPE = "elongation_coupling"
+ALL_AT_JOINT = "joint_end"
+INEXACT = 0.02  # 1, of stiffness: what lines of first order in the friction are off by
+LIKELY = 1.96  # standard deviations of the 95 % that [uncertainty] is
+MOST_ALIKE = 0.98  # 1, correlation of neighbouring residuals
+
+
+@dataclass(frozen=True)
+class Seen:
+    """The measured stretch at the samples that count: s (m,) in m, zero, drift and radius as columns (m, k)."""
+
+    stretch: Array
+    slow: Array
+    blocks: NDArray[np.int64]
+
+
+def seen_of(problem: Problem) -> Seen | None:
+    """What the logs measured of it; None where one of them lacks an angle, and for a drive without tendons."""
+    frame = problem.frame
+    if not (isinstance(problem.base.given, TendonSheath) and frame.has("q_m") and frame.has("q_j")):
+        return None
+    model, mask = problem.base.given, problem.mask
+    stretch = model.motor_pulley_radius * frame.column("q_m") - model.joint_pulley_radius * frame.column("q_j")
+    slow = np.zeros((len(frame), 2 * len(frame.runs) + 1))
+    slow[:, -1] = frame.column("q_j")
+    for number, part in enumerate(frame.slices):
+        slow[part, 2 * number] = 1.0
+        slow[part, 2 * number + 1] = np.linspace(-1.0, 1.0, part.stop - part.start)
+    slow = slow[mask]
+    return Seen(stretch[mask], slow[:, np.any(slow != 0.0, axis=0)], problem.blocks)
+
+
+def ends_of(problem: Problem, fitted: Fit, point: Array) -> tuple[Array, TendonSheath]:
+    """T3 - T1 and T4 - T2 under a hypothesis at the samples that count, (m, 2) in N, and its model."""
+    model = fitted.hypothesis.model(point)
+    assert isinstance(model, TendonSheath)
+    pairs = [stretching(model, run.signals) for run in problem.frame.runs]
+    both = np.column_stack([problem.frame.stack([pair[end] for pair in pairs]) for end in range(2)])
+    return both[problem.mask], model
+
+
+def of_the_file(model: TendonSheath, shaped: bool) -> tuple[Array, Array]:
+    """What is known of (c_M, c_J): `told` @ (c_M, c_J) is `wanted`, each row in its own standard deviations.
+
+    Their sum by the stiffness; their ratio where a file or the hypothesis says where the sheath bends. In a group that
+    is about the shape, who does not couple the elongation has all bends at the joint.
+    """
+    says = SHAPE in model.effects or model.bending_centre is not None
+    if shaped and SHAPE not in model.effects:
+        model = model.with_effects({SHAPE: {"curvature_profile": ALL_AT_JOINT}})
+    motor, joint = compliances(model)
+    whole = motor + joint
+    sum_known = np.hypot(model.axial_stiffness_uncertainty / LIKELY, INEXACT) * whole
+    rows, wanted = [np.array([1.0, 1.0]) / sum_known], [whole / sum_known]
+    if says or shaped:
+        centre = motor / whole
+        known = max(model.bending_centre_uncertainty / LIKELY, INEXACT) * whole
+        rows.append(np.array([1.0 - centre, -centre]) / known)
+        wanted.append(0.0)
+    return np.array(wanted), np.array(rows)
+
+
+def softness(ends: Array, seen: Seen, noise: float, gram: Array, right: Array) -> Array:
+    """c_M and c_J, m/N, not below 0, that fit best beside what is known of them (its normal equations)."""
+    columns = np.hstack([ends, seen.slow]) / noise
+    matrix, vector = columns.T @ columns, columns.T @ seen.stretch / noise
+    matrix[:2, :2] += gram
+    vector[:2] += right
+    found, gained = np.zeros(2), -np.inf
+    for kept in ([0, 1], [0], [1]):
+        used = [*kept, *range(2, len(vector))]
+        solution = pinv(matrix[np.ix_(used, used)], vector[used])
+        soft, gain = solution[: len(kept)], float(vector[used] @ solution)
+        if np.all(soft >= 0.0) and gain > gained:
+            found, gained = np.zeros(2), gain
+            found[kept] = soft
+    return found
+
+
+def deviation(rest: Array) -> float:
+    """m, of one sample among neighbours that say the same."""
+    alike = float(rest[1:] @ rest[:-1]) / max(float(rest @ rest), 1e-300)
+    alike = min(max(alike, 0.0), MOST_ALIKE)
+    return float(np.sqrt(np.mean(np.square(rest)) * (1.0 + alike) / (1.0 - alike)))
+
+
+def solved(columns: Array, y: Array) -> Array:
+    """The coefficients of `columns` (m, k) by which they fit y (m,) best."""
+    return pinv(columns.T @ columns, columns.T @ y)
+
+
+def pinv(gram: Array, right: Array) -> Array:
+    """The least solution of normal equations whose columns have sizes of their own."""
+    sizes = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    scaled = gram / sizes[:, None] / sizes
+    return np.asarray(np.linalg.lstsq(scaled, right / sizes, rcond=1e-12)[0] / sizes)

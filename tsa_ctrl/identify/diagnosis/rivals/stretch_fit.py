@@ -1,0 +1,223 @@
+"""Least squares of the measured stretch with effects of the catalogue in it, beside what the model file knows.
+
+Free beside the effects: how T3 - T1 and T4 - T2 stretch the tendons (within the file's [uncertainty]), friction of the
+motor that recalibration hides from the torque (within the same), zero and drift of each log, the ratio of the pulleys.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from tsa_ctrl.identify.diagnosis.rivals.stretch import (
+    LIKELY,
+    Seen,
+    deviation,
+    ends_of,
+    of_the_file,
+    pinv,
+    seen_of,
+    solved,
+)
+from tsa_ctrl.identify.diagnosis.selection.forward import Selection
+from tsa_ctrl.model.effects.search import Scales, Value, Variant
+from tsa_ctrl.model.effects.specification import Specification
+from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.functions import ARRAYS, Array
+from tsa_ctrl.model.signals import hold_direction
+from tsa_ctrl.model.stretch import compliances
+
+ONCE = "pulley_slip"  # what happens once, in one of the logs
+BASE = 3  # columns of what the file knows: T3 - T1, T4 - T2, the motor's friction
+LEAST_NEW = 1e-10  # of an effect's squares, that must not be those of what is free already
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect in one of its variants, in one log (`run`) or in all; `shape`: its coordinates but the amplitude."""
+
+    spec: Specification
+    variant: Variant
+    run: int | None
+    shape: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        return self.spec.name
+
+    def values(self, amplitude: float) -> dict[str, Value]:
+        """Its parameters."""
+        return self.variant.parameters(np.array([amplitude, *self.shape]))
+
+    def at(self, place: float) -> Term:
+        """The same with another coordinate of its shape."""
+        return replace(self, shape=(place,))
+
+
+@dataclass(frozen=True)
+class StretchFit:
+    """What a fit leaves: `rest` (m,) in m, its squares over the noise's, and what the file says against its softness.
+
+    `gram` (k, k) is that of all that is free, over the noise's squares: c_M, c_J, the motor's friction, zero, drift and
+    ratio, amplitudes.
+    """
+
+    terms: tuple[Term, ...]
+    noise: float  # m
+    rest: Array
+    beside: float
+    amplitudes: Array
+    columns: Array  # (m, k)
+    gram: Array
+
+    @property
+    def squares(self) -> Array:
+        return np.square(self.rest / self.noise)
+
+    @property
+    def cost(self) -> float:
+        return float(self.squares.sum()) + self.beside
+
+    @property
+    def deviations(self) -> Array:
+        """Of the amplitudes."""
+        sizes = np.sqrt(np.maximum(np.diag(self.gram), 1e-300))
+        variances = np.diag(np.linalg.pinv(self.gram / np.outer(sizes, sizes), rcond=1e-12)) / sizes**2
+        return np.asarray(np.sqrt(np.maximum(variances[len(variances) - len(self.terms) :], 0.0)))
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The measured stretch of some logs, with all that is the same for every fit; m samples."""
+
+    seen: Seen
+    ends: Array  # (m, 2), N
+    direction: Array  # (m, 1), 1, mean of the samples'
+    times: tuple[Array, ...]  # s, of each log's samples
+    places: tuple[NDArray[np.int64], ...]  # of those among the m
+    starts: tuple[float, ...]  # s, each log's first sample
+    joint_radius: float
+    softness: Array  # c_M and c_J of the model, m/N
+    file: tuple[Array, Array]  # `of_the_file`, and the same of the motor's friction
+
+    @classmethod
+    def of(cls, chosen: Selection) -> Stretch | None:
+        """That of a selection's logs under its causes; None where a log lacks an angle."""
+        problem, fitted = chosen.problem, chosen.fitted
+        seen = seen_of(problem)
+        if seen is None:
+            return None
+        ends, model = ends_of(problem, fitted, fitted.point)
+        times, places, before = [], [], 0
+        for run, part in zip(problem.frame.runs, problem.frame.slices, strict=True):
+            used = problem.mask[part]
+            times.append(run.average(run.signals.t)[used])
+            places.append(np.arange(before, before + len(times[-1])))
+            before += len(times[-1])
+        starts = tuple(float(run.signals.t[0]) for run in problem.frame.runs)
+        moving = [hold_direction(run.signals.omega_j) for run in problem.frame.runs]
+        direction = problem.frame.stack(moving)[problem.mask, None]
+        soft = np.array(compliances(model))
+        hidden = max(model.friction_angle_uncertainty, model.pretension_uncertainty) / LIKELY
+        hidden *= soft[0] * 2.0 * model.pretension * math.tanh(model.friction_angle)  # m, of the motor's friction
+        wanted, told = of_the_file(model, shaped=False)
+        friction = np.array([0.0, 0.0, 1.0 / max(hidden, 1e-9)])
+        file = np.append(wanted, 0.0), np.vstack([np.pad(told, ((0, 0), (0, 1))), friction])
+        radius = model.joint_pulley_radius
+        return cls(seen, ends, direction, tuple(times), tuple(places), starts, radius, soft, file)
+
+    def terms(self, spec: Specification, scales: Scales) -> list[Term]:
+        """An effect at every start of its variants; what happens once, in each log by itself."""
+        if spec.name != ONCE:
+            return [Term(spec, v, None, start[1:]) for v in spec.search(spec.name, scales) for start in v.starts]
+        found = []
+        for run, times in enumerate(self.times):
+            if len(times):
+                own = replace(scales, begin=self.starts[run], seconds=float(times[-1]) - self.starts[run])
+                found += [Term(spec, v, run, start[1:]) for v in spec.search(spec.name, own) for start in v.starts]
+        return found
+
+    def column(self, term: Term) -> Array:
+        """What it adds to the stretch at amplitude 1, m, (m,)."""
+        effect = term.spec.build(term.values(1.0))
+        column = np.zeros(len(self.seen.stretch))
+        for run, (t, part, start) in enumerate(zip(self.times, self.places, self.starts, strict=True)):
+            if term.run in (None, run):
+                ends = self.ends[part, 0], self.ends[part, 1]
+                column[part] = effect.lengthens(ARRAYS, ends, self.joint_radius, _at(t, start))
+        return column
+
+    def fit(self, terms: Sequence[Term], noise: float | None = None, *, whatever_stiffness: bool = False) -> StretchFit:
+        """With these effects, under the noise that they leave where none is given.
+
+        `whatever_stiffness`: without regard to what the file says of the whole softness.
+        """
+        columns = np.column_stack([self.ends, self.direction, self.seen.slow, *(self.column(term) for term in terms)])
+        y = self.seen.stretch
+        if noise is None:
+            noise = deviation(y - columns @ solved(columns, y))
+        wanted, told = (part[1:] if whatever_stiffness else part for part in self.file)
+        gram, right = columns.T @ columns / noise**2, columns.T @ y / noise**2
+        gram[:BASE, :BASE] += told.T @ told
+        right[:BASE] += told.T @ wanted
+        solution = pinv(gram, right)
+        for end in (0, 1):
+            if solution[end] < 0.0:  # no tendon shortens under its tension
+                kept = np.arange(len(right)) != end
+                solution = np.zeros(len(right))
+                solution[kept] = pinv(gram[np.ix_(kept, kept)], right[kept])
+        beside = float(np.sum(np.square(told @ solution[:BASE] - wanted)))
+        own = solution[len(right) - len(terms) :]
+        return StretchFit(tuple(terms), noise, y - columns @ solution, beside, own, columns, gram)
+
+    def as_given(self) -> Array:
+        """What the file's own softness leaves but zero, drift and ratio, m, (m,)."""
+        rest = self.seen.stretch - self.ends @ self.softness
+        return np.asarray(rest - self.seen.slow @ solved(self.seen.slow, rest))
+
+    def best(self, found: StretchFit, terms: Sequence[Term]) -> Term | None:
+        """Of the variants and starts of one effect, what takes most off what `found` leaves; its shape refined."""
+        gains = [self._gain(found, term) for term in terms]
+        number = int(np.argmax(gains)) if gains else -1
+        if number < 0 or gains[number] <= 0.0:
+            return None
+        best = terms[number]
+        if not best.shape:
+            return best
+        alike = sorted(t.shape[0] for t in terms if t.run == best.run and t.variant.label == best.variant.label)
+        place, (_, coordinate) = alike.index(best.shape[0]), best.variant.coordinates
+        low = alike[place - 1] if place else coordinate.low
+        high = alike[place + 1] if place + 1 < len(alike) else coordinate.high
+
+        def left(at: float) -> float:
+            return -self._gain(found, best.at(at))
+
+        refined = best.at(float(minimize_scalar(left, bounds=(low, high), method="bounded").x))
+        return refined if self._gain(found, refined) > gains[number] else best
+
+    def _gain(self, found: StretchFit, term: Term) -> float:
+        """By how much the cost falls with it; 0 where its amplitude would be beyond its bounds."""
+        column = self.column(term)
+        shared = found.columns.T @ column / found.noise**2
+        whole = float(column @ column) / found.noise**2
+        alike = pinv(found.gram, shared)  # what is free already imitates it so
+        beyond = column - found.columns @ alike
+        new = float(beyond @ beyond) / found.noise**2 + float(np.sum(np.square(self.file[1] @ alike[:BASE])))
+        towards = float(column @ found.rest) / found.noise**2
+        if not new > LEAST_NEW * whole:
+            return 0.0
+        coordinate = term.variant.coordinates[0]
+        return towards**2 / new if coordinate.low < towards / new < coordinate.high else 0.0
+
+
+def _at(t: Array, start: float) -> State[Array]:
+    """A log's time; the stretch's effects look at nothing else."""
+    none = np.asarray(math.nan)
+    return State(
+        t=t, omega=none, acceleration=none, q_j=none, q_m=none, temperature=none, theta=none, sigma=none, start=start
+    )

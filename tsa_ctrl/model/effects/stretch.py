@@ -1,0 +1,158 @@
+"""Effects that the joint torque does not show: they act on the tendons' stretch s = r_M q_M - r_J q_J (m) alone.
+
+Each adds its own length to what the tensions at both ends make of it. `ends`: T3 - T1 and T4 - T2, N; what stands on
+the joint's pulley moves the joint's angle. Source: the catalogue of effects.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear, one
+from tsa_ctrl.model.effects.specification import (
+    Motion,
+    Parameter,
+    Shown,
+    Specification,
+    Stage,
+    Twins,
+    positive,
+)
+from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.functions import Array, F, Functions
+
+_BOTH_ANGLES = (("q_m",), ("q_j",))
+_MICROMETRE = 1e-6  # m: amplitudes of lengths are sought in it, so that they are numbers about 1 to 1000
+_STEPS = 48  # places in a log at which a slip is sought first; between them the fit finds it
+
+
+def _springs(name: str, s: Scales) -> list[Variant]:
+    def of(end: str) -> Variant:
+        def parameters(u: Array) -> dict[str, Value]:
+            return {"stiffness": 1.0 / (_MICROMETRE * max(float(u[0]), 1e-9)), "end": end}
+
+        return Variant(name, (Coordinate("softness", 0.0, math.inf, 1e-3),), ((0.0,),), (0,), parameters, end)
+
+    return [of("motor"), of("joint")]
+
+
+@dataclass(frozen=True)
+class SeriesSpring:
+    """s += (T3 - T1)/(2 k) at the motor's pulley, (T4 - T2)/(2 k) at the joint's: a spring that the file lacks."""
+
+    stiffness: Annotated[float, positive("N/m")]  # k, per tendon
+    end: Annotated[str, Parameter(choices=("motor", "joint"), fitted=False)] = "motor"
+
+    specification: ClassVar = Specification(
+        name="series_spring",
+        stage=Stage.STRETCH,
+        summary="something beside the tendons gives way: a coupling, a pulley, a spring",
+        search=_springs,
+        columns=_BOTH_ANGLES,
+        live_columns=lambda _: (),  # the law has nothing to do with it
+        twins=(Twins(("parameter_error",), (Motion.STIFFNESS,)),),
+        rigid_drive=False,
+        shown=Shown({"stiffness": 2e4}, "load", "s ← s + (T_3 − T_1) / 2k"),
+    )
+
+    def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
+        return ends[self.end == "joint"] / (2.0 * self.stiffness)
+
+
+def _creeps(name: str, s: Scales) -> list[Variant]:
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"length": _MICROMETRE * float(u[0]), "time_constant": math.exp(u[1])}
+
+    low, high = 0.02 * s.seconds, 0.5 * s.seconds  # slower is a straight line, which warmth draws as well
+    coordinates = (
+        Coordinate("length", -math.inf, math.inf, 1e-3),
+        Coordinate("time_constant", math.log(low), math.log(high), 2e-2),
+    )
+    starts = tuple((0.0, math.log(v)) for v in geometric(1.2 * low, 0.8 * high, 6))
+    return [Variant(name, coordinates, starts, (0,), parameters)]
+
+
+@dataclass(frozen=True)
+class TendonCreep:
+    """s += a (1 - exp(-(t - t_0)/T)), t_0 the log's first sample: one tendon creeps longer than the other."""
+
+    length: Annotated[float, Parameter("m")]  # a
+    time_constant: Annotated[float, positive("s")]  # T
+
+    specification: ClassVar = Specification(
+        name="tendon_creep",
+        stage=Stage.STRETCH,
+        summary="one tendon creeps longer than the other under its load",
+        search=_creeps,
+        columns=_BOTH_ANGLES,
+        live_columns=lambda _: (),  # the law has nothing to do with it
+        twins=(Twins(("pulley_slip",), (Motion.LONGER,)),),
+        rigid_drive=False,
+        shown=Shown({"length": 2e-4, "time_constant": 15.0}, "time", "s ← s + a (1 − exp(−t/T))"),
+    )
+
+    def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
+        return -self.length * functions.expm1(-(state.t - state.start) / self.time_constant)
+
+
+def _slips(name: str, s: Scales) -> list[Variant]:
+    def parameters(u: Array) -> dict[str, Value]:
+        return {"length": _MICROMETRE * float(u[0]), "time": s.begin + float(u[1])}
+
+    coordinates = (
+        Coordinate("length", -math.inf, math.inf, 1e-3),
+        Coordinate("time", 0.0, s.seconds, s.period),
+    )
+    starts = tuple((0.0, s.seconds * (step + 0.5) / _STEPS) for step in range(_STEPS))
+    return [Variant(name, coordinates, starts, (0,), parameters)]
+
+
+@dataclass(frozen=True)
+class PulleySlip:
+    """s += d from the time t_s on: a tendon slipped on its pulley, or the pulley on its shaft."""
+
+    length: Annotated[float, Parameter("m")]  # d
+    time: Annotated[float, Parameter("s")]  # t_s, in the log's own time
+
+    specification: ClassVar = Specification(
+        name="pulley_slip",
+        stage=Stage.STRETCH,
+        summary="a tendon slipped on its pulley, or a pulley on its shaft",
+        search=_slips,
+        columns=_BOTH_ANGLES,
+        live_columns=lambda _: (),  # the law has nothing to do with it
+        rigid_drive=False,
+        shown=Shown({"length": 2e-4, "time": 25.0}, "time", "s ← s + d,  t ≥ t_s"),
+    )
+
+    def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
+        after = functions.sign(0.5 + functions.sign(state.t - self.time))  # 1 from t_s on, -1 before
+        return 0.5 * self.length * (1.0 + after)
+
+
+@dataclass(frozen=True)
+class JointPlay:
+    """s += r_J g/2 sign(T4 - T2): play behind the joint's pulley, which the tendons' pull takes to one side.
+
+    `backlash` is play that no torque crosses after a reversal of the motion; this one follows the torque's sign, and
+    what crosses it is the whole torque.
+    """
+
+    gap: Annotated[float, positive("rad")]  # g
+
+    specification: ClassVar = Specification(
+        name="joint_play",
+        stage=Stage.STRETCH,
+        summary="play between the joint's pulley and the joint, seen when the torque changes its sign",
+        search=linear("gap", one, 0.0),
+        columns=_BOTH_ANGLES,
+        live_columns=lambda _: (),  # the law has nothing to do with it
+        twins=(Twins(("series_spring",), (Motion.SIGNS,)),),
+        rigid_drive=False,
+        shown=Shown({"gap": 0.01}, "load", "s ← s + r_J g/2 sign(T_4 − T_2)"),
+    )
+
+    def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
+        return 0.5 * joint_radius * self.gap * functions.sign(ends[1])
