@@ -135,3 +135,32 @@ def test_each_enable_shows_it_anew() -> None:
     sense.reset()
     assert sense.ceiling == pytest.approx(2.0 * SMALL)
     assert "the wrong way round" in str(run(sense, sign=-1.0))
+
+
+@pytest.mark.parametrize(("changes", "wrong"), [(1, False), (3, True)])
+def test_a_count_that_changes_against_the_torque_is_no_answer_but_several_are(changes: int, wrong: bool) -> None:
+    count = 2.0 * math.pi / 4096  # rad
+    sense = Sense(2.0, GEARED, PERIOD, counts=count)
+    found = None
+    for n in range(300):
+        flipped = sum(n > 100 + 40 * each for each in range(changes))
+        found = found or sense.update(n * PERIOD, n * PERIOD, -flipped * count, UNKNOWN, 0.0, 0.0)
+    assert (found is not None) is wrong
+
+
+def test_a_joint_torque_that_only_fluctuates_is_no_answer() -> None:
+    """A held joint gets nothing at first, without an encoder of the joint: what its sensor reads then is noise."""
+    sense = Sense(2.0, GEARED, PERIOD)
+    for n in range(400):
+        noise = -0.005 * math.sin(n / 60.0)  # N*m, that falls while the torque rises
+        assert sense.update(n * PERIOD, n * PERIOD, UNKNOWN, noise, 0.0, 0.0) is None
+
+
+def test_what_the_sensor_said_while_the_joint_moved_does_not_count_once_it_is_held() -> None:
+    """A joint that comes to rest takes up what friction gave away: its torque jumps by more than the motor's grows."""
+    sense = Sense(2.0, GEARED, PERIOD)
+    for n in range(1000):
+        torque = 0.3 + 0.5 * n * PERIOD
+        moves = n < 400
+        joint = GEARED * (torque - 0.2 if moves else torque)
+        assert sense.update(n * PERIOD, torque, torque / STIFFNESS, joint, 1.0, 0.4 if moves else 0.0) is None

@@ -168,3 +168,21 @@ def test_a_joint_encoder_that_sticks_is_found_before_the_joint_is_thrown(tmp_pat
     t, angle = result.truth["clock"] - result.axes[0].start, result.truth["q_m"]
     until = (t > 1.1) & (t < fault.t)
     assert np.ptp(angle[until]) < 0.15  # the torque in use stretches them by 0.02; 0.3 were allowed before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["held", "spring"])
+@pytest.mark.parametrize(("motor", "joint"), [(12, 20), (16, 12)])
+def test_a_motor_that_turns_the_wrong_way_is_found_by_coarse_encoders_and_a_healthy_one_is_not(
+    tmp_path: Path, load: str, motor: int, joint: int
+) -> None:
+    """A count is coarser than what a small torque stretches, and one alone says nothing."""
+    ours = {"drive": {"counts_per_revolution": 1 << motor}, "encoder": {"counts_per_revolution": 1 << joint}}
+    for fault in ("", "reversed_sign"):
+        faults = [f"{fault}@0"] if fault else []
+        result = play(tmp_path, load, sine(0.5, 0.25), 1.6, axis=ours, plant=ours, compensation=0.95, faults=faults)
+        (axis,) = result.axes
+        assert bool(axis.faults) is bool(fault)
+        assert all("the wrong way round" in text for text in axis.faults)
+        if fault:
+            assert np.abs(result.truth["omega_j"]).max() < 0.05  # rad/s

@@ -17,7 +17,7 @@ from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import transmitted_by, wound_by_friction
+from tsa_ctrl.model.sliding import transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
@@ -60,6 +60,7 @@ class ControlAxis:
         estimator: Estimator,
         law: Law,
         limiter: Limiter,
+        sense: Sense,
         guard: Guard,
         plausibility: Plausibility,
         joint_torque: JointTorque,
@@ -100,7 +101,7 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
-        self.sense = Sense(limiter.torque, self._gearing, period, wound_by_friction(model))
+        self.sense = sense
         limiter.ceiling = self.sense.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used

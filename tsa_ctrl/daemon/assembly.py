@@ -39,6 +39,7 @@ from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
+from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
 
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint: what is left of the motor's ringing is slower
@@ -77,6 +78,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 estimator=estimator_of(settings, model, joint_torque, period),
                 law=law,
                 limiter=Limiter(settings.limits, period),
+                sense=sense_of(settings, model, period),
                 guard=Guard(settings.passivity, period, by_stretch=not has_torque_sensor(settings)),
                 plausibility=Plausibility(
                     settings.plausibility,
@@ -107,12 +109,12 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
 def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: float) -> Law:
     """One axis' law with what it looks through: the joint's motion and the tendon's direction."""
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
-    encoder, drive, direction = settings.encoder, settings.drive, settings.direction
+    encoder, direction = settings.encoder, settings.direction
+    of_motor, of_joint = counts_of(settings, 1.0)
     if encoder is not None:
-        motion = Motion(period, 2.0 * math.pi / encoder.counts_per_revolution, plan.lead)
+        motion = Motion(period, of_joint, plan.lead)
     else:
-        count = 2.0 * math.pi * r_m / (r_j * drive.counts_per_revolution * drive.gear_ratio)
-        motion = Motion(period, count, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
+        motion = Motion(period, r_m / r_j * of_motor, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
         direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
     inverse = inverse_of(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give)
@@ -126,27 +128,37 @@ def give_of(settings: AxisSettings, model: TendonSheath) -> Give:
     lost = float(model.effects.get("motor_side_friction", {}).get("coulomb", 0.0))
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     play = 2.0 * geared * float(model.effects.get("backlash", {}).get("gap", 0.0))
-    play += 2.0 * math.pi / (settings.drive.counts_per_revolution * settings.drive.gear_ratio)
-    if settings.encoder is not None:
-        play += 2.0 * math.pi * geared / settings.encoder.counts_per_revolution
     return Give(
         stiffness=stiffness,
         wound=friction * wound_by_friction(model) + 2.0 * lost / stiffness,
         domain=2.0 * model.pretension * model.motor_pulley_radius,
-        play=play,
+        play=play + sum(counts_of(settings, geared)),
         doubt=max(DOUBT, 2.0 * model.axial_stiffness_uncertainty),
     )
 
 
+def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
+    """One count of the motor's encoder and of the joint's, 0 without, rad at the motor; `geared`: r_J/r_M."""
+    motor = 2.0 * math.pi / (settings.drive.counts_per_revolution * settings.drive.gear_ratio)
+    encoder = settings.encoder
+    return motor, 0.0 if encoder is None else 2.0 * math.pi * geared / encoder.counts_per_revolution
+
+
+def sense_of(settings: AxisSettings, model: TendonSheath, period: float) -> Sense:
+    """What tells which way the motor pulls, and how much."""
+    geared = model.joint_pulley_radius / model.motor_pulley_radius
+    counts = math.hypot(*counts_of(settings, geared))  # they round by chance
+    return Sense(settings.limits.torque, geared, period, wound_by_friction(model), counts)
+
+
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:
     """What tells the joint torque without its sensor: by the model always, by the tendons' stretch where that can."""
-    drive, encoder = settings.drive, settings.encoder
+    encoder = settings.encoder
     by_model = ModelTorque(model, period, inertia)
     if encoder is None:
         return JointTorque(by_model, None, "", period)
-    motor = 2.0 * math.pi / (drive.counts_per_revolution * drive.gear_ratio)
     try:
-        stretch = StretchObserver(model, period, (motor, 2.0 * math.pi / encoder.counts_per_revolution), inertia)
+        stretch = StretchObserver(model, period, counts_of(settings, 1.0), inertia)
     except UsageError as error:
         return JointTorque(by_model, None, f"no joint torque from the tendons' stretch: {error}", period)
     return JointTorque(by_model, stretch, "", period)

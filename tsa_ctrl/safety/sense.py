@@ -15,7 +15,8 @@ motor gives twice what it reports.
 
 After every enable the torque stays small until the sense is shown, or until it could have been: a rig that is too stiff
 for its encoders shows nothing, and is not held up by that. A set-point that rests shows nothing either: its torque is
-let through slowly, and shows it on the way.
+let through slowly, and shows it on the way. Encoders whose counts are coarser than the stretch show nothing by it:
+the count of one that happens to change would be taken for the answer.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ import math
 from tsa_ctrl.safety.leaky import Leaky
 
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
-RIPPLE = 0.005  # of that limit, RMS in the band, from which it counts: above what a drive's torque reading fluctuates
+COUNTED = 1.5  # counts of both encoders, from which the stretch counts: one of each may change by chance
+RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
 MEMORY = 0.2  # s of the correlation
@@ -34,6 +36,7 @@ CLEAR = 0.8  # correlation from which it is said how much the joint gets
 EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
 FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb makes it look so
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
+AT_REST = 4.0 * DRIFT  # s that the joint is held before its sensor is compared: the band forgets how it stopped
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
 WOUND = 1.5  # of the way in which the model's friction is wound up: friction and stiffness may be off by a fifth each
 RESTING = 0.1  # of that way: less is a joint that is held, whose tendons the torque alone stretches
@@ -52,13 +55,16 @@ class Sense:
     Attribute: `ceiling` (N*m, most torque for now).
     """
 
-    def __init__(self, limit: float, geared: float, period: float, wound: float = 0.0) -> None:
+    def __init__(self, limit: float, geared: float, period: float, wound: float = 0.0, counts: float = 0.0) -> None:
         """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s.
 
-        `wound`: rad at the motor, by which friction stretches the tendons from one way of sliding to the other.
+        `wound`: rad at the motor, by which friction stretches the tendons from one way of sliding to the other;
+        `counts`: rad at the motor, of one count of each encoder.
         """
         self._limit = limit
+        self._finest = COUNTED * counts
         self._least = (RIPPLE * limit) ** 2
+        self._arrives = (geared * RIPPLE * limit) ** 2
         self._geared = geared
         self._way = WOUND * wound
         self._travel_step = geared * period
@@ -94,7 +100,13 @@ class Sense:
     def _forget(self) -> None:
         """What was seen before does not count."""
         self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
+        self._least_apart, self._most_apart = math.inf, -math.inf
         self._tt = self._ta = self._aa = self._tj = self._jj = 0.0
+        self._forget_sensor()
+
+    def _forget_sensor(self) -> None:
+        """What the joint torque sensor said of a joint that moved does not count where it is held."""
+        self._held_tt = self._held_tj = self._held_jj = 0.0
 
     def update(self, now: float, torque: float, apart: float, tau_j: float, sigma: float, omega_j: float) -> str | None:
         """What is wrong, in words; None while all is well.
@@ -125,6 +137,9 @@ class Sense:
         if winds_up is not self._winding:  # what was seen of the one says nothing of the other
             self._winding = winds_up
             self._forget()
+        if apart == apart:
+            self._least_apart = min(self._least_apart, apart)
+            self._most_apart = max(self._most_apart, apart)
         memory = self._memory
         t, a, j = self._torque.of(torque), self._apart.of(apart), self._joint.of(tau_j)
         self._tt += memory * (t * t - self._tt)
@@ -132,11 +147,20 @@ class Sense:
         self._aa += memory * (a * a - self._aa)
         self._tj += memory * (t * j - self._tj)
         self._jj += memory * (j * j - self._jj)
+        if now - self._moved > AT_REST:
+            self._held_tt += memory * (t * t - self._held_tt)
+            self._held_tj += memory * (t * j - self._held_tj)
+            self._held_jj += memory * (j * j - self._held_jj)
+        else:
+            self._forget_sensor()
         if self._tt < self._least:
             return None
         self._pulled = True
-        by_stretch, by_sensor = _correlation(self._ta, self._tt * self._aa), _correlation(self._tj, self._tt * self._jj)
-        sense = by_stretch if apart == apart else by_sensor
+        sense = 0.0
+        if self._most_apart - self._least_apart > self._finest:
+            sense = _correlation(self._ta, self._tt * self._aa)
+        elif self._jj > self._arrives:
+            sense = _correlation(self._tj, self._tt * self._jj)
         self._suspect = sense < -SHOWN
         if not self._suspect:
             self._waited += self._period
@@ -150,10 +174,9 @@ class Sense:
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
                 "sign of a torque or of an encoder is reversed"
             )
-        gain = self._tj / self._tt
-        held = now - self._moved > MEMORY
-        excessive = EXCESS * self._geared < gain < FAR * self._geared
-        if self._excessive.update(now, held and by_sensor > CLEAR and excessive):
+        gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
+        follows = _correlation(self._held_tj, self._held_tt * self._held_jj) > CLEAR
+        if self._excessive.update(now, follows and EXCESS * self._geared < gain < FAR * self._geared):
             return (
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
                 f"{self._geared:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
