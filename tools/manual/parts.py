@@ -134,6 +134,15 @@ def otherwise_table() -> str:
     return table(*otherwise.table(read_rows(otherwise.FILE)))
 
 
+def folds_table() -> str:
+    """The diagnosis of the measured cable drive, each load and each frequency left out once."""
+    from tools.measured import diagnose  # the diagnosis with it: slow to import
+
+    rows = read_rows(diagnose.FILE)
+    of = ", ".join(sorted({f"{row['date']}, {row['commit']}" for row in rows}))
+    return f"{table(*diagnose.table(rows))}\n\n(`tools/run measured/diagnose`, {of})"
+
+
 def hidden_in_measured() -> str:
     """Known effects hidden in measured logs, and what the diagnosis said by their size."""
     from tools.bench import measured  # the diagnosis with it: slow to import
@@ -152,5 +161,6 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "hazards": hazard_table,
     **{name: partial(measured_table, name) for name in tables.COMMANDS},
     "otherwise": otherwise_table,
+    "folds": folds_table,
     "hidden-in-measured": hidden_in_measured,
 }

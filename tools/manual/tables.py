@@ -23,7 +23,6 @@ from tsa_ctrl.errors import UsageError
 FILE = Path(__file__).with_name("tables.json")
 COMMANDS: Mapping[str, str] = {
     "coverage": "tools/run bench/calibrate --logs 7000",
-    "folds": "tools/run measured/diagnose",
     "stretch": "tools/run measured/stretch",
     "blind": "tools/run bench/diagnose --short --seed 8000",
     "runaway": "tools/run campaign/runaway --rows FILE",

@@ -25,6 +25,7 @@ from tsa_ctrl.identify.diagnosis.selection.entry import (
     enters,
     entry_threshold,
     evidence,
+    transfers,
 )
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, SIMPLER, meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import (
@@ -208,11 +209,13 @@ def _pruned(problem: Problem, fitted: Fit, catalogue: Catalogue) -> tuple[Proble
 
 
 def _backward(problem: Problem, fitted: Fit) -> Fit | None:
+    """Without a cause that says nothing, or that neither stands out of the noise nor transfers; None: all stay."""
     unfounded = meaningless(problem, fitted)
     for index in range(len(fitted.names)):
         smaller = backward_step(problem, fitted, index)
         proof = evidence(problem, smaller, fitted)
-        if index in unfounded or proof.gain < SMALLEST_GAIN * problem.count or not proof.holds:
+        stands = proof.gain >= SMALLEST_GAIN * problem.count and proof.holds
+        if index in unfounded or not (stands or transfers(problem, smaller, fitted)):
             return smaller
     return None
 
