@@ -10,19 +10,23 @@ import pytest
 from tools import command
 from tools.bench import measured
 from tools.bench.results import Row
+from tsa_ctrl.model.parameters import RigidDrive
 
 
 def report(*claims: tuple[str, ...]) -> Row:
     return {
         "verdict": "explained",
-        "causes": [{"effect": effect, "alternatives": list(others)} for effect, *others in claims],
+        "causes": [
+            {"effect": effect, "alternatives": list(others), "parameters": {"amplitude": {"low": 1.0, "high": 3.0}}}
+            for effect, *others in claims
+        ],
         "rms": {"noise_floor": 2.0},
         "detection_limit": {"gravity_load": 1.0, "joint_stiffness": 1.5},
     }
 
 
 def row(effect: str, size: float, *claims: tuple[str, ...]) -> Row:
-    return {"set": "emps", "effect": effect, "size": size, "report": report(*claims)}
+    return {"set": "emps", "effect": effect, "size": size, "number": 2.0, "report": report(*claims)}
 
 
 @pytest.mark.parametrize(
@@ -51,16 +55,39 @@ def test_the_table_has_limits_answers_and_halves() -> None:
     assert lines == [
         ("emps", "gravity_load", "0.5", "nothing", "found"),
         ("emps", measured.HALVES, "adds nothing", "", ""),
+        ("all", "above its limit", "named, alone or in a group", "1 of 1", ""),
+        ("all", "below its limit", "no other name", "1 of 1", ""),
+        ("all", "above its limit", "another name", "0 of 1", ""),
+        ("all", "its number told", "interval holds it", "1 of 1", ""),
     ]
 
 
 def test_what_the_base_model_has_is_no_size_of_an_effect() -> None:
     """Inertia, friction, drag and offset are projected out: an effect made of them has no size."""
+    log = still_moving()
+    drive = RigidDrive(inertia=1e-3, coulomb_friction=0.1, viscous_friction=0.1, torque_offset=0.0)
+    base = [measured.base_of(log, drive)]
+    assert measured.left_of([2.0 * log.acceleration + np.sign(log.omega) - 0.5 * log.omega + 1.0], base) < 1e-9
+    assert measured.left_of([np.abs(log.omega)], base) > 0.1
+    assert measured.left_of([np.ones(len(log.q))], [measured.base_of(log, RigidDrive(coulomb_friction=0.1))]) > 0.1
+
+
+@pytest.mark.parametrize("effect", ["direction_asymmetric_friction", "presliding_hysteresis", "transport_delay"])
+def test_an_effect_is_hidden_at_the_size_that_was_asked_for(effect: str) -> None:
+    log, hidden = still_moving(), measured.HIDDEN[effect]
+    base = [measured.base_of(log, RigidDrive(inertia=1e-3, coulomb_friction=0.1))]
+    number = measured.number_of(hidden, [log], base, 0.1)
+    assert number is not None
+    assert measured.left_of([hidden.change(log, number)], base) == pytest.approx(0.1, rel=1e-3)
+    if hidden.range is not None:
+        assert measured.number_of(hidden, [log], base, 1e3) is None  # no delay moves a torque by more than itself
+
+
+def still_moving() -> measured.Motion:
     t = np.linspace(0.0, 10.0, 2000)
     omega, acceleration = np.cos(t) + 0.3 * np.cos(2.7 * t), -np.sin(t) - 0.81 * np.sin(2.7 * t)
-    motions = [(np.sin(t), omega, acceleration)]
-    assert measured.left_of([2.0 * acceleration + np.sign(omega) - 0.5 * omega + 1.0], motions) < 1e-9
-    assert measured.left_of([np.abs(omega)], motions) > 0.1
+    torque = 0.4 * np.sign(omega) + 0.1 * acceleration
+    return measured.Motion(t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 0.4)
 
 
 @pytest.mark.slow
@@ -70,6 +97,16 @@ def test_a_weight_hidden_in_the_measured_axis_is_named_in_addition() -> None:
     assert "gravity_load" not in measured.names_of(untouched["report"])
     hidden = measured.trial(folder, "gravity_load", 8.0, untouched["report"])
     assert measured.answer(hidden, untouched) in ("found", "in a group")
+
+
+@pytest.mark.slow
+def test_asymmetric_friction_hidden_in_a_servo_does_not_hide_its_pendulum() -> None:
+    """It enters first, and colours the noise until gravity no longer stands out: it must stay as it transfers."""
+    hidden = measured.trial(
+        _folder("bam"), "direction_asymmetric_friction", 8.0, {"rms": {"noise_floor": 0.0555706}, "causes": []}
+    )
+    assert {"direction_asymmetric_friction", "gravity_load"} <= measured.names_of(hidden["report"])
+    assert hidden["report"]["rms"]["extended"] < 0.5 * hidden["report"]["rms"]["recalibrated"]
 
 
 def _folder(name: str) -> Path:

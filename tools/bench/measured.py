@@ -1,23 +1,25 @@
-"""Known effects hidden in measured logs of plain drives: from which size on does the diagnosis find them there?
+"""Known effects hidden in measured logs: from which size on does the diagnosis find them there?
 
 Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--out FILE.jsonl] [--list]
 
-Each log of a set is diagnosed as it is; then again with one effect added to its measured torque, as the drive would
-show it, by formulas of this file, at a size in multiples of the floor that the untouched logs have. The size is the
-RMS of what is left of it once inertia, friction, drag and offset are projected out. "found": the name (or its group)
-comes in addition to what the untouched logs say, and no other name does; "wrong": another name without it; "refused":
-the logs were found insufficient. A parameter
-that the untouched logs have already is no addition: those effects are left out. And one half of a set (of its logs, or
-of its one log's time) is diagnosed with the model that the diagnosis of the other half has written: nothing may be
-added. Rows are kept in --out (default: the file that the manual's table is written from), and not made again. The data
-are looked for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line and nothing to
-do.
+Each set is diagnosed as it is; then again with one effect added to its measured torque, as the drive would show it, by
+formulas of this file, at a size in multiples of the floor that the untouched logs have. The size is the RMS of what is
+left of it once all is projected out that recalibration may change: inertia, friction, drag and offset as far as the
+model has them; of tendons the motor torque and the direction. "found": the name comes in addition to what the untouched
+logs say, and no other name does; "in a group": it stands among others; "wrong": another name without it; "refused": the
+logs were found insufficient. A parameter that the untouched logs have already is no addition: those effects are left
+out. And one half of a set (of its logs, or of its one log's time) is diagnosed with the model that the diagnosis of the
+other half has written: nothing may be added. Rows are kept in --out (default: the file that the manual's table is
+written from), and not made again. The data are looked for in the folder named by TSA_DATA, else in ../shared/data;
+without them there is one line and nothing to do.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +31,49 @@ from tools import command
 from tools.bench.results import Results, Row, read_rows
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset, load_logs
-from tsa_ctrl.model.parameters import load_model
+from tsa_ctrl.model.parameters import Model, RigidDrive, load_model
 
 Array = NDArray[np.float64]
-SETS = {"emps": ("*.csv.gz", "emps.toml"), "bam": ("*.csv.gz", "xl330.toml")}
+SETS = {  # the trials of the cable drive at one frequency: all 25 take minutes a diagnosis
+    "emps": ("*.csv.gz", "emps.toml"),
+    "epos": ("steady/*.csv.gz", "drive.toml"),
+    "bam": ("*.csv.gz", "xl330.toml"),
+    "davinci": ("*_0.3Hz.csv.gz", "actuator.toml"),
+}
 SLOW = 0.03  # s, over which motion is averaged for what is hidden: any smooth motion near the measured one will do
+STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
+MOST_CYCLES = 40  # of a ripple per turn: more are not looked for (model/effects/motor.py), and would be another test
+HALVINGS = 30  # of the range of a delay or a distance, until its size is the one wanted
+HALVES = "half against half"
+FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One log, (n,) each: angle (rad), velocity, acceleration and the torque that is predicted, SI; motor's torque."""
+
+    t: Array
+    q: Array
+    omega: Array
+    acceleration: Array
+    torque: Array
+    tau_m: Array
+    reach: float  # rad, the largest range of an angle in the set
+    friction: float  # N*m, Coulomb friction of the set by least squares
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """`change` of the torque (N*m) that a plain drive needs, or that tendons lose, with this number of the effect.
+
+    `parameter` of the model file that the number is, "" where the file's law is another one; `range`: of a number in
+    which the change is not linear.
+    """
+
+    change: Callable[[Motion, float], Array]
+    parameter: str = ""
+    needs_angle: bool = False
+    range: tuple[float, float] | None = None
 
 
 def smooth(y: Array, t: Array) -> Array:
@@ -42,27 +82,54 @@ def smooth(y: Array, t: Array) -> Array:
     return np.convolve(np.pad(y, width // 2, mode="edge"), np.full(width, 1.0 / width), mode="valid")
 
 
-def motion(log: Dataset) -> tuple[Array, Array, Array]:
-    """Angle (rad), velocity and acceleration of one log, (n,) each, by differences of averages."""
+def motion(log: Dataset, plain: bool, reach: float = 0.0, friction: float = 0.0) -> Motion:
+    """Motion by differences of averages; of a recorded velocity the angle is the integral."""
     t = log["t"]
-    q = smooth(log["q_m"], t)
-    omega = smooth(np.gradient(q, t), t)
-    return q, omega, smooth(np.gradient(omega, t), t)
+    angle, velocity = ("q_m", "omega_m") if plain else ("q_j", "omega_j")
+    if angle in log and angle not in log.derived:
+        q = smooth(log[angle], t)
+        omega = smooth(np.gradient(q, t), t)
+    else:
+        omega = smooth(log[velocity], t)
+        q = np.cumsum(omega) * float(np.median(np.diff(t)))
+    torque = log["tau_m" if plain else "tau_j"]
+    return Motion(t, q, omega, smooth(np.gradient(omega, t), t), torque, log["tau_m"], reach, friction)
 
 
-STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
-MOST_CYCLES = 40  # of a ripple per turn: more are not looked for (model/effects/motor.py), and would be another test
-HALVES = "half against half"
-FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
+def presliding(log: Motion, share: float) -> Array:
+    """What Coulomb friction lacks that builds up exponentially over this share of the motion after each reversal."""
+    distance = share * log.reach
+    z, out = 0.0, np.empty(len(log.q))
+    steps = np.abs(np.diff(log.q, prepend=log.q[0]))
+    for at, (way, step) in enumerate(zip(np.sign(log.omega).tolist(), steps.tolist(), strict=True)):
+        z = way + (z - way) * math.exp(-step / distance)
+        out[at] = z
+    return log.friction * (out - np.sign(log.omega))
 
-HIDDEN: Mapping[str, Callable[[Array, Array, float], Array]] = {  # of angle, velocity and the set's largest angle
-    "gravity_load": lambda q, omega, reach: np.sin(q + 0.4),
-    "joint_stiffness": lambda q, omega, reach: q,
-    "direction_asymmetric_friction": lambda q, omega, reach: np.abs(omega),
-    "stribeck_friction": lambda q, omega, reach: (
-        np.sign(omega) * np.exp(-np.abs(omega) / (STRIBECK * np.max(np.abs(omega))))
+
+def late(log: Motion, delay: float) -> Array:
+    """What a torque changes that is shown so many seconds late."""
+    return np.asarray(np.interp(log.t - delay, log.t, log.torque) - log.torque)
+
+
+def cycles(log: Motion) -> float:
+    """Whole cycles of a ripple per turn: four or more in the motion of the set."""
+    return float(min(np.round(4.0 * np.pi / log.reach), MOST_CYCLES))
+
+
+HIDDEN: Mapping[str, Hidden] = {
+    "gravity_load": Hidden(lambda log, a: a * np.sin(log.q + 0.4), "amplitude", needs_angle=True),
+    "joint_stiffness": Hidden(lambda log, a: a * log.q, "stiffness", needs_angle=True),
+    "torque_offset": Hidden(lambda log, a: np.full(len(log.q), a)),
+    "viscous_friction": Hidden(lambda log, a: a * log.omega, "coefficient"),
+    "inertia": Hidden(lambda log, a: a * log.acceleration, "inertia"),
+    "direction_asymmetric_friction": Hidden(lambda log, a: a * np.abs(log.omega), "viscous_difference"),
+    "stribeck_friction": Hidden(
+        lambda log, a: a * np.sign(log.omega) * np.exp(-np.abs(log.omega) / (STRIBECK * np.max(np.abs(log.omega))))
     ),
-    "torque_ripple": lambda q, omega, reach: np.sin(min(np.round(4.0 * np.pi / reach), MOST_CYCLES) * q + 0.7),
+    "torque_ripple": Hidden(lambda log, a: a * np.sin(cycles(log) * log.q + 0.7), needs_angle=True),
+    "presliding_hysteresis": Hidden(presliding, needs_angle=True, range=(1e-6, 0.1)),
+    "transport_delay": Hidden(late, "delay", range=(1e-4, 0.1)),
 }
 
 
@@ -71,12 +138,37 @@ def recorded(log: Dataset) -> dict[str, Array]:
     return {name: values for name, values in log.columns.items() if name not in log.derived}
 
 
-def left_of(effect: list[Array], motions: list[tuple[Array, Array, Array]]) -> float:
-    """RMS of an effect of unit strength over all logs once the base model is projected out."""
-    omega, acceleration = (np.concatenate([each[i] for each in motions]) for i in (1, 2))
-    base = np.column_stack([acceleration, np.sign(omega), omega, np.ones_like(omega)])
-    whole = np.concatenate(effect)
-    return float(np.sqrt(np.mean((whole - base @ np.linalg.lstsq(base, whole, rcond=None)[0]) ** 2)))
+def base_of(log: Motion, model: Model) -> Array:
+    """What recalibration may change, (n, k)."""
+    sigma = np.sign(log.omega)
+    if not isinstance(model, RigidDrive):
+        return np.column_stack([log.tau_m, sigma])
+    free = {"inertia": log.acceleration, "viscous_friction": log.omega, "torque_offset": np.ones_like(sigma)}
+    return np.column_stack([sigma, *(column for name, column in free.items() if getattr(model, name) is not None)])
+
+
+def left_of(change: Sequence[Array], base: Sequence[Array]) -> float:
+    """RMS of a change over all logs once the base model is projected out, N*m."""
+    whole, columns = np.concatenate(change), np.concatenate(base)
+    return float(np.sqrt(np.mean((whole - columns @ np.linalg.lstsq(columns, whole, rcond=None)[0]) ** 2)))
+
+
+def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], size: float) -> float | None:
+    """The number of an effect with which it leaves `size`, N*m; None where no number in its range does."""
+
+    def left(number: float) -> float:
+        return left_of([hidden.change(log, number) for log in logs], base)
+
+    if hidden.range is None:
+        unit = left(1.0)
+        return size / unit if unit > 1e-9 * size else None
+    low, high = hidden.range
+    if not left(low) < size < left(high):
+        return None
+    for _ in range(HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if left(middle) < size else (low, middle)
+    return math.sqrt(low * high)
 
 
 def names_of(report: Row) -> set[str]:
@@ -90,23 +182,43 @@ def claims_of(report: Row) -> list[set[str]]:
 
 
 def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
-    """Diagnose one set with an effect hidden in it (`untouched`: what it says without), or as it is (None)."""
-    pattern, model = SETS[folder.name]
-    logs = load_logs(sorted(folder.glob(pattern)))
+    """Diagnose one set with an effect hidden in it (`untouched`: what it says without), or as it is (None).
+
+    Without a report where these logs cannot have the effect at this size.
+    """
+    pattern, file = SETS[folder.name]
+    logs, model = load_logs(sorted(folder.glob(pattern))), load_model(folder / file)
     result: Row = {"set": folder.name, "effect": effect, "size": size}
     if untouched is not None:
-        motions = [motion(log) for log in logs]
-        reach = max(float(np.ptp(q)) for q, _, _ in motions)
-        shape = [HIDDEN[effect](q, omega, reach) for q, omega, _ in motions]
-        strength = size * untouched["rms"]["noise_floor"] / left_of(shape, motions)
-        logs = [
-            Dataset.from_arrays({**recorded(log), "tau_m": log["tau_m"] + strength * each}, log.name)
-            for log, each in zip(logs, shape, strict=True)
-        ]
-        result["strength"] = strength
-    report = json.loads(diagnose(logs, load_model(folder / model)).to_json())
-    result["report"] = _kept(report)
+        logs, result["number"] = with_hidden(logs, model, effect, size * untouched["rms"]["noise_floor"])
+        if result["number"] is None:
+            return result
+    result["report"] = _kept(json.loads(diagnose(logs, model).to_json()))
     return result
+
+
+def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float) -> tuple[list[Dataset], float | None]:
+    """The logs with an effect of this size (N*m) in them, and its number; None where there is none of that size."""
+    plain, hidden = isinstance(model, RigidDrive), HIDDEN[effect]
+    if (plain and getattr(model, effect, None) is not None) or (
+        hidden.needs_angle and not any(name in logs[0] and name not in logs[0].derived for name in ("q_m", "q_j"))
+    ):
+        return list(logs), None
+    motions = [motion(log, plain) for log in logs]
+    bases = [base_of(each, model) for each in motions]
+    fitted = np.linalg.lstsq(np.concatenate(bases), np.concatenate([each.torque for each in motions]), rcond=None)[0]
+    friction = abs(float(fitted[0 if plain else 1]))
+    reach = max(float(np.ptp(each.q)) for each in motions)
+    motions = [motion(log, plain, reach, friction) for log in logs]
+    number = number_of(hidden, motions, bases, size)
+    if number is None:
+        return list(logs), None
+    name, sign = "tau_m" if plain else "tau_j", 1.0 if plain or effect == "transport_delay" else -1.0
+    changed = [
+        Dataset.from_arrays({**recorded(log), name: log[name] + sign * hidden.change(each, number)}, log.name)
+        for log, each in zip(logs, motions, strict=True)
+    ]
+    return changed, number
 
 
 def halves(folder: Path) -> Row:
@@ -146,12 +258,26 @@ def answer(row: Row, untouched: Row) -> str:
     return "wrong" if new else "nothing"
 
 
+def holds(row: Row) -> bool | None:
+    """Whether the interval of the hidden number holds it; None where it was not told."""
+    parameter = HIDDEN[row["effect"]].parameter
+    told = [cause["parameters"].get(parameter) for cause in row["report"]["causes"] if cause["effect"] == row["effect"]]
+    if not told or told[0] is None or told[0]["low"] is None:
+        return None
+    return bool(told[0]["low"] <= row["number"] <= told[0]["high"])
+
+
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows: an effect of a set a line, its limit and the answer by size; then what half against half adds."""
-    by = {(row["set"], row["effect"], row["size"]): row for row in rows}
+    """Head and rows: an effect of a set a line, its limit and the answer by size; then what half against half adds.
+
+    Last what was found of those above their limit, and of how many below it nothing was said.
+    """
+    by = {(row["set"], row["effect"], row["size"]): row for row in rows if "report" in row}
     sizes = sorted({row["size"] for row in rows if row["effect"] in HIDDEN})
     head = ("set", "hidden", "limit, of the floor", *(f"{size:g}" for size in sizes))
     lines = []
+    above: list[str] = []
+    below: list[str] = []
     for name in (name for name in SETS if (name, "", 0.0) in by):
         untouched = by[name, "", 0.0]
         floor = untouched["report"]["rms"]["noise_floor"]
@@ -161,18 +287,30 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
                 continue
             limit = untouched["report"]["detection_limit"].get(effect)
             answers = ["" if row is None else answer(row, untouched) for row in found]
+            for size, told in zip(sizes, answers, strict=True):
+                if told and limit is not None:
+                    (above if size * floor > limit else below).append(told)
             lines.append((name, effect, "-" if limit is None else f"{limit / floor:.2g}", *answers))
         if (half := by.get((name, HALVES, 0.0))) is not None:
             new = [" or ".join(sorted(claim)) for claim in claims_of(half["report"])]
             told = f"adds {'; '.join(new)}" if new else "adds nothing"
             lines.append((name, HALVES, told, *("" for _ in sizes)))
+    blank = ("",) * (len(sizes) - 1)
+    seen = sum(told in ("found", "in a group") for told in above)
+    lines.append(("all", "above its limit", "named, alone or in a group", f"{seen} of {len(above)}", *blank))
+    quiet = sum(told != "wrong" for told in below)
+    lines.append(("all", "below its limit", "no other name", f"{quiet} of {len(below)}", *blank))
+    wrong = sum(told == "wrong" for told in above)
+    lines.append(("all", "above its limit", "another name", f"{wrong} of {len(above)}", *blank))
+    inside = [held for row in by.values() if row["effect"] in HIDDEN and (held := holds(row)) is not None]
+    lines.append(("all", "its number told", "interval holds it", f"{sum(inside)} of {len(inside)}", *blank))
     return head, lines
 
 
 def main() -> int:
     """Run what is asked and not known yet, and print the table."""
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--sets", nargs="+", choices=sorted(SETS), default=sorted(SETS))
+    parser.add_argument("--sets", nargs="+", choices=tuple(SETS), default=list(SETS))
     parser.add_argument("--effects", nargs="+", choices=sorted(HIDDEN), default=sorted(HIDDEN))
     parser.add_argument("--sizes", nargs="+", type=float, default=[0.5, 1.0, 2.0, 4.0, 8.0])
     parser.add_argument("--out", type=Path, default=FILE)
