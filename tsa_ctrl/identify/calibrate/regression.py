@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
+from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
 FloatArray = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Estimate:
         """Interval of `gradient @ value` (delta method for a function with that gradient)."""
         centre = float(gradient @ self.value)
         deviation = float(np.sqrt(gradient @ self.covariance @ gradient))
-        half = float(stats.t.ppf(0.5 + level / 2.0, self.degrees_of_freedom(gradient))) * deviation
+        half = float(stdtrit(self.degrees_of_freedom(gradient), 0.5 + level / 2.0)) * deviation
         return centre - half, centre + half
 
     def degrees_of_freedom(self, gradient: FloatArray) -> float:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cholesky, solve_toeplitz, solve_triangular, toeplitz
-from scipy.signal import lfilter
 
 from tsa_ctrl.model.functions import Array
 
@@ -27,6 +26,7 @@ FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep
 REFERENCE = (0.7, 5.0)  # Hz, band whose slope continues to lower frequencies, where a log has too few waves
 STEEPEST = 1.2  # power of 1/f that noise may have
 LOWEST = 0.15  # Hz, below which it is flat
+FEW_COLUMNS = 4  # below which a sum over a hundred taps takes less time than three Fourier transforms
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Noise:
         piece[start - begin : start - begin + len(values)] = values
         if begin == part.start:
             return begin, self.whiten(piece, [slice(0, len(piece))])
-        return begin, np.asarray(lfilter(self.filter, [1.0], piece)) / self.deviation
+        return begin, _filtered(self.filter, piece) / self.deviation
 
     def spread(self, columns: Array, slices: Sequence[slice]) -> Array:
         """Covariance (k, k) of the products of stacked columns (n, k) with noise of this kind, (N*m)^2."""
@@ -91,22 +91,15 @@ class Noise:
             total += np.real((lines.conj() * weight[:, None]).T @ lines)
         return total
 
-    def draw(self, rng: np.random.Generator, lengths: Sequence[int]) -> Array:
-        """Stacked noise of this kind, N*m, shape (sum of lengths,)."""
-        run_in = 10 * len(self.filter)
-        parts = []
-        for length in lengths:
-            white = self.deviation * rng.standard_normal(length + run_in)
-            parts.append(lfilter([1.0], self.filter, white)[run_in:])
-        return np.concatenate(parts)
-
 
 def _filtered(taps: Array, y: Array) -> Array:
     """Causal convolution along the first axis, cut to the length of `y`."""
     if y.size == 0:
         return y
-    if y.ndim == 1 or y.shape[1] < 4:
-        return np.asarray(lfilter(taps, [1.0], y, axis=0))
+    if y.ndim == 1:
+        return np.asarray(np.convolve(taps, y)[: len(y)])
+    if y.shape[1] < FEW_COLUMNS:
+        return np.column_stack([_filtered(taps, column) for column in y.T])
     length = next_fast_len(len(y) + len(taps) - 1, real=True)
     product = rfft(y, length, axis=0) * rfft(taps, length)[:, None]
     return np.asarray(irfft(product, length, axis=0)[: len(y)])

@@ -16,7 +16,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.data.split import Split
@@ -105,7 +105,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     better = int(np.sum(sums[:, 1] < sums[:, 0]))
     if not left < (1.0 - LEAST_GAIN) * before or 2 * better <= len(held):
         return None
-    half = float(student.ppf(0.5 + 0.5 * LEVEL, max(int(blocks[-1]), 1))) * spread
+    half = float(stdtrit(max(int(blocks[-1]), 1), 0.5 + 0.5 * LEVEL)) * spread
     told = zip(names, constants, half, strict=True)
     return Formula(
         expression,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
@@ -56,7 +56,7 @@ def refit(problem: Problem, found: Fit) -> Refit:
     index = np.flatnonzero(best.free | (np.arange(count) < base))  # a bound says nothing of how sure x and T_p are
     if index.size and plain.count:
         covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
-    return Refit(best, covariance, float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM)))
+    return Refit(best, covariance, float(stdtrit(FREEDOM, 0.5 + 0.5 * LEVEL)))
 
 
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:

@@ -132,9 +132,12 @@ def _history(frame: Frame, predicted: Array, sigma: Array) -> Array:
 
 
 def _lagged(y: Array, share: float) -> Array:
-    from scipy.signal import lfilter  # slow to import
-
-    return np.asarray(lfilter([1.0 - share], [1.0, -share], y, zi=[share * y[0]])[0])
+    """`y` through a first-order lag that keeps `share` of its state from sample to sample, at rest before the first."""
+    state, out, new = share * float(y[0]), np.empty(len(y)), 1.0 - share
+    for at, value in enumerate(y.tolist()):
+        out[at] = level = state + new * value
+        state = share * level
+    return out
 
 
 def _random(drivers: Mapping[str, Array], rng: np.random.Generator) -> Array:
