@@ -123,6 +123,7 @@ def _diagnose(
 
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
+    from tsa_ctrl.identify.diagnosis.report.beside import drawing
     from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
 
@@ -131,7 +132,7 @@ def _diagnose(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     hidden = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=hidden)
-    with outputs.sole_writer(out), bar as progress:
+    with outputs.sole_writer(out), drawing() as plot, bar as progress:
         task = progress.add_task("reading logs", total=None)
 
         def say(stage: str) -> None:
@@ -142,7 +143,7 @@ def _diagnose(
         say("report")
         for name in (JSON, MODEL):
             outputs.keep(out / name)
-        write(result, out, model)
+        write(result, out, model, plot)
     return result
 
 

@@ -15,7 +15,8 @@ rivals      the names that these logs cannot exclude (`groups`), what is done ab
             them the tendons' stretch contradicts where both pulleys' angles are logged (`stretched`)
 parameters  the numbers reported (`refit`, `profile_refinement`), and what they gain on `held_out` data
 refusals    logs that cannot tell, which is the verdict `insufficient` and no error
-report      `conclude`: the `result` as data; `words`, `pictures` and `page` of it, and the next `experiment`
+report      `conclude`: the `result` as data; `words`, `page` and `pictures` of it, these drawn
+            `beside` the search by processes of their own, and the next `experiment`
 
 To add a stage: a module in the folder of what it needs last, with one public function from what is there to a frozen
 record (arrays with shape and unit, nothing drawn but from the generator that it is given); one line in

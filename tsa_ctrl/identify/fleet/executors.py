@@ -29,13 +29,13 @@ class Workers:
 
 
 @contextlib.contextmanager
-def local(jobs: int | None = None) -> Iterator[Workers]:
-    """Processes of this machine, one per core that this process may use."""
+def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.job") -> Iterator[Workers]:
+    """Processes of this machine, one per core that this process may use; each begins with `preload` imported."""
     count = jobs or len(os.sched_getaffinity(0))
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")  # threads inside would only get in the other processes' way
     context = multiprocessing.get_context("forkserver")  # a fork of this process would take its threads' locks along
-    context.set_forkserver_preload(["tsa_ctrl.identify.fleet.job"])
+    context.set_forkserver_preload([preload])
     with unheard_by_children():
         forkserver.ensure_running()
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tests.blind import case
+from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify.diagnosis.report.beside import drawing
+from tsa_ctrl.identify.diagnosis.report.page import drawn_here
 from tsa_ctrl.identify.diagnosis.report.pictures import _span
+from tsa_ctrl.model.parameters import model_from
 
 
 def test_single_samples_do_not_set_the_axis() -> None:
@@ -20,3 +28,22 @@ def test_single_samples_do_not_set_the_axis() -> None:
 def test_a_residual_without_spread_has_an_axis(value: float) -> None:
     low, high = _span(np.full(10, value))
     assert low < value < high
+
+
+@pytest.mark.slow
+def test_pictures_drawn_by_other_processes_are_those_drawn_here(tmp_path: Path) -> None:
+    """And once those processes are gone, they are drawn all the same."""
+    hidden = case("single", "torque_offset", seed=3, short=True)
+    columns = {log.name: log.columns for log in hidden.logs}
+    result = diagnose(columns, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+    folders = [tmp_path / name for name in ("here", "beside", "gone")]
+    for folder in folders:
+        folder.mkdir()
+    here = drawn_here(result, folders[0])
+    with drawing() as plot:
+        beside = plot(result, folders[1])
+    gone = plot(result, folders[2])
+    assert len(here) == 7
+    assert list(here) == list(beside) == list(gone)
+    for paths in zip(here.values(), beside.values(), gone.values(), strict=True):
+        assert len({path.read_bytes() for path in paths}) == 1

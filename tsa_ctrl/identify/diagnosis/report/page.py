@@ -9,6 +9,7 @@ import base64
 import math
 import shutil
 import tempfile
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -35,22 +36,23 @@ WORDS = {
 }
 
 
-def write(result: Diagnosis, folder: str | Path, template: str | Path | None = None) -> None:
+Plot = Callable[[Diagnosis, Path], dict[str, Path]]  # draws into a folder; caption: path
+
+
+def write(result: Diagnosis, folder: str | Path, template: str | Path | None = None, plot: Plot | None = None) -> None:
     """Write diagnosis.json, extended.toml, report.html with its pictures, and the experiment's set-point file.
 
     Where what is left follows a formula, also formula.toml.
 
     Each file beside and renamed, so that a crash leaves whole files. `template`: the model file whose comments
-    extended.toml keeps. Raises UsageError when the folder cannot be written.
+    extended.toml keeps. `plot`: who draws (default: this process). Raises UsageError when the folder cannot be written.
     """
-    from tsa_ctrl.identify.diagnosis.report.pictures import plot  # matplotlib is slow to import
-
     folder, template = Path(folder), None if template is None else Path(template)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder, prefix=".report.") as name:
             pictures = {}
-            for caption, path in plot(result, Path(name)).items():
+            for caption, path in (plot or drawn_here)(result, Path(name)).items():
                 shutil.move(path, folder / path.name)
                 pictures[caption] = folder / path.name
     except OSError as error:
@@ -62,6 +64,13 @@ def write(result: Diagnosis, folder: str | Path, template: str | Path | None = N
         settings.write_text(folder / EXPERIMENT, result.experiment.csv())
     settings.write_text(folder / PAGE, page(result, pictures, template))
     settings.write_text(folder / JSON, result.to_json())
+
+
+def drawn_here(result: Diagnosis, folder: Path) -> dict[str, Path]:
+    """Pictures as `pictures.plot` draws them."""
+    from tsa_ctrl.identify.diagnosis.report.pictures import plot  # matplotlib is slow to import
+
+    return plot(result, folder)
 
 
 def page(result: Diagnosis, pictures: dict[str, Path], template: Path | None = None) -> str:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from tsa_ctrl.identify.diagnosis.report.details import Curves, Details
 from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
-from tsa_ctrl.identify.diagnosis.report.words import spoken, torque_scale
+from tsa_ctrl.identify.diagnosis.report.words import captions, spoken, torque_scale
 from tsa_ctrl.model.functions import Array
 
 DPI = 150
@@ -30,23 +30,24 @@ Draw = Callable[[Diagnosis, Details], Figure]
 
 def plot(result: Diagnosis, folder: Path) -> dict[str, Path]:
     """Write all pictures as PNG into `folder`; caption: path, in the order of the report. None of insufficient logs."""
-    if result.details is None:
-        return {}
-    pictures: tuple[tuple[str, str, Draw], ...] = (
-        ("worst.png", "Measured and simulated torque where the simulation is worst", _worst),
-        ("staircase.png", "Error on held-out data, from the model as given to the noise floor", _staircase),
-        ("ranking.png", _ranked(result), _ranking),
-        ("residual.png", "What is left, against speed, load, angle, time and temperature", _residual),
-        ("reversals.png", "What is left after reversals, against time and against displacement", _reversals),
-        ("autocorrelation.png", "Autocorrelation of what is left after whitening", _autocorrelation),
-        ("occupancy.png", "Where the logs have been: share of samples by speed and load", _occupancy),
-    )
-    made = {}
-    for name, caption, make in pictures:
-        path = folder / name
-        _save(make(result, result.details), path)
-        made[caption] = path
-    return made
+    return {caption: draw(result, name, folder) for name, caption in captions(result).items()}
+
+
+def draw(result: Diagnosis, name: str, folder: Path) -> Path:
+    """Write one of the pictures that a result has, by its name."""
+    makes: dict[str, Draw] = {
+        "worst.png": _worst,
+        "staircase.png": _staircase,
+        "ranking.png": _ranking,
+        "residual.png": _residual,
+        "reversals.png": _reversals,
+        "autocorrelation.png": _autocorrelation,
+        "occupancy.png": _occupancy,
+    }
+    assert result.details is not None
+    path = folder / name
+    _save(makes[name](result, result.details), path)
+    return path
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -119,13 +120,6 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
     axes.set_ylabel(f"RMS error ({unit})")
     axes.set_title(fill(f"held out: {details.held_out}", 90), loc="left", fontsize=8)
     return figure
-
-
-def _ranked(result: Diagnosis) -> str:
-    """What the ranking shows."""
-    if result.of_torque:
-        return "What each cause explains, and what its rivals would in its place"
-    return "What each effect of the catalogue would explain alone"
 
 
 def _ranking(result: Diagnosis, details: Details) -> Figure:

@@ -191,3 +191,25 @@ def what_is_left(left: Sequence[Finding], suspicions: Sequence[str]) -> str:
 def _drives(finding: Finding) -> bool:
     """Whether a finding names a signal on which the rest depends; else it names the rest itself."""
     return not finding.what.startswith(("a ", "bursts"))
+
+
+def captions(result: Diagnosis) -> dict[str, str]:
+    """What each picture of a result shows, by its name, in the order of the report; none of insufficient logs."""
+    if result.details is None:
+        return {}
+    return {
+        "worst.png": "Measured and simulated torque where the simulation is worst",
+        "staircase.png": "Error on held-out data, from the model as given to the noise floor",
+        "ranking.png": _ranked(result),
+        "residual.png": "What is left, against speed, load, angle, time and temperature",
+        "reversals.png": "What is left after reversals, against time and against displacement",
+        "autocorrelation.png": "Autocorrelation of what is left after whitening",
+        "occupancy.png": "Where the logs have been: share of samples by speed and load",
+    }
+
+
+def _ranked(result: Diagnosis) -> str:
+    """What the ranking shows."""
+    if result.of_torque:
+        return "What each cause explains, and what its rivals would in its place"
+    return "What each effect of the catalogue would explain alone"
