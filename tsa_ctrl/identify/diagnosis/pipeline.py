@@ -12,6 +12,7 @@ from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
 from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
 from tsa_ctrl.identify.diagnosis.data.prepare import Logs, prepare
 from tsa_ctrl.identify.diagnosis.data.split import split
+from tsa_ctrl.identify.diagnosis.data.thinning import left_out
 from tsa_ctrl.identify.diagnosis.fitting.fit import fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
@@ -58,10 +59,10 @@ def diagnose(
     """
     say = progress or (lambda _: None)
     rng = np.random.default_rng(seed)
-    runs = prepare(logs, model)
+    runs = prepare(logs, model, hold_out)
     say("audit")
     data = with_hidden_direction(along_gross_motion(split(runs, hold_out), model), model)
-    audited = audit(data.frame)
+    audited = audit(data.frame, left_out(len(logs), runs))
     testable = Candidates({}, {})
     try:
         refuse_unexciting(audited)

@@ -40,8 +40,8 @@ class Audit:
     insufficient: str
 
 
-def audit(frame: Frame) -> Audit:
-    """Occupancy and excitation of the samples that may be learned from."""
+def audit(frame: Frame, notes: Sequence[str] = ()) -> Audit:
+    """Occupancy and excitation of the samples that may be learned from. `notes`: what was done to the logs before."""
     omega = np.concatenate([run.signals.omega_j for run in frame.runs])
     tau_m = np.concatenate([run.signals.tau_m for run in frame.runs])
     # Of each log its own: one noisy log more must not hide the motion of the others.
@@ -66,7 +66,7 @@ def audit(frame: Frame) -> Audit:
         occupancy=occupancy,
         speed_edges=speed_edges,
         load_edges=load_edges,
-        notes=(*notes_of([run.raw for run in frame.runs]), *_narrowed(frame), *_hidden(frame)),
+        notes=(*notes, *notes_of([run.raw for run in frame.runs]), *_narrowed(frame), *_hidden(frame)),
         suspicions=_suspicions(frame),
         insufficient=_insufficient(float(np.mean(moving)), fast, clear, frame),
     )

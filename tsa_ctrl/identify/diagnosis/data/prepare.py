@@ -18,6 +18,7 @@ from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.denoise import denoised
 from tsa_ctrl.identify.diagnosis.data.frame import Run
+from tsa_ctrl.identify.diagnosis.data.thinning import informative
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals
@@ -31,13 +32,16 @@ SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
 SCORE_SAMPLES = 12_000  # of all logs together at most
 
 
-def prepare(logs: Logs, model: Model) -> list[Run]:
-    """Admit, denoise and reduce the logs. Raises UsageError, one line that names log and column."""
+def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:
+    """Admit, choose, denoise and reduce the logs. Raises UsageError, one line that names log and column.
+
+    hold_out: pattern of the logs that are held out, of which some stay where there are too many.
+    """
     target = "tau_m" if isinstance(model, RigidDrive) else "tau_j"  # what the model predicts
     datasets = _datasets(logs)
     for log in datasets:
         _admit(log, model, target)
-    return _reduced(datasets, target)
+    return _reduced(informative(datasets, hold_out), target)
 
 
 def _datasets(logs: Logs) -> list[Dataset]:
