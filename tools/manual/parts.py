@@ -138,9 +138,7 @@ def folds_table() -> str:
     """The diagnosis of the measured cable drive, each load and each frequency left out once."""
     from tools.measured import diagnose  # the diagnosis with it: slow to import
 
-    rows = read_rows(diagnose.FILE)
-    of = ", ".join(sorted({f"{row['date']}, {row['commit']}" for row in rows}))
-    return f"{table(*diagnose.table(rows))}\n\n(`tools/run measured/diagnose`, {of})"
+    return table(*diagnose.table(read_rows(diagnose.FILE)))
 
 
 def hidden_in_measured() -> str:

@@ -1,7 +1,7 @@
 """Diagnoses a measured cable drive, one load level (then one frequency) left out at a time.
 
 Usage: tools/run measured/diagnose [--split load|frequency|both] [--jobs 2] [--rows FILE] [--out FOLDER]
-                                [--pictures FOLDER] [--list]
+                                [--pictures FOLDER] [--anew] [--list]
 
 Each fold is a plain `diagnose(logs, model, hold_out=PATTERN)` on all 25 trials; its report is written below --out. The
 errors are those of all samples of the trials left out, reversals and starts included, with the model fitted on the
@@ -85,7 +85,7 @@ def pooled(rows: Sequence[Row]) -> np.ndarray:
 
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows: a fold a line, those of a split before its pooled errors and what people reach by hand."""
-    head = ("left out", "as given", "(3.55) recalibrated", "extended, mN·m", "named (s of one processor)")
+    head = ("left out", "as given", "(3.55) recalibrated", "extended, mN·m", "named (s of one processor)", "measured")
     lines: list[tuple[str, ...]] = []
     by = {(row["split"], row["left_out"]): row for row in rows}
     for split, patterns in FOLDS.items():
@@ -93,11 +93,12 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         for row in found:
             named = "; ".join(" or ".join(each).replace("_", " ") for each in row["causes"]) or "nothing"
             errors = ("refused" if value is None else f"{value:.3g}" for value in row["rms"])
-            lines.append((spoken(row["left_out"]), *errors, f"{named} ({row['seconds']:.0f})"))
+            took = "" if row["seconds"] is None else f" ({row['seconds']:.0f})"
+            lines.append((spoken(row["left_out"]), *errors, named + took, f"{row['date']}, {row['commit']}"))
         if len(found) == len(patterns):
             hand = f"by hand, (3.55), + presliding, + load, + spring: {', '.join(f'{x:g}' for x in BY_HAND[split])}"
             more = f"; a published network, all loads seen: {PUBLISHED:g}" if split == "frequency" else ""
-            lines.append((f"each {split} once", *(f"{value:.3g}" for value in pooled(found)), hand + more))
+            lines.append((f"each {split} once", *(f"{value:.3g}" for value in pooled(found)), hand + more, ""))
     return head, lines
 
 
@@ -159,6 +160,7 @@ def main() -> int:
     parser.add_argument("--rows", type=Path, default=FILE, help="folds that are known, and where new ones go")
     parser.add_argument("--out", type=Path, default=command.ROOT / "out" / "davinci_diagnose")
     parser.add_argument("--pictures", type=Path, help="folder of the pictures; default: none are drawn")
+    parser.add_argument("--anew", action="store_true", help="run what is known, too")
     parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
     options = parser.parse_args()
     data = None if options.list else command.measured_data(__name__)
@@ -170,7 +172,7 @@ def main() -> int:
     if data is not None:
         wanted = [(split, pattern) for split in splits for pattern in FOLDS[split]]
         drawn = [each for each in wanted if options.pictures and any(Path(name).match(each[1]) for name in SHOWN)]
-        jobs = [(*each, data, options.out) for each in wanted if each not in results or each in drawn]
+        jobs = [(*each, data, options.out) for each in wanted if options.anew or each not in results or each in drawn]
         with ProcessPoolExecutor(options.jobs) as pool:
             for row, own in pool.map(fold, jobs):
                 results.add(row)
