@@ -3,7 +3,8 @@
 `pipeline.diagnose` runs through the stages, one line each; a stage is a function from data to data, in a folder that
 imports only what stands above it here (tests/identify/diagnosis/test_order.py):
 
-data        logs admitted, chosen and averaged (`prepare`, `thinning`, `denoise`), what they can show (`audit`), what is held out (`split`)
+data        logs admitted, chosen and averaged (`prepare`, `thinning`, `denoise`), what they can show (`audit`), what
+            is held out (`split`)
 hypotheses  the base model and what recalibration frees (`base`); the catalogue's effects as `candidates` on these logs,
             with the search that their specification (model/effects) says, on grids placed by the logs' scales
 noise       the torque's coloured noise (`autoregressive`); what no log tells, projected out always (`nuisance`)
