@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 
@@ -39,10 +40,12 @@ def test_pictures_drawn_by_other_processes_are_those_drawn_here(tmp_path: Path) 
     folders = [tmp_path / name for name in ("here", "beside", "gone")]
     for folder in folders:
         folder.mkdir()
-    here = drawn_here(result, folders[0])
-    with drawing() as plot:
-        beside = plot(result, folders[1])
-    gone = plot(result, folders[2])
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # other tests have looks of their own
+        here = drawn_here(result, folders[0])
+        with drawing() as plot:
+            beside = plot(result, folders[1])
+        gone = plot(result, folders[2])
     assert len(here) == 7
     assert list(here) == list(beside) == list(gone)
     for paths in zip(here.values(), beside.values(), gone.values(), strict=True):
