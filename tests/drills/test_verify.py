@@ -31,6 +31,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.system.processes import plant as plant_process
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
+PATIENT = 1.5  # s until torque must be zero; the default is 50 ms beyond the longest time-out: machines stall so long
 
 
 @pytest.fixture
@@ -204,6 +205,7 @@ class Rig:
             ("# settle_cycles = 100 ", "settle_cycles = 20 "), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.15 "),
             ("# host_timeout = 0.1 ", "host_timeout = 0.3 "),
             ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 0.5 "),
+            ("# zero_torque_within = 0.25 ", f"zero_torque_within = {PATIENT} "),
         )  # fmt: skip
         edit(folder, "plant.toml", ('"vcan0"', f'"{vcan}"'))
         self.plant = subprocess.Popen(["tsa", "plant", "plant.toml"], cwd=folder, stdout=subprocess.PIPE, text=True)
@@ -262,6 +264,7 @@ def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configur
             "controller": {"rate": 250.0},
             "bus": {"channel": vcan, "supervision": {"tolerated_misses": 40}},
             "realtime": {"allow_without": True},
+            "safety": {"zero_torque_within": PATIENT},
         },
     )
     both = [
