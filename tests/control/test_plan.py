@@ -56,6 +56,20 @@ def test_the_limits_of_the_drive_make_it_longer() -> None:
     assert heavy.turn > 8e-3
 
 
+@pytest.mark.parametrize(("inertia", "longer"), [(3e-5, False), (1e-4, False), (3.2e-4, True)])
+def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_limiter_lets_it(
+    inertia: float, longer: bool
+) -> None:
+    """Three times the rate at most, of what swings to both sides."""
+    model = bent("joint_end")
+    found = plan(model, inertia=inertia, rate=200.0, torque=10.0)
+    half_loop = sliding(model).motor_half_loop
+    moved = 2.0 * half_loop / motor_stiffness(model)
+    assert 4.0 * math.pi**2 * inertia * moved / found.turn**3 <= 600.0
+    light = plan(model, inertia=1e-6, rate=200.0, torque=10.0)
+    assert (found.turn > light.turn) is longer
+
+
 def test_the_lead_is_half_the_turn_and_all_delays() -> None:
     model = bent("uniform")
     found = plan(model, inertia=INERTIA)

@@ -12,12 +12,12 @@ plant, for the same shapes, delay and inertia.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import subprocess
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from rich.table import Table
 
 from tools import command
 from tools.bench.torque_error import Measures, measure
+from tsa_ctrl.control.margin import LAG
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for
@@ -60,7 +61,8 @@ def true_model(shape: str) -> TendonSheath:
         "velocity_lag": {"time_constant": ENCODER_LAG},
         "elongation_coupling": {"curvature_profile": shape},
     }
-    return rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * factors["pretension"]).with_effects(effects)
+    model = rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * factors["pretension"]).with_effects(effects)
+    return dataclasses.replace(model, axial_stiffness=rig.NOMINAL.axial_stiffness * factors["axial_stiffness"])
 
 
 def controller(folder: Path, law: str, rate: float) -> rig.Tables:
@@ -91,6 +93,9 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
     seconds = played.seconds if joint == "wearer" else rig.FADE_IN + cycles * float(played.t[-1])
     tables = controller(folder, law, rate)
     tables["axis"][0]["setpoint"] = {"kind": "file", "file": "setpoint.csv", "loop": True}
+    if law == "true":
+        late = (axis["drive"]["delay_periods"] + 1.5) / rate + axis["drive"].get("torque_time_constant", LAG)
+        tables["axis"][0]["law"] |= {"motor_inertia": axis["motor"]["inertia"], "delay": late}
     rig.write(folder, played, rig.plant(VIRTUAL, "distributed", axis, joint), {"run": tables})
     end = seconds + 0.2  # the first cycles have no torque yet
     result = simulate_loop(
@@ -119,7 +124,7 @@ def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
                 for law in arguments.laws:
                     if not failed.get(law):
                         found = play(folder, joint, axis, law, arguments.rate, arguments.cycles)
-                        yield {"shape": shape, "joint": joint, "law": law, **asdict(found)}
+                        yield {"shape": shape, "joint": joint, "law": law, **dataclasses.asdict(found)}
 
 
 def limits(arguments: argparse.Namespace) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from tools import command
-from tools.bench.control import true_model
+from tools.campaign.passive.cases import modelled
 from tools.figures import look
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
@@ -36,7 +36,7 @@ def work(load: str, left: float, compensation: float) -> float:
     """J that the joint is given from the nudge on, beyond what was wanted, which is nothing."""
     with tempfile.TemporaryDirectory(prefix="figure-runaway-") as name:
         folder = Path(name)
-        model = true_model("uniform")
+        model = modelled()
         save_model(model, folder / "true.toml")
         controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
         axis = controller["axis"][0]

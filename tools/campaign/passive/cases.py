@@ -16,7 +16,7 @@ from tools.bench.control import true_model
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for
-from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import simulate_loop
@@ -60,13 +60,18 @@ def cases(delays: Sequence[int]) -> list[Case]:
     ]
 
 
+def modelled() -> TendonSheath:
+    """The controller's model: true friction, pretension and shape; the tendons' stiffness as the data sheet has it."""
+    return dataclasses.replace(true_model("uniform"), axial_stiffness=rig.NOMINAL.axial_stiffness)
+
+
 def play(case: Case, compensation: float) -> Simulation:
     """Run a case."""
     motion = gait()
     scaled = dataclasses.replace(motion, tau_j_des=GAIT_SHARE.get(case.load, 1.0) * motion.tau_j_des)
     with tempfile.TemporaryDirectory(prefix="runaway-") as name:
         folder = Path(name)
-        save_model(true_model("uniform"), folder / "true.toml")
+        save_model(modelled(), folder / "true.toml")
         rig.write(folder, scaled, _plant(case), {"run": _controller(case, compensation)})
         seconds, faults, changes = AT + SECONDS, [], []
         if not case.change:
@@ -111,7 +116,7 @@ def play_healthy(load: str, seconds: float, compensation: float, seed: int) -> S
     played = play_for(load) if load in ("weight", "free", "wearer") else gait()
     with tempfile.TemporaryDirectory(prefix="runaway-") as name:
         folder = Path(name)
-        save_model(true_model("uniform"), folder / "true.toml")
+        save_model(modelled(), folder / "true.toml")
         controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
         rig.write(folder, played, rig.plant(VIRTUAL, "distributed", None, load), {"run": controller})
         run, plant = folder / "controller-run.toml", folder / "plant.toml"
