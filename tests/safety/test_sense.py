@@ -3,15 +3,116 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
 
+from tsa_ctrl.safety.leaky import Leaky
 from tsa_ctrl.safety.sense import PATIENCE, SMALL, Sense
 
 PERIOD = 1e-3  # s
 GEARED = 1.25  # r_J/r_M
 STIFFNESS = 10.0  # N*m/rad
 UNKNOWN = math.nan
+LIMIT = 2.0  # N*m
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass
+class Course:
+    """What a drawn rig measures in each cycle."""
+
+    torque: FloatArray
+    apart: FloatArray
+    tau_j: FloatArray
+    sigma: FloatArray
+    omega_j: FloatArray
+    wound: float = 0.0
+    t: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.t = 7.0 + np.arange(self.torque.size) * PERIOD
+
+    def band(self, values: FloatArray, first: int, end: int) -> FloatArray:
+        """Between 1.6 and 16 Hz: a low-pass of 10 ms less one of 100 ms after it, begun with the first known sample."""
+        part = values[first:end]
+        found = np.zeros(part.size)
+        known = np.flatnonzero(np.isfinite(part))
+        if known.size:
+            x = part[known]
+            for time in (0.01, 0.1):
+                keep = math.exp(-PERIOD / time)
+                slow = lfilter([1.0 - keep], [1.0, -keep], x, zi=[keep * x[0]])[0]
+                quick, x = x, slow
+            found[known] = quick - slow
+        return found
+
+    def pieces(self, driven: FloatArray) -> list[tuple[int, int, bool]]:
+        """First, end and whether friction winds up the tendons there, of what is looked at without a break."""
+        direction = np.sign(self.sigma)
+        turned = np.diff(direction, prepend=0.0) != 0.0
+        begin = np.maximum.accumulate(np.where(turned, np.arange(turned.size), -1))
+        way = np.concatenate(([0.0], np.cumsum(np.nan_to_num(GEARED * PERIOD * self.omega_j))))
+        travel = np.abs(way[1:] - way[np.maximum(begin, 0)])
+        looked = (begin < 0) | ~(self.t < self.t[np.maximum(begin, 0)] + 0.1)
+        winds = (driven > 0.0) & (travel > 0.15 * self.wound) & (travel < 1.5 * self.wound)
+        kinds = np.where(looked, 2 * np.cumsum(turned) + winds, -1)
+        starts = np.flatnonzero(np.diff(kinds, prepend=-2))
+        ends = [*starts[1:].tolist(), self.t.size]
+        pieces = zip(starts.tolist(), ends, strict=True)
+        return [(first, end, bool(winds[first])) for first, end in pieces if kinds[first] >= 0]
+
+    def ratios(self, driven: FloatArray) -> dict[int, tuple[float, float, float, bool]]:
+        """By cycle, where the torque shows anything: correlations with stretch and sensor, gain, and whether it winds.
+
+        `driven`: from when on the joint counts as moved by something, each 0 or 1.
+        """
+        ratio = {}
+        for first, end, winds in self.pieces(driven):
+            t, a, j = (self.band(values, first, end) for values in (self.torque, self.apart, self.tau_j))
+            keep = math.exp(-PERIOD / 0.2)
+            tt, ta, aa, tj, jj = (lfilter([1.0 - keep], [1.0, -keep], x) for x in (t * t, t * a, a * a, t * j, j * j))
+            with np.errstate(all="ignore"):
+                stretch, sensor = np.nan_to_num(ta / np.sqrt(tt * aa)), np.nan_to_num(tj / np.sqrt(tt * jj))
+            for n in np.flatnonzero(tt >= (0.005 * LIMIT) ** 2).tolist():
+                ratio[first + n] = (stretch[n], sensor[n], tj[n] / tt[n], winds)
+        return ratio
+
+    def foretold(self, driven: FloatArray) -> tuple[FloatArray, int | None]:
+        """The ceiling after each cycle, and the cycle in which something is said."""
+        ratio = self.ratios(driven)
+        wrong = {"at rest": Leaky(0.02), "driven": Leaky(0.25), "shown": Leaky(0.4), "excessive": Leaky(0.02)}
+        moved = -math.inf
+        ceiling, ceilings, shown, suspect, waited = 0.11 * LIMIT, [], False, False, 0.0
+        for n, now in enumerate(self.t.tolist()):
+            if not abs(self.omega_j[n]) < 0.05:
+                moved = now
+            if shown:
+                ceiling = ceiling + LIMIT * PERIOD / 0.2
+                ceiling = math.inf if ceiling >= LIMIT else ceiling
+            elif now - self.t[0] > 0.1 and not suspect:
+                ceiling += LIMIT * PERIOD / 2.0
+            ceilings.append(ceiling)
+            if n not in ratio:
+                continue
+            by_stretch, by_sensor, gain, winds = ratio[n]
+            sense = by_stretch if np.isfinite(self.apart[n]) else by_sensor
+            suspect = sense < -0.5
+            waited += 0.0 if suspect else PERIOD
+            shown = shown or (sense > 0.5 and not winds) or waited > 0.15
+            if winds:
+                continue
+            which = "shown" if shown else "driven" if driven[n] else "at rest"
+            if wrong[which].update(now, suspect):
+                return np.array(ceilings), n
+            excessive = by_sensor > 0.8 and 1.3 * GEARED < gain < 3.0 * GEARED and now - moved > 0.2
+            if wrong["excessive"].update(now, excessive):
+                return np.array(ceilings), n
+        return np.array(ceilings), None
 
 
 def run(
@@ -164,3 +265,104 @@ def test_what_the_sensor_said_while_the_joint_moved_does_not_count_once_it_is_he
         moves = n < 400
         joint = GEARED * (torque - 0.2 if moves else torque)
         assert sense.update(n * PERIOD, torque, torque / STIFFNESS, joint, 1.0, 0.4 if moves else 0.0) is None
+
+
+def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
+    """A course near what counts, and from when on its joint counts as moved by something."""
+    draw = np.random.default_rng(number)
+    count = 1200
+    t = np.arange(count) * PERIOD
+
+    def waves() -> FloatArray:
+        """Of 1 to 12 Hz, RMS about 1."""
+        parts = (np.sin(2.0 * math.pi * draw.uniform(1.0, 12.0) * t + draw.uniform(0.0, 6.0)) for _ in range(3))
+        return np.asarray(sum(parts) / math.sqrt(1.5))
+
+    torque = LIMIT * 10.0 ** draw.uniform(-2.5, -1.0) * waves()
+    torque[t < draw.uniform(0.0, 0.4)] = 0.0
+    share = np.clip(draw.uniform(-1.2, 1.2) + draw.uniform(-1.0, 1.0) * t, -1.0, 1.0)
+    other = waves() * float(np.sqrt(np.mean(np.square(torque))))
+    follows = share * torque + np.sqrt(1.0 - share * share) * other
+    apart, tau_j = 3.0 + follows / STIFFNESS, np.full(count, math.nan)
+    sigma, omega_j = np.zeros(count), np.zeros(count)
+    driven, wound = np.zeros(count), 0.0
+    if kind == "excessive":
+        apart = 3.0 + torque / STIFFNESS + 0.0 * apart
+        tau_j = GEARED * (draw.uniform(1.1, 3.3) * torque + draw.uniform(0.0, 1.5) * other)
+        omega_j[t < draw.uniform(-0.5, 0.8)] = 0.045 if number % 3 else math.nan
+        omega_j[(t > 0.4) & (t < draw.uniform(0.0, 0.6))] = -0.06
+    elif kind == "moved later":
+        torque, apart = 3.0 * torque, 3.0 + 3.0 * follows / STIFFNESS
+        omega_j[:], wound = 0.045, draw.uniform(0.0, 0.05)
+        begun = min(Course(torque, apart, tau_j, sigma, omega_j).ratios(driven), default=count)
+        omega_j[begun + 1 :] = draw.choice([0.045, 0.3])
+    elif kind == "shown":
+        apart = 3.0 + np.where(t < draw.uniform(0.4, 0.7), torque, draw.choice([-1.0, 0.2]) * torque) / STIFFNESS
+        shown = int(np.argmax(Course(torque, apart, tau_j, sigma, omega_j).foretold(driven)[0] == math.inf))
+        omega_j[shown + 1 :], driven[shown:], wound = 0.1, 1.0 if shown else 0.0, draw.uniform(0.0, 0.1)
+    elif kind == "by sensor":
+        tau_j, apart = follows, np.full(count, math.nan)
+    elif kind == "moved":
+        driven, wound = np.ones(count), draw.uniform(0.0, 0.05)
+        omega_j = draw.choice([-1.0, 1.0]) * (0.06 + 0.1 * draw.random() * (1.0 + np.sin(3.0 * t)))
+        sigma = draw.choice([-1.0, 0.4, 1.0]) * np.where(t < draw.uniform(0.2, 2.0), 1.0, draw.choice([-1.0, 0.0]))
+        apart[(t > 0.7) & (t < draw.uniform(0.6, 0.8))] = math.nan
+        omega_j[draw.integers(0, count, 20)] = math.nan
+    return Course(torque, apart, tau_j, sigma, omega_j, wound), driven
+
+
+@pytest.mark.parametrize("kind", ["at rest", "excessive", "by sensor", "moved", "moved later", "shown"])
+def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: str) -> None:
+    """Torques near the least that shows anything, which the stretch follows by more and less, on drawn courses."""
+    told = free = 0
+    for number in range(24):
+        course, driven = drawn(number, kind)
+        ceilings, expected = course.foretold(driven)
+        sense, found, seen = Sense(LIMIT, GEARED, PERIOD, course.wound), None, []
+        columns = (course.t, course.torque, course.apart, course.tau_j, course.sigma, course.omega_j)
+        for n, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
+            said = sense.update(*row)
+            seen.append(sense.ceiling)
+            if said is not None:
+                found = n
+                break
+        assert found == expected, number
+        assert seen == pytest.approx(ceilings.tolist(), rel=1e-9), number
+        told, free = told + (found is not None), free + (math.inf in seen)
+    assert told > 2
+    assert free > 2
+
+
+@pytest.mark.parametrize(("share", "found"), [(0.095, True), (0.105, False)])
+def test_a_tenth_of_the_way_in_which_friction_winds_up_is_a_joint_that_is_held(share: float, found: bool) -> None:
+    """It goes so far and stays there; the way is one and a half times what friction stretches the tendons."""
+    sense, said, wound = Sense(LIMIT, GEARED, PERIOD, 0.1), None, 0.1
+    for n in range(1000):
+        omega_j = share * 1.5 * wound / GEARED / (20 * PERIOD) if n < 20 else 0.0
+        torque = n * PERIOD
+        said = said or sense.update(n * PERIOD, torque, -torque / STIFFNESS, UNKNOWN, 0.0, omega_j)
+    assert (said is not None) is found
+
+
+def cycles_until_told(sense: Sense, begin: float, sign: float, gain: float, omega_j: float, most: int = 2000) -> int:
+    """From `begin` s on."""
+    for n in range(most):
+        torque = n * PERIOD
+        apart = (abs(sign) if n < 300 and sign == -0.5 else sign) * torque / STIFFNESS
+        if sense.update(begin + n * PERIOD, torque, apart, gain * GEARED * torque, 0.0, omega_j) is not None:
+            return n
+    return most
+
+
+@pytest.mark.parametrize(
+    ("sign", "gain", "omega_j"), [(-1.0, UNKNOWN, 0.0), (-1.0, UNKNOWN, 0.5), (-0.5, UNKNOWN, 0.0), (1.0, 2.0, 0.0)]
+)
+def test_a_reset_forgets_for_how_long_it_has_been_wrong(sign: float, gain: float, omega_j: float) -> None:
+    """At rest, moved by something, shown to be right before, and giving more than it reports."""
+    sense = Sense(LIMIT, GEARED, PERIOD)
+    alone = cycles_until_told(sense, 0.0, sign, gain, omega_j)
+    assert alone < 2000
+    sense = Sense(LIMIT, GEARED, PERIOD)
+    cycles_until_told(sense, 0.0, sign, gain, omega_j, alone)
+    sense.reset()
+    assert cycles_until_told(sense, alone * PERIOD, sign, gain, omega_j) == pytest.approx(alone, abs=1)
