@@ -27,6 +27,7 @@ COMMANDS: Mapping[str, str] = {
     "blind": "tools/run bench/diagnose --short --seed 8000",
     "runaway": "tools/run campaign/runaway --rows FILE",
     "runaway-missed": "tools/run campaign/runaway --rows FILE --which",
+    "two-encoders": "tools/run bench/two_encoders --by-row --draws 1",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",
 }
 Row = dict[str, Any]
