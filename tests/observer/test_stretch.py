@@ -15,7 +15,8 @@ from tests.control.sliding import actuator
 from tests.virtual.joints import GAIT, play, play_case, sine
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.observer.stretch import LONGEST_GAP, RESTART, StretchObserver, StretchState
+from tsa_ctrl.observer import tendons
+from tsa_ctrl.observer.stretch import BAND, COURSE, LONGEST_GAP, RESTART, StretchObserver, StretchState, pairs_of
 from tsa_ctrl.virtual.result import Simulation
 
 SETTLED = 1.5  # s of the log, from which both directions have been slid in
@@ -154,6 +155,23 @@ def observer(**changes: float) -> StretchObserver:
 def feed(seen: StretchObserver, seconds: float, tau_m: float = 0.0, fresh: bool = True) -> None:
     for _ in range(round(seconds / 1e-3)):
         seen.update(tau_m, 0.0, 0.0, 0.0, fresh)
+
+
+def test_in_a_turn_the_band_holds_another_course_of_the_bends() -> None:
+    """Even bends against two with a straight piece between, of one centre: by how much T4 - T2 differs in a turn."""
+    two_bends = ((0.0, 0.0), (0.1, 0.0), (0.35, 0.5), (0.65, 0.5), (0.9, 1.0), (1.0, 1.0))
+    model, phase = actuator(), np.linspace(0.0, 6.0 * np.pi, 6000)
+    joint = np.diff(1.5e-3 * np.sin(phase), prepend=0.0)
+    told = []
+    for course in ("uniform", two_bends):
+        pair = pairs_of(model.with_effects({"elongation_coupling": {"curvature_profile": course}}))[0]
+        tendons.grip(pair, model.friction_angle)
+        _, end, slid = tendons.follow(pair, np.full(6000, 5.0), joint)
+        told.append(np.where(slid > 0.0, end / (2.0 * model.pretension * model.friction_angle), np.nan))
+    difference = told[1] - told[0]
+    turning = np.abs(difference) > 1e-3  # and both have slid once
+    assert 0.8 * COURSE < rms(difference[turning]) < COURSE
+    assert np.mean(np.abs(difference[turning]) < BAND * COURSE) > 0.95
 
 
 def test_what_is_not_known_has_a_wide_band() -> None:
