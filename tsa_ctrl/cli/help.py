@@ -20,6 +20,7 @@ TOPICS = {
     "safety": ("safety/README.md", "hazards, what detects them, what the condition against a runaway is"),
     "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
     "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
+    "figures": ("FIGURES.md", "every figure of the manual, with the command that prints it, when and on which version"),
     "changes": ("CHANGES.md", "what changed, what changes a number that reaches a motor first"),
     "client": (
         "ipc/README.md",
