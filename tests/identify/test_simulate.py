@@ -226,6 +226,7 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Example: tsa simulate" in re.sub(r"\s+", " ", capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_measured_cable_drive_as_given_has_the_published_error(data_dir: Path) -> None:
     """61 mN*m with angles low-passed at 10 Hz and velocities from them; a little less at the data's own bandwidth."""
     folder = data_dir / "davinci"
