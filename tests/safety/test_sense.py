@@ -389,3 +389,32 @@ def test_a_reset_forgets_for_how_long_it_has_been_wrong(sign: float, gain: float
     cycles_until_told(sense, 0.0, sign, gain, omega_j, alone)
     sense.reset()
     assert cycles_until_told(sense, alone * PERIOD, sign, gain, omega_j) == pytest.approx(alone, abs=1)
+
+
+@pytest.mark.parametrize(("softer", "found"), [(0.7, False), (1.0, False), (1.3, False), (2.0, True), (4.0, True)])
+def test_tendons_that_give_more_than_the_torque_stretches_them_by(softer: float, found: bool) -> None:
+    """Whether something moves the joint or not: the motor gives more than it reports, or a tendon hangs."""
+    for omega_j in (0.0, 0.5):
+        sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
+        said = run(sense, seconds=0.6, rise=2.0, omega_j=omega_j)
+        assert isinstance(said, str) is found
+        assert not found or f"give {softer:.1f} times" in str(said)
+
+
+def test_a_stiffness_that_is_not_known_accuses_nothing() -> None:
+    sense = Sense(2.0, GEARED, PERIOD)
+    assert isinstance(run(sense, seconds=0.6, rise=2.0), float)
+
+
+def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() -> None:
+    """A sine of 1 N*m, 2 Hz, shown for a second before; friction winds 3 mrad back and forth meanwhile."""
+    sense, said, when = Sense(2.0, GEARED, PERIOD, 0.02, stiffness=40.0), None, 0.0
+    for n in range(2000):
+        t = n * PERIOD
+        torque = math.sin(2.0 * math.pi * 2.0 * t)
+        gain = 2.0 if t > 1.0 else 1.0
+        apart = gain * torque / 40.0 + 0.003 * math.sin(2.0 * math.pi * 0.7 * t)
+        said = said or sense.update(t, torque, apart, UNKNOWN, 1.0, 0.0)
+        when = when or (t if said else 0.0)
+    assert "give" in str(said)
+    assert 1.0 < when < 1.35

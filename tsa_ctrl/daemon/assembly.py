@@ -30,7 +30,7 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.simplified import SimplifiedFeedforward
-from tsa_ctrl.model.sliding import motor_stiffness, wound_by_friction
+from tsa_ctrl.model.sliding import least_stiffness, motor_stiffness, wound_by_friction
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
@@ -148,7 +148,8 @@ def sense_of(settings: AxisSettings, model: TendonSheath, period: float) -> Sens
     """What tells which way the motor pulls, and how much."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     counts = math.hypot(*counts_of(settings, geared))  # they round by chance
-    return Sense(settings.limits.torque, geared, period, wound_by_friction(model), counts)
+    stiffness = least_stiffness(model) if settings.plausibility.slip is None else 0.0
+    return Sense(settings.limits.torque, geared, period, wound_by_friction(model), counts, stiffness)
 
 
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:

@@ -33,6 +33,10 @@ CURES: Mapping[str, str] = MappingProxyType(
             "torque_sign and position_sign of the drive, sign of the encoder, crossed tendons or motor wires; "
             "then recover"
         ),
+        "the tendons give": (
+            "pretension and tendons, torque constant and rated torque of the motor; then axial_stiffness in the model "
+            "file ([axis.plausibility] slip takes a given angle instead)"
+        ),
         "the joint torque sensor follows": "torque constant and rated torque of the motor, gain of the sensor",
         "held an older command": (
             "commands are lost on their way, or the drive looks for them too seldom: bus load (tsa doctor), its cycle "

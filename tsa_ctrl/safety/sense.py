@@ -9,6 +9,10 @@ friction counts, and correlated over the last fifth of a second, but for what ca
 joint that is moved, friction stretches the tendon against the torque that begins, until it slides all along: that takes
 a way of the joint, and where something moves it slowly more than a second.
 
+The stretch cannot be more than the torque's, tau_M/K: friction only takes away there, on a joint
+that is moved, too. Where it follows the torque by half as much again, the motor gives more than it reports, a tendon
+hangs, or the file's stiffness is too high.
+
 On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
 below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
 motor gives twice what it reports.
@@ -31,6 +35,11 @@ RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a 
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
 MEMORY = 0.2  # s of the correlation
+STRONG = 3.0  # times that ripple, from which it is said how much the tendons give: a heavy motor's swing adds to less
+ALIKE = 0.9  # correlation of the stretch with the torque, from which that is said
+SOFTER = 1.5  # of tau_M/K: 1.25 for a stiffness that is a fifth less than its file's, and for a heavy motor's swing
+SLOW = 50.0  # rad/s of the stretch, RMS, up to which that is said: nearer to its ringing, from 40 Hz on, a motor swings
+GIVING = 0.04  # s: a heavy motor that a wearer shakes looks so for 0.025, on tendons that are a fifth softer
 SHOWN = 0.5  # correlation from which the sense is right, or wrong
 CLEAR = 0.8  # correlation from which it is said how much the joint gets
 EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
@@ -55,12 +64,24 @@ class Sense:
     Attribute: `ceiling` (N*m, most torque for now).
     """
 
-    def __init__(self, limit: float, geared: float, period: float, wound: float = 0.0, counts: float = 0.0) -> None:
+    def __init__(
+        self,
+        limit: float,
+        geared: float,
+        period: float,
+        wound: float = 0.0,
+        counts: float = 0.0,
+        stiffness: float = 0.0,
+    ) -> None:
         """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s.
 
         `wound`: rad at the motor, by which friction stretches the tendons from one way of sliding to the other;
-        `counts`: rad at the motor, of one count of each encoder.
+        `counts`: rad at the motor, of one count of each encoder; `stiffness`: N*m/rad that the motor meets, 0 where
+        that is not known well enough to judge by it.
         """
+        self._stiffness = stiffness
+        self._strong = (STRONG * RIPPLE * limit) ** 2
+        self._slow = (SLOW * period) ** 2
         self._limit = limit
         self._finest = COUNTED * counts
         self._least = (RIPPLE * limit) ** 2
@@ -72,7 +93,7 @@ class Sense:
         self._rates = tuple(1.0 - math.exp(-period / time) for time in (SMOOTH, DRIFT))
         self._memory = 1.0 - math.exp(-period / MEMORY)
         self._reversed, self._turned, self._excessive = Leaky(LAST), Leaky(SURE), Leaky(LAST)
-        self._altered = Leaky(SHAKEN)
+        self._altered, self._gives = Leaky(SHAKEN), Leaky(GIVING)
         self.reset()
 
     def reset(self) -> None:
@@ -82,10 +103,11 @@ class Sense:
         self._shown = False
         self._begun = math.inf
         self._moved = -math.inf
-        self._pulled = self._driven = self._suspect = False
+        self._pulled = self._driven = self._suspect = self._seen = False
         self._reversed.reset()
         self._turned.reset()
         self._altered.reset()
+        self._gives.reset()
         self._excessive.reset()
         self._begin(0.0, -math.inf)
 
@@ -101,7 +123,8 @@ class Sense:
         """What was seen before does not count."""
         self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
         self._least_apart, self._most_apart = math.inf, -math.inf
-        self._tt = self._ta = self._aa = self._tj = self._jj = 0.0
+        self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = 0.0
+        self._stretch = 0.0
         self._forget_sensor()
 
     def _forget_sensor(self) -> None:
@@ -145,6 +168,8 @@ class Sense:
         self._tt += memory * (t * t - self._tt)
         self._ta += memory * (t * a - self._ta)
         self._aa += memory * (a * a - self._aa)
+        self._dd += memory * ((a - self._stretch) ** 2 - self._dd)
+        self._stretch = a
         self._tj += memory * (t * j - self._tj)
         self._jj += memory * (j * j - self._jj)
         if now - self._moved > AT_REST:
@@ -157,7 +182,8 @@ class Sense:
             return None
         self._pulled = True
         sense = 0.0
-        if self._most_apart - self._least_apart > self._finest:
+        self._seen = self._most_apart - self._least_apart > self._finest
+        if self._seen:
             sense = _correlation(self._ta, self._tt * self._aa)
         elif self._jj > self._arrives:
             sense = _correlation(self._tj, self._tt * self._jj)
@@ -173,6 +199,14 @@ class Sense:
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
                 "sign of a torque or of an encoder is reversed"
+            )
+        softer = self._stiffness * self._ta / self._tt
+        by_stretch = _correlation(self._ta, self._tt * self._aa)
+        slow = self._dd < self._slow * self._aa and self._tt > self._strong and self._seen
+        if self._gives.update(now, slow and softer > SOFTER and by_stretch > ALIKE):
+            return (
+                f"the tendons give {softer:.1f} times what the motor's torque stretches them by: the motor gives more "
+                "than it reports, a tendon hangs, or axial_stiffness is that much too high"
             )
         gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
         follows = _correlation(self._held_tj, self._held_tt * self._held_jj) > CLEAR
