@@ -99,7 +99,7 @@ def diagnose(
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything
         return insufficient(model, audited, UNSUITED, testable.not_testable)
-    limits = detection_limits(selection)
+    limits = detection_limits(selection, share)
     return conclude(
         model,
         Outcome(

@@ -11,8 +11,13 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.score_test import scores
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import noise_rms
-from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, SMALLEST, SMALLEST_GAIN
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
+    models_reversals,
+    noise_rms,
+    on_simulation_error,
+    simulation_error,
+)
+from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, LEAST_ERROR_REDUCTION, SMALLEST, SMALLEST_GAIN
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import torque
 from tsa_ctrl.model.functions import Array
@@ -34,14 +39,24 @@ class DetectionLimits:
     hidden: Mapping[str, float]
 
 
-def detection_limits(chosen: Selection) -> DetectionLimits:
-    """What the first round of a selection, beside the base alone, would have seen."""
+def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
+    """What the first round of a selection, beside the base alone, would have seen.
+
+    structure: share of what is left that is no noise; a cause that explains less than that would be a guess, and is
+    not named (`rivals.alternatives`).
+    """
     problem, first = chosen.problem, chosen.rounds[0]
     scored = scores(problem, first.fitted, first.responses)
-    recalibration = orthonormal(_tangents(problem, first.fitted))
+    tangents = _tangents(problem, first.fitted)
+    recalibration = orthonormal(tangents[problem.mask])
     noise = noise_rms(problem, chosen.fitted)
     needed = max(first.threshold, SMALLEST_GAIN * problem.count)
     white_size = max(np.sqrt(needed), SPREAD * BLOCK_T) + POWER
+    # However sure it is, a cause must take so much off the simulation error, of which reversals show little
+    plain = on_simulation_error(problem, models_reversals(chosen.fitted) or not problem.nuisance.moments)
+    left = min(structure, 1.0) * simulation_error(problem, chosen.fitted) / problem.count
+    error = max(LEAST_ERROR_REDUCTION, float(np.sqrt(left)) / problem.noise.rms)  # in units of the noise
+    known = orthonormal(plain.whiten(tangents))
     found: dict[str, list[float]] = defaultdict(list)
     sizes = [float(np.linalg.norm(score.columns)) for score in scored]
     for response, score, size in zip(first.responses, scored, sizes, strict=True):
@@ -49,8 +64,11 @@ def detection_limits(chosen: Selection) -> DetectionLimits:
             continue
         raw = response.columns[problem.mask]
         raw = raw - recalibration @ (recalibration.T @ raw)
-        per_white = float(np.sqrt(np.mean(raw**2))) / size
-        found[score.variant.effect].append(max(per_white * white_size, SMALLEST * noise))
+        shown = plain.whiten(response.columns)
+        shown = shown - known @ (known.T @ shown)
+        whole = _rms(raw)
+        taken = whole * error / max(_rms(shown), INVISIBLE * whole)
+        found[score.variant.effect].append(max(whole / size * white_size, SMALLEST * noise, taken))
     names = {score.variant.effect for score in scored}
     limits = {name: float(np.median(values)) for name, values in found.items()}
     largest = torque(problem)
@@ -60,12 +78,16 @@ def detection_limits(chosen: Selection) -> DetectionLimits:
 
 
 def _tangents(problem: Problem, fitted: Fit) -> Array:
-    """d prediction / d base coordinates that no bound holds, (m, p) in N*m, not whitened."""
+    """d prediction / d base coordinates that no bound holds, (n, p) in N*m, not whitened."""
     present = problem.predicted(fitted.hypothesis.model(fitted.point))
     columns = []
     for i, free in enumerate(fitted.free[: len(fitted.hypothesis.base.coordinates())]):
         if free:
             stepped = fitted.point.copy()
             stepped[i] += 1e-3
-            columns.append((problem.predicted(fitted.hypothesis.model(stepped)) - present)[problem.mask])
-    return np.column_stack(columns) if columns else np.zeros((problem.count, 0))
+            columns.append(problem.predicted(fitted.hypothesis.model(stepped)) - present)
+    return np.column_stack(columns) if columns else np.zeros((len(present), 0))
+
+
+def _rms(y: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(y))))
