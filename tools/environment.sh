@@ -29,7 +29,7 @@ ensure_venv() { # [EXTRA]
     local venv=$root/.venv log=$root/.cache/install.log python stamp extra=${1:-} size=700
     stamp="$root $(cksum <"$root/pyproject.toml")"
     if [[ $extra ]]; then
-        stamp+=" $extra" size=950
+        stamp+=" $extra" size=850
     fi
     mkdir -p "$root/.cache"
     exec 9>"$root/.cache/install.lock"
