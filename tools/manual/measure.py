@@ -88,7 +88,7 @@ def _printed(line: tuple[str, ...], number: int) -> tuple[str, float]:
 
 def _spoken(line: tuple[str, ...]) -> str:
     """The command as a reader types it."""
-    text = " ".join("tsa" if word == TSA else word for word in line)
+    text = " ".join("tsa" if word == TSA else f"'{word}'" if "(" in word else word for word in line)
     for placed, said in ((" --out {out}", ""), (" --json", ""), ("{root}/", ""), ("{config}", "config")):
         text = text.replace(placed, said)
     return text
