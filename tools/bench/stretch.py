@@ -180,7 +180,8 @@ def main() -> int:
     if not arguments.json:
         report(rows)
     if arguments.write:
-        line = f"tools/run bench/stretch --rigs {arguments.rigs}" + " --without-sensor" * arguments.without_sensor
+        line = f"tools/run bench/stretch --rigs {arguments.rigs}" + f" --seed {arguments.seed}" * (arguments.seed != 1)
+        line += " --without-sensor" * arguments.without_sensor
         for label in RUNS:
             for key, words in (("sliding", "while sliding"), ("all", "all samples")):
                 values = [100.0 * row[f"{label}_{key}"] for row in rows if math.isfinite(row[f"{label}_{key}"])]
