@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from tsa_ctrl.safety.leaky import Leaky
-from tsa_ctrl.safety.sense import PATIENCE, SMALL, Sense
+from tsa_ctrl.safety.sense import PATIENCE, SMALL, TURN, Sense
 
 PERIOD = 1e-3  # s
 GEARED = 1.25  # r_J/r_M
@@ -418,3 +418,15 @@ def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() ->
         when = when or (t if said else 0.0)
     assert "give" in str(said)
     assert 1.0 < when < 1.35
+
+
+@pytest.mark.parametrize(("seconds", "wrong"), [(0.15, False), (0.3, True)])
+def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: float, wrong: bool) -> None:
+    """A limb swings on its tendons, and a torque that rises meanwhile is not what stretches them."""
+    sense, turn = Sense(2.0, GEARED, PERIOD), 200  # the torque began, and showed nothing yet
+    found = None
+    for n in range(turn + round((seconds + TURN) / PERIOD)):
+        since = max(n - turn, 0) * PERIOD
+        torque = n * PERIOD - 2.0 * since
+        found = found or sense.update(n * PERIOD, torque, since / STIFFNESS, UNKNOWN, -1.0 if since else 1.0, 0.0)
+    assert (found is not None) is wrong

@@ -151,6 +151,7 @@ class Sense:
                 self.ceiling += self._limit * self._period / SLOWLY
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
+            self._driven = self._driven or self._pulled  # joint and tendons swing on from what came before the turn
             self._begin(direction, now + TURN)
         if omega_j == omega_j:
             self._travel += self._travel_step * omega_j
