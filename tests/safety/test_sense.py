@@ -420,10 +420,10 @@ def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() ->
     assert 1.0 < when < 1.35
 
 
-@pytest.mark.parametrize(("seconds", "wrong"), [(0.15, False), (0.3, True)])
+@pytest.mark.parametrize(("seconds", "wrong"), [(0.2, False), (0.38, True)])
 def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: float, wrong: bool) -> None:
     """A limb swings on its tendons, and a torque that rises meanwhile is not what stretches them."""
-    sense, turn = Sense(2.0, GEARED, PERIOD), 200  # the torque began, and showed nothing yet
+    sense, turn = Sense(2.0, GEARED, PERIOD), 170  # the torque began, and showed nothing yet
     found = None
     for n in range(turn + round((seconds + TURN) / PERIOD)):
         since = max(n - turn, 0) * PERIOD
