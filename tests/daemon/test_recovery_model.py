@@ -1,0 +1,117 @@
+"""The loop's recovery against a small model of it, whatever happens in whatever order.
+
+The model knows two things, whether a fault is latched and whether the drive can be reset at all. Torque comes back by a
+request that was made after the fault, and by nothing else: not by one of before, not by a drive that is well again.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from tests.daemon.machine import BARE, CONSTANT, FAULT, Drive, Machine
+from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.ipc.mailbox import RECOVER, Command
+
+START = 500  # cycles until there is torque
+SOON = 40  # cycles: a fault is latched, a request is taken
+LONG = 700  # cycles: a reset has worked, and there is torque
+GIVEN_UP = 2700  # cycles: a reset that does not work was given up, after `reset_timeout` and half a second
+ACTION = st.sampled_from(["fail", "recover", "break", "mend"])
+
+
+class Stubborn(Drive):
+    """One that can be so broken that no reset helps."""
+
+    broken = False
+
+    def _obey(self, controlword: int, target: int) -> None:
+        super()._obey(controlword, target)
+        if self.broken and self.statusword != FAULT and any(word & 0x80 for word, _ in self.commands[-1:]):
+            self.statusword, self.error_code, self.torque = FAULT, 0x2310, 0
+
+
+def play(story: list[str]) -> tuple[list[int], list[int]]:
+    """Each cycle's commanded torque, and the cycle in which each act of the story began."""
+    with tempfile.TemporaryDirectory(prefix="recovery-") as folder:
+        machine = Machine(Path(folder), CONSTANT, BARE, drive=Stubborn())
+        drive = machine.drive
+        assert isinstance(drive, Stubborn)
+        acts: dict[str, Callable[[], object]] = {
+            "fail": drive.fail,
+            "recover": lambda: machine.mailbox.put(Command(0, RECOVER, 0.0)),
+            "break": lambda: setattr(drive, "broken", True),
+            "mend": lambda: setattr(drive, "broken", False),
+            "end": machine.mailbox.request_stop,
+        }
+        beat, begins, broken = START, [], False
+        for act in [*story, "end"]:
+            drive.at_sync[beat] = partial(_do, acts[act])
+            begins.append(beat)
+            broken = act == "break" or (broken and act != "mend")
+            beat += SOON if act != "recover" else GIVEN_UP if broken else LONG
+        machine.run()
+        machine.close()
+        return drive.torques, begins
+
+
+def _do(act: Callable[[], object]) -> None:
+    act()
+
+
+def check(story: list[str]) -> None:
+    """Play it, and hold each act against the model."""
+    torques, begins = play(story)
+    assert torques[START - 2] > 0
+    latched = broken = False
+    for act, begin, end in zip(story, begins, begins[1:], strict=False):
+        was = latched
+        if act == "fail":
+            latched = True
+        elif act == "recover":
+            latched = latched and broken
+        elif act in ("break", "mend"):
+            broken = act == "break"
+        if latched:
+            assert not any(torques[begin - (1 if was else -2) : end - 1]), (story, act)
+        elif not was:
+            assert all(torques[begin - 1 : end - 1]), (story, act)
+        else:
+            assert torques[end - 2] > 0, (story, act)
+
+
+@pytest.mark.slow
+@settings(max_examples=12, deadline=None, database=None, derandomize=True, phases=(Phase.generate, Phase.shrink))
+@given(st.lists(ACTION, min_size=2, max_size=7))
+def test_torque_comes_back_by_a_request_after_the_fault_alone(story: list[str]) -> None:
+    check(story)
+
+
+@pytest.mark.parametrize(
+    "story",
+    [
+        ["recover", "fail", "mend"],  # asked too early
+        ["break", "fail", "recover", "mend", "mend"],  # well again, and nobody asks
+        ["break", "fail", "recover", "mend", "recover"],
+        ["fail", "fail", "recover", "fail", "recover"],
+    ],
+)
+def test_stories_that_must_be_among_them(story: list[str]) -> None:
+    check(story)
+
+
+def test_the_model_sees_a_request_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of before the fault that acts after it."""
+
+    def keeps(loop: Loop, planned: int) -> None:
+        loop._recovery_asked = planned * 1e-9
+
+    monkeypatch.setattr(Loop, "_ask_for_recovery", keeps)
+    with pytest.raises(AssertionError):
+        check(["recover", "fail", "mend", "mend", "mend", "mend"])
