@@ -64,6 +64,8 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
             continue
         raw = response.columns[problem.mask]
         raw = raw - recalibration @ (recalibration.T @ raw)
+        if not raw.any():  # a recalibration is all of it
+            continue
         shown = plain.whiten(response.columns)
         shown = shown - known @ (known.T @ shown)
         whole = _rms(raw)
