@@ -393,12 +393,13 @@ def test_a_reset_forgets_for_how_long_it_has_been_wrong(sign: float, gain: float
 
 @pytest.mark.parametrize(("softer", "found"), [(0.7, False), (1.0, False), (1.3, False), (2.0, True), (4.0, True)])
 def test_tendons_that_give_more_than_the_torque_stretches_them_by(softer: float, found: bool) -> None:
-    """Whether something moves the joint or not: the motor gives more than it reports, or a tendon hangs."""
-    for omega_j in (0.0, 0.5):
-        sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
-        said = run(sense, seconds=0.6, rise=2.0, omega_j=omega_j)
-        assert isinstance(said, str) is found
-        assert not found or f"give {softer:.1f} times" in str(said)
+    """The motor gives more than it reports, or a tendon hangs; on a joint that moves friction may do that."""
+    sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
+    said = run(sense, seconds=0.6, rise=2.0)
+    assert isinstance(said, str) is found
+    assert not found or f"give {softer:.1f} times" in str(said)
+    sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
+    assert isinstance(run(sense, seconds=0.6, rise=2.0, omega_j=0.5), float)
 
 
 def test_a_stiffness_that_is_not_known_accuses_nothing() -> None:

@@ -34,29 +34,26 @@ def added(result: Simulation, after: float = AT) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("load", "setpoint", "fault", "most", "hangs"),
+    ("load", "setpoint", "fault", "most"),
     [
-        ("weight", STANDS, "pretension value=0.3", 10e-3, 0),
-        ("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3, 0),
-        ("free", sine(0.5, 0.5), "friction value=0.75", 10e-3, 0),
-        ("limb", GAIT, "pretension value=0.1", 25e-3, 1),
+        ("weight", STANDS, "pretension value=0.3", 10e-3),
+        ("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3),
+        ("free", sine(0.5, 0.5), "friction value=0.75", 10e-3),
+        ("limb", GAIT, "pretension value=0.1", 25e-3),
     ],
 )
 def test_lost_friction_moves_no_joint(
-    tmp_path: Path, load: str, setpoint: dict[str, Any], fault: str, most: float, hangs: int
+    tmp_path: Path, load: str, setpoint: dict[str, Any], fault: str, most: float
 ) -> None:
-    """J/2 (1 rad/s)^2 at most, none a second later, told and latched; all of the friction was compensated.
-
-    `hangs`: how often it is told that a tendon does, which stops the axis.
-    """
+    """J/2 (1 rad/s)^2 at most, none a second later, told and latched; all of the friction was compensated."""
     faults = [Fault(fault, AT), *([NUDGE] if setpoint is STANDS else [])]
     result = play(tmp_path, load, setpoint, AT + 2.0, faults=faults)
     assert added(result) <= most
     assert added(result, AT + 1.0) <= 1e-3
     assert "of what the model file says" in told(result)[0]
     assert "latched" in told(result)[-1]
-    assert result.axes[0].to_dict()["limit_reasons"]["PASSIVITY"] > (250 if hangs else 500)
-    assert ["a tendon hangs" in fault for fault in result.axes[0].faults] == hangs * [True]
+    assert result.axes[0].to_dict()["limit_reasons"]["PASSIVITY"] > 500
+    assert not result.axes[0].faults
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ friction counts, and correlated over the last fifth of a second, but for what ca
 joint that is moved, friction stretches the tendon against the torque that begins, until it slides all along: that takes
 a way of the joint, and where something moves it slowly more than a second.
 
-The stretch cannot be more than the torque's, tau_M/K: friction only takes away there, on a joint
-that is moved, too. Where it follows the torque by half as much again, the motor gives more than it reports, a tendon
-hangs, or the file's stiffness is too high.
+The stretch of a joint that is held cannot be more than the torque's, tau_M/K: friction only takes away there. Where it
+follows the torque by half as much again, the motor gives more than it reports, a tendon hangs, or the file's stiffness
+is too high. Where the joint moves friction turns with it, and stretches the tendons beside the torque: on healthy rigs
+bent at the motor by 1.7 times as much.
 
 On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
 below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
@@ -204,7 +205,8 @@ class Sense:
         softer = self._stiffness * self._ta / self._tt
         by_stretch = _correlation(self._ta, self._tt * self._aa)
         slow = self._dd < self._slow * self._aa and self._tt > self._strong and self._seen
-        if self._gives.update(now, slow and softer > SOFTER and by_stretch > ALIKE):
+        held = now - self._moved > AT_REST
+        if self._gives.update(now, held and slow and softer > SOFTER and by_stretch > ALIKE):
             return (
                 f"the tendons give {softer:.1f} times what the motor's torque stretches them by: the motor gives more "
                 "than it reports, a tendon hangs, or axial_stiffness is that much too high"
