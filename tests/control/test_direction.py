@@ -20,10 +20,10 @@ R_J = 0.025
 class Joint:
     """A joint that moves as told, and the direction found."""
 
-    def __init__(self, bits: int = 20, give: float | None = None, **settings: float) -> None:
+    def __init__(self, bits: int = 20, give: float | None = None, way: float = 0.0, **settings: float) -> None:
         self.count = 2.0 * math.pi / (1 << bits)
         self.motion = Motion(PERIOD, self.count, LEAD)
-        self.direction = Direction(DirectionSettings(**settings), self.motion, LEAD, REACH, R_J, PERIOD, give)
+        self.direction = Direction(DirectionSettings(**settings), self.motion, LEAD, REACH, R_J, PERIOD, give, way)
 
     def step(self, angle: float, wanted: float = math.nan, rate: float = 0.0) -> float:
         self.motion.update(self.count * math.floor(angle / self.count))
@@ -70,13 +70,38 @@ def test_a_torque_that_grows_puts_off_the_turn_by_what_stretches_behind_the_bend
     assert PERIOD * sigmas.index(-1.0) == pytest.approx(turned_at - LEAD, abs=2.5e-3)
 
 
-def test_a_stop_at_once_is_taken_for_a_reversal_once() -> None:
-    """It cannot be told from one when it must be known; the term has turned, and stays."""
-    joint = Joint()
+@pytest.mark.parametrize("way", [0.0, 0.02])
+def test_a_stop_at_once_is_taken_for_a_reversal_for_a_moment(way: float) -> None:
+    """It cannot be told from one when it must be known; where the way of a turn is known, all is soon as before."""
+    joint = Joint(way=way)
     for n in range(300):
         joint.step(1.0 * n * PERIOD)
     sigmas = [joint.step(0.299) for _ in range(2000)]
-    assert np.count_nonzero(np.diff(sigmas)) <= 1
+    assert -1.0 in sigmas
+    assert np.count_nonzero(np.diff(sigmas)) <= 2
+    assert set(sigmas[100:]) == ({1.0} if way else {-1.0})
+
+
+@pytest.mark.parametrize(("share", "turns"), [(0.02, False), (0.5, True)])
+def test_a_joint_that_trembles_at_rest_has_turned_nothing(share: float, turns: bool) -> None:
+    """A hand pushes it back by a share of the way in which its tendons turn round, and holds it there."""
+    way = 0.02  # rad
+    joint = Joint(way=way)
+    for _ in range(50):
+        joint.step(0.3, 0.5)  # a torque that begins, all of it wanted
+    found = [joint.step(0.3 - share * way * min(n / 25, 1.0), 0.5) for n in range(1000)]
+    assert -1.0 in found
+    assert set(found[200:]) == {-1.0 if turns else 1.0}
+
+
+def test_what_is_wanted_before_the_tendons_have_turned_has_not_arrived() -> None:
+    """The joint trembles back and forth when the torque is first wanted: that begins from none all the same."""
+    joint = Joint(way=0.02)
+    for n in range(30):
+        joint.step(0.3 + 2e-4 * math.sin(0.2 * n))
+    found = [joint.step(0.3 + 2e-4 * math.sin(0.2 * min(n, 70)), 0.5) for n in range(30, 1000)]
+    assert -1.0 in found
+    assert set(found[200:]) == {1.0}
 
 
 def test_a_reversal_is_led() -> None:

@@ -122,6 +122,16 @@ def test_what_is_no_longer_driven_comes_to_rest(tmp_path: Path, load: str, delay
 
 
 @pytest.mark.slow
+def test_a_hand_that_still_moves_the_joint_at_the_enable(tmp_path: Path) -> None:
+    """It brings the limb to where it holds it while a constant torque begins: that arrives; 210 of 300 were missing."""
+    hand = [[0.0, 40.0, 1.0, 0.3]]
+    held = {"joint": {"load": "wearer", "hand": hand, "hand_repeat": False}}
+    result = play(tmp_path, "wearer", {"kind": "constant", "offset": 0.3}, 1.5, plant=held)
+    assert not result.axes[0].faults
+    assert np.abs(error(result)).max() <= 25.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("bits", [12, 14, 16])
 def test_coarse_encoders_of_the_joint(tmp_path: Path, bits: int) -> None:
     """Less is foretold, and nothing chatters: 92 % of the gait's error is gone, and the friction turns as the joint."""

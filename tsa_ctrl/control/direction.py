@@ -14,6 +14,9 @@ the second alone, and torque must reach it, too. Friction does not depend on rat
   tendon, however slowly. That torque is known ahead, so the turn is over when it is needed. After every enable it
   begins from none, as the set-point does, even where all of it lies ahead when it is first seen.
 
+A joint that comes to rest within `LITTLE` of the way that it takes to turn the tendons has turned nothing: a hand's
+trembling, or a stop at once, which looks like a reversal when that must be foretold. Then all is as before.
+
 Where nothing slips, friction keeps its last direction. Before anything has moved there is none: 0.
 Source: (3.29) with its own xi' instead of omega_J; T2 + T4 moves in the second order alone.
 """
@@ -30,6 +33,8 @@ from tsa_ctrl.control.motion import Motion
 
 NOISE = 1.5  # times one count's velocity that the zone is at least: a count and the mechanics' own trembling
 LEAST_ZONE = 0.002  # rad/s, that may be set while running
+LITTLE = 0.05  # of the way in which the tendons slide all along: a joint that went no further has turned nothing
+AT_REST = 5e-3  # s of rest after which that is said: a reversal passes the zone in less
 
 
 class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -51,11 +56,12 @@ class Direction:
         joint_radius: float,
         period: float,
         give: float | None = None,
+        way: float = 0.0,
     ) -> None:
         """`lead` and `period` in s; `reach`: d/(2 r_J EA), m of tendon per N*m wanted; `joint_radius` r_J in m.
 
         `give`: the same while the joint moves, where it is not as much; at rest even tendons that are bent at the joint
-        alone turn by what the motor winds up.
+        alone turn by what the motor winds up. `way`: rad of the joint, in which the tendons slide all along.
         """
         self.lead = lead
         self._motion = motion
@@ -66,6 +72,7 @@ class Direction:
         self._give = reach if give is None else give
         self._radius = joint_radius
         self._period = period
+        self._little = LITTLE * way
         self.reset()
 
     @property
@@ -87,6 +94,7 @@ class Direction:
         self.sigma = 0.0
         self.age = 0.0
         self.rest = 0.0
+        self._before, self._turned_at = 0.0, math.nan  # the direction before the joint's last turn, and its angle then
         self.forget()
 
     def forget(self) -> None:
@@ -106,23 +114,35 @@ class Direction:
         self.age = 0.0
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
-            self._edge = stretch
+            if not self._little_since_turn():
+                self._edge = stretch
             slip = self._radius * omega + self._give * rate
             if slip * self.sigma <= 0.0 and slip != 0.0:
-                self.sigma = 1.0 if slip > 0.0 else -1.0
+                turned = 1.0 if slip > 0.0 else -1.0
+                if not self._little_since_turn():
+                    self._before, self._turned_at = self.sigma, motion.angle
+                elif turned == self._before:
+                    self._turned_at = math.nan  # back again: as before
+                self.sigma = turned
                 since = abs(omega / alpha) if alpha != 0.0 else 0.0
                 self.age = since / self._period if since < self._period else 1.0
             return self.sigma
         self.rest += self._period
+        if self.rest > AT_REST and self._little_since_turn():
+            self.sigma, self._turned_at = self._before or self.sigma, math.nan
         if ahead != ahead:
             return self.sigma
         edge = self._edge if self._edge == self._edge else 0.0
         if stretch > edge + self._play:
             self._edge = stretch - self._play
-            self.sigma = 1.0
+            self.sigma, self._turned_at = 1.0, math.nan
         elif stretch < edge - self._play:
             self._edge = stretch + self._play
-            self.sigma = -1.0
+            self.sigma, self._turned_at = -1.0, math.nan
         else:
             self._edge = edge
         return self.sigma
+
+    def _little_since_turn(self) -> bool:
+        """Whether the joint has gone so little since it turned that its tendons still lie as they did."""
+        return abs(self._motion.angle - self._turned_at) < self._little
