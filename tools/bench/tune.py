@@ -157,7 +157,9 @@ def shares(found: Row, drawn: Drawn) -> str:
 
 def write(runs: list[Row], arguments: argparse.Namespace) -> None:
     """Take over what `tsa tune` wrote, and what all that is true gives, by where the sheath bends."""
+    blind = arguments.without_sensor
     asked = f"tools/run bench/tune --rigs {arguments.rigs[0]}..{arguments.rigs[-1]} --seed {arguments.seed}"
+    asked += " --without-sensor" if blind else ""
     for curvature in CURVATURES:
         part = [r for r in runs if r["curvature"] == curvature]
         tuned = [float(r["verification"]["reduction_percent"]["after"]) for r in part]
@@ -165,7 +167,7 @@ def write(runs: list[Row], arguments: argparse.Namespace) -> None:
             ("tuned", "tuned by `tsa tune` alone", tuned),
             ("true", "true parameters", list(map(true_reduction, part))),
         )
-        for key, said, values in ways:
+        for key, said, values in (("blind", "tuned without a joint torque sensor", tuned),) if blind else ways:
             if values:
                 words = f"rigs that bend {curvature.replace('_', ' ')}, {said}: error of the joint torque less"
                 note(f"tune-{curvature}-{key}", words, values, "%", asked)
