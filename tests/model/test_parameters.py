@@ -76,6 +76,16 @@ def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
     assert model.pretension == pytest.approx(49.0)
 
 
+@pytest.mark.parametrize(("spring", "pretension"), [("", 45.0), ("series_stiffness = 2e4", 12.857142857)])
+def test_the_tensioners_position_gives_the_pretension(tmp_path: Path, spring: str, pretension: float) -> None:
+    """(3.56): EA/l_us is 50 N/mm, with a spring of 20 N/mm in series 14.3; what is written is the pretension itself."""
+    text = changed("# length_change", "length_change").replace("value = 45.0", "# value")
+    model = loaded(tmp_path, text.replace("[sheath]", f"{spring}\n[sheath]"))
+    assert isinstance(model, TendonSheath)
+    assert model.pretension == pytest.approx(pretension)
+    assert "length_change =" not in dump_model(model, tmp_path / "model.toml").replace("# length_change =", "")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -87,6 +97,8 @@ def test_unstrained_bending_angle_gives_the_pretension(tmp_path: Path) -> None:
         ("axial_stiffness = 60e3", "# gone", "key 'axial_stiffness' is missing"),
         ("value = 45.0", "# value", "no pretension; give"),
         ("# unstrained_bending_angle", "unstrained_bending_angle", "both .* are given; keep one"),
+        ("# length_change", "length_change", r"both \[pretension\] value \(N\) and .*length_change \(m\) are given"),
+        ("# length_change = 0.9e-3", "length_change = 0.9e1", "pretension.length_change: .*<= 1"),
         ("# series_position", "series_position", "series_position without series_stiffness; give that"),
         (
             "[sheath]",

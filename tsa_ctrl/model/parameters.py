@@ -70,6 +70,9 @@ class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     """[pretension]."""
 
     value: NonNegative | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
+    length_change: Annotated[float, Meta(ge=0.0, le=1.0)] | None = (
+        None  # Delta l of (3.56), m, the tensioner's position
+    )
 
 
 class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -256,18 +259,16 @@ def model_from(data: dict[str, Any], where: str) -> Model:
 
 
 def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> float:
-    value, unstrained = file.pretension.value, file.sheath.unstrained_bending_angle
-    if value is not None and unstrained is not None:
-        raise UsageError(
-            f"{where}: both [pretension] value and [sheath] unstrained_bending_angle are given; keep one of them"
-        )
-    if value is not None:
-        return value
-    if unstrained is None:
-        raise UsageError(
-            f"{where}: no pretension; give [pretension] value (N) or [sheath] unstrained_bending_angle (rad)"
-        )
-    return max(0.0, model.pretension_slope * (model.bending_angle - unstrained))
+    level, bent = file.pretension, ("[sheath] unstrained_bending_angle (rad)", file.sheath.unstrained_bending_angle)
+    ways = ("[pretension] value (N)", level.value), ("[pretension] length_change (m)", level.length_change), bent
+    given = [name for name, number in ways if number is not None]
+    if len(given) > 1:
+        raise UsageError(f"{where}: both {' and '.join(given)} are given; keep one of them")
+    if not given:
+        raise UsageError(f"{where}: no pretension; give {' or '.join(name for name, _ in ways)}")
+    if bent[1] is not None:
+        return max(0.0, model.pretension_slope * (model.bending_angle - bent[1]))
+    return model.tendon_stiffness * (level.length_change or 0.0) if level.value is None else level.value
 
 
 def dump_model(model: Model, template: str | Path | None = None, provenance: Mapping[str, Any] | None = None) -> str:
@@ -343,6 +344,6 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
             "unstrained_bending_angle": None,
             "bending_centre": model.bending_centre,
         },
-        "pretension": {"value": model.pretension},
+        "pretension": {"value": model.pretension, "length_change": None},
         "uncertainty": uncertainty,
     }
