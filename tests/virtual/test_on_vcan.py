@@ -31,6 +31,7 @@ SECONDS = 4.0  # two periods of the set-point
 FADED_IN = 0.3  # s
 GRID = 1e-3  # s
 TRIES = 4  # of a machine so busy that the nodes do not answer at the start
+KEPT = 0.98  # of the cycles in time; with more stalls it is run again: what is lost within a cycle is not replayed
 PATIENT: dict[str, Any] = {
     "drive": {"rpdo_timeout": 1.0, "host_timeout": 2.0, "heartbeat_timeout": 4.0},
     "encoder": {"heartbeat_timeout": 4.0},
@@ -117,11 +118,14 @@ def torque_since_enable(truth: Any) -> FloatArray:
 @pytest.mark.parametrize("load", ["spring", pytest.param("imposed", marks=pytest.mark.soak)])
 def test_real_time_agrees_with_virtual_time(tmp_path: Path, vcan: str, load: str) -> None:
     paths = files(tmp_path, vcan, load)
-    truth, log = in_real_time(tmp_path)
+    for _ in range(TRIES):
+        truth, log = in_real_time(tmp_path)
+        kept = 1.0 - float(np.mean((log["pdo_age"] > 0.0) | (log["lateness"] > 0.1 / RATE)))
+        if kept > KEPT:
+            break
     real, virtual = torque_since_enable(truth), torque_since_enable(woken_as(log, paths).truth)
     difference = np.abs(real - virtual)
     rms = float(np.sqrt(np.mean(np.square(difference))))
-    kept = 1.0 - float(np.mean((log["pdo_age"] > 0.0) | (log["lateness"] > 0.1 / RATE)))
     print(
         f"{load}: delivered {1e3 * real.std():.0f} mN*m RMS; real less virtual time: median "
         f"{1e3 * np.median(difference):.2f}, RMS {1e3 * rms:.2f} mN*m; {kept:.0%} of the cycles in time"
