@@ -33,7 +33,7 @@ class Stubborn(Drive):
 
     def _obey(self, controlword: int, target: int) -> None:
         super()._obey(controlword, target)
-        if self.broken and self.statusword != FAULT and any(word & 0x80 for word, _ in self.commands[-1:]):
+        if self.broken and self.statusword != FAULT and controlword & 0x80:
             self.statusword, self.error_code, self.torque = FAULT, 0x2310, 0
 
 

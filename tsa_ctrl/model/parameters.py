@@ -70,9 +70,7 @@ class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     """[pretension]."""
 
     value: NonNegative | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
-    length_change: Annotated[float, Meta(ge=0.0, le=1.0)] | None = (
-        None  # Delta l of (3.56), m, the tensioner's position
-    )
+    length_change: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None  # Delta l of (3.56), m: the tensioner
 
 
 class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

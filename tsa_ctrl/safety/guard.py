@@ -1,12 +1,12 @@
 """Takes the compensation back when it moves the joint by itself or the motor buzzes, and says why.
 
 The first time for a moment: to 0 at once, and within `HOLD` + `RECOVERY` back to `RETURNED` of it, to all of it when
-that is `FORGIVEN`. A term that drives the joint has wound
-up the tendons, and a motor that swings on them goes on driving it while they unwind: so it pulls the other way for
-`UNWIND` before. On a weight that goes at 3 rad/s when nine tenths of the pretension are lost at once, the joint gets
-9.6 mJ with that and 13.4 without. What is still wrong then adds energy again, and half as much shows it; the second
-time within `FORGIVEN` is latched until the axis is disabled: at a share of the friction that the energy showed to be
-there, or at `LEFT` where it buzzed. A third time at 0.
+that is `FORGIVEN`. A term that drives the joint has wound up the tendons, and a motor that swings on them goes on
+driving it while they unwind: so it pulls the other way for `UNWIND` before. On a weight that goes at 3 rad/s when nine
+tenths of the pretension are lost at once, the joint gets 9.6 mJ with that and 13.4 without. What is still wrong
+then adds energy again, and half as much shows it; the second time within `FORGIVEN` is latched until the axis is
+disabled: at a share of the friction that the energy showed to be there, or at `LEFT` where it buzzed. A third time at
+0.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ class Sense:
         self._shown = False
         self._begun = math.inf
         self._moved = -math.inf
-        self._pulled = self._driven = self._suspect = self._seen = False
+        self._pulled = self._driven = self._suspect = False
         self._reversed.reset()
         self._turned.reset()
         self._altered.reset()
@@ -174,7 +174,8 @@ class Sense:
         self._stretch = a
         self._tj += memory * (t * j - self._tj)
         self._jj += memory * (j * j - self._jj)
-        if now - self._moved > AT_REST:
+        held = now - self._moved > AT_REST
+        if held:
             self._held_tt += memory * (t * t - self._held_tt)
             self._held_tj += memory * (t * j - self._held_tj)
             self._held_jj += memory * (j * j - self._held_jj)
@@ -183,11 +184,10 @@ class Sense:
         if self._tt < self._least:
             return None
         self._pulled = True
-        sense = 0.0
-        self._seen = self._most_apart - self._least_apart > self._finest
-        if self._seen:
-            sense = _correlation(self._ta, self._tt * self._aa)
-        elif self._jj > self._arrives:
+        by_stretch = _correlation(self._ta, self._tt * self._aa)
+        seen = self._most_apart - self._least_apart > self._finest
+        sense = by_stretch if seen else 0.0
+        if not seen and self._jj > self._arrives:
             sense = _correlation(self._tj, self._tt * self._jj)
         self._suspect = sense < -SHOWN
         if not self._suspect:
@@ -203,9 +203,7 @@ class Sense:
                 "sign of a torque or of an encoder is reversed"
             )
         softer = self._stiffness * self._ta / self._tt
-        by_stretch = _correlation(self._ta, self._tt * self._aa)
-        slow = self._dd < self._slow * self._aa and self._tt > self._strong and self._seen
-        held = now - self._moved > AT_REST
+        slow = self._dd < self._slow * self._aa and self._tt > self._strong and seen
         if self._gives.update(now, held and slow and softer > SOFTER and by_stretch > ALIKE):
             return (
                 f"the tendons give {softer:.1f} times what the motor's torque stretches them by: the motor gives more "

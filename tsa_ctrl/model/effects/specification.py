@@ -220,7 +220,9 @@ class Specification:
         return next((twins.parted_by for twins in self.twins if other in twins.names), ())
 
     def needed_live(self, parameters: Mapping[str, Setting]) -> Columns:
-        """The signals that the loop must measure."""
+        """The signals that the loop must measure; none for what only the stretch shows, which the law leaves alone."""
+        if self.stage is Stage.STRETCH:
+            return ()
         return self.columns if self.live_columns is None else self.live_columns(parameters)
 
 

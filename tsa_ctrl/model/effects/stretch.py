@@ -51,7 +51,6 @@ class SeriesSpring:
         summary="something beside the tendons gives way: a coupling, a pulley, a spring",
         search=_springs,
         columns=_BOTH_ANGLES,
-        live_columns=lambda _: (),  # the law has nothing to do with it
         twins=(Twins(("parameter_error",), (Motion.STIFFNESS,)),),
         rigid_drive=False,
         shown=Shown({"stiffness": 2e4}, "load", "s ← s + (T_3 − T_1) / 2k"),
@@ -87,7 +86,6 @@ class TendonCreep:
         summary="one tendon creeps longer than the other under its load",
         search=_creeps,
         columns=_BOTH_ANGLES,
-        live_columns=lambda _: (),  # the law has nothing to do with it
         twins=(Twins(("pulley_slip",), (Motion.LONGER,)),),
         rigid_drive=False,
         shown=Shown({"length": 2e-4, "time_constant": 15.0}, "time", "s ← s + a (1 − exp(−t/T))"),
@@ -122,7 +120,6 @@ class PulleySlip:
         summary="a tendon slipped on its pulley, or a pulley on its shaft",
         search=_slips,
         columns=_BOTH_ANGLES,
-        live_columns=lambda _: (),  # the law has nothing to do with it
         rigid_drive=False,
         shown=Shown({"length": 2e-4, "time": 25.0}, "time", "s ← s + d,  t ≥ t_s"),
     )
@@ -148,7 +145,6 @@ class JointPlay:
         summary="play between the joint's pulley and the joint, seen when the torque changes its sign",
         search=linear("gap", one, 0.0),
         columns=_BOTH_ANGLES,
-        live_columns=lambda _: (),  # the law has nothing to do with it
         twins=(Twins(("series_spring",), (Motion.SIGNS,)),),
         rigid_drive=False,
         shown=Shown({"gap": 0.01}, "load", "s ← s + r_J g/2 sign(T_4 − T_2)"),

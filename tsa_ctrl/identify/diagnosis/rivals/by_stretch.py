@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
+from tsa_ctrl.identify.diagnosis.parameters.refit import FREEDOM, LEVEL
 from tsa_ctrl.identify.diagnosis.rivals.groups import PARAMETER_ERROR
 from tsa_ctrl.identify.diagnosis.rivals.stretch_fit import BASE, ONCE, Stretch, StretchFit, Term
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
@@ -31,8 +32,6 @@ BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
 FOR_ONCE = 1.5  # the same of what passes or happens once: k blocks that say all of it have t = sqrt(k)
 ALIKE = 9.0  # of the cost, within which another effect does as well: 3 standard deviations
 LEAST_TOLD = 0.9  # of the stretch's mean square less zero, drift and the effects, that the tensions must explain
-FREEDOM = 12.0  # degrees of freedom of the noise's density where it matters, as in parameters/refit.py
-LEVEL = 0.95
 DOUBLINGS, HALVINGS = 24, 16  # of a step that looks for the end of an interval
 NOT_FOLLOWED = "the angles of both pulleys do not follow the tendons' tensions"
 NOT_AS_STIFF = "the angles of both pulleys contradict the stiffness or shape of the model file beyond its [uncertainty]"
@@ -159,7 +158,7 @@ def _cause(
 def _parameters(stretch: Stretch, found: StretchFit, index: int) -> dict[str, Quantity | str]:
     """The parameters of an effect with their intervals."""
     term, amplitude = found.terms[index], float(found.amplitudes[index])
-    factor = float(student.ppf(0.5 + 0.5 * LEVEL, FREEDOM))
+    factor = float(stdtrit(FREEDOM, 0.5 + 0.5 * LEVEL))
     half = factor * float(found.deviations[index])
     coordinate = term.variant.coordinates[0]
     corners = [term.values(min(max(amplitude + side * half, coordinate.low), coordinate.high)) for side in (-1.0, 1.0)]
