@@ -293,3 +293,10 @@ def test_the_page_prints_on_a4(written: Path, browser: str, tmp_path: Path) -> N
         assert 0 < max(heights) <= 1016
         inside = "[...document.querySelectorAll('figure')].map(each => getComputedStyle(each).breakInside)"
         assert set(page.evaluate(inside)) == {"avoid"}
+
+
+def test_the_diagnosis_loads_nothing_that_takes_as_long_as_all_else() -> None:
+    """scipy.stats and scipy.signal: half of the time until a verb of the diagnosis begins."""
+    asked = "import sys, tsa_ctrl.identify.diagnosis; print({'scipy.stats', 'scipy.signal'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
