@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 from scipy.ndimage import uniform_filter1d
-from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
+
+from tsa_ctrl.identify.student import LEVEL, half_width
 
 FloatArray = NDArray[np.float64]
 
@@ -41,15 +42,15 @@ class Estimate:
     leverage: FloatArray
     weight: FloatArray
 
-    def interval(self, index: int, level: float = 0.95) -> tuple[float, float]:
+    def interval(self, index: int, level: float = LEVEL) -> tuple[float, float]:
         """Two-sided interval of one coefficient."""
         return self.interval_of(np.eye(self.value.size)[index], level)
 
-    def interval_of(self, gradient: FloatArray, level: float = 0.95) -> tuple[float, float]:
+    def interval_of(self, gradient: FloatArray, level: float = LEVEL) -> tuple[float, float]:
         """Interval of `gradient @ value` (delta method for a function with that gradient)."""
         centre = float(gradient @ self.value)
         deviation = float(np.sqrt(gradient @ self.covariance @ gradient))
-        half = float(stdtrit(self.degrees_of_freedom(gradient), 0.5 + level / 2.0)) * deviation
+        half = half_width(self.degrees_of_freedom(gradient), level) * deviation
         return centre - half, centre + half
 
     def degrees_of_freedom(self, gradient: FloatArray) -> float:

@@ -16,7 +16,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.data.split import Split
@@ -26,6 +25,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulati
 from tsa_ctrl.identify.diagnosis.parameters.held_out import rms_over
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, FOLDS
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.student import half_width
 from tsa_ctrl.model.effects.specification import Setting
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
@@ -35,7 +35,6 @@ LEAST_PART = 0.05  # of the mean square left, that a term must take elsewhere: l
 LEAST_GAIN = 0.1  # of the mean square left on held-out data, that the whole must take to be told
 TRIAL = 1e-3  # coefficient at which a term's response is computed; it is linear but for a load's friction
 SINGULAR = 1e-9  # of a column's square, added to the normal equations: twins among the terms
-LEVEL = 0.95
 CONSTANTS = "abc"
 
 HARMONICS = ("sin({0})", "cos({0})", "sin(2*{0})", "cos(2*{0})", "{0}", "{0}**2")
@@ -105,7 +104,7 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     better = int(np.sum(sums[:, 1] < sums[:, 0]))
     if not left < (1.0 - LEAST_GAIN) * before or 2 * better <= len(held):
         return None
-    half = float(stdtrit(max(int(blocks[-1]), 1), 0.5 + 0.5 * LEVEL)) * spread
+    half = half_width(max(int(blocks[-1]), 1)) * spread
     told = zip(names, constants, half, strict=True)
     return Formula(
         expression,

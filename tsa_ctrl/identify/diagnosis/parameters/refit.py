@@ -12,18 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.student import NOISE, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Value
 from tsa_ctrl.model.functions import Array
 
-LEVEL = 0.95
-FREEDOM = 12.0  # degrees of freedom of the noise's density where it matters
 WIDEST = 3.0  # how much the blocks may widen an interval
 WIDEST_STEP = 0.1  # of a coordinate of the base, where nothing is known of it
 STEP = 0.05  # of a standard deviation, for derivatives of parameters
@@ -31,7 +29,7 @@ STEP = 0.05  # of a standard deviation, for derivatives of parameters
 
 @dataclass(frozen=True)
 class Refit:
-    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for LEVEL."""
+    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for the interval."""
 
     fitted: Fit
     covariance: Array
@@ -56,7 +54,7 @@ def refit(problem: Problem, found: Fit) -> Refit:
     index = np.flatnonzero(best.free | (np.arange(count) < base))  # a bound says nothing of how sure x and T_p are
     if index.size and plain.count:
         covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
-    return Refit(best, covariance, float(stdtrit(FREEDOM, 0.5 + 0.5 * LEVEL)))
+    return Refit(best, covariance, half_width(NOISE))
 
 
 def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:

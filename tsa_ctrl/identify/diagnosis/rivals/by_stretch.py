@@ -11,13 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
-from tsa_ctrl.identify.diagnosis.parameters.refit import FREEDOM, LEVEL
 from tsa_ctrl.identify.diagnosis.rivals.groups import PARAMETER_ERROR
 from tsa_ctrl.identify.diagnosis.rivals.stretch_fit import BASE, ONCE, Stretch, StretchFit, Term
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.student import NOISE, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE, of_the_stretch
 from tsa_ctrl.model.effects.search import Scales, Value
 from tsa_ctrl.model.functions import Array
@@ -158,7 +157,7 @@ def _cause(
 def _parameters(stretch: Stretch, found: StretchFit, index: int) -> dict[str, Quantity | str]:
     """The parameters of an effect with their intervals."""
     term, amplitude = found.terms[index], float(found.amplitudes[index])
-    factor = float(stdtrit(FREEDOM, 0.5 + 0.5 * LEVEL))
+    factor = half_width(NOISE)
     half = factor * float(found.deviations[index])
     coordinate = term.variant.coordinates[0]
     corners = [term.values(min(max(amplitude + side * half, coordinate.low), coordinate.high)) for side in (-1.0, 1.0)]
