@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from tools.campaign import virtual
+from tools.campaign.phase import verdict as verdicts
 from tools.campaign.phase.acts import ACTS
 from tools.campaign.phase.catalogue import BY_NAME, HAZARDS
 from tools.campaign.phase.plan import MOMENTS, PHASES, Draw, Trial, chosen, full, pairs
 from tools.campaign.phase.results import read, row, summary
-from tools.campaign.phase.stage import Seen, Traces
+from tools.campaign.phase.stage import Seen, Stage, Traces
 from tools.campaign.phase.verdict import Judge, Verdict, judge, motion
 from tools.manual import hazards
 from tsa_ctrl.errors import UsageError
@@ -85,6 +86,50 @@ def test_before_there_is_torque_a_fault_that_passes_may_be_over() -> None:
 def test_motion_is_the_worst_of_all_axes() -> None:
     found = motion((traces(0.5, 0.5, speed=1.0), traces(*[-0.5] * 100, speed=-3.0)), 1.0)
     assert (found.speed, found.energy) == (3.0, pytest.approx(0.15))
+
+
+ANEW = next(trial for trial in full(1) if trial.key == "recovery asked for meanwhile | fault | 6")  # a free joint
+
+
+@pytest.mark.slow
+def test_a_recovery_may_move_a_free_joint_as_a_first_start_does() -> None:
+    found = judge(ANEW)
+    assert found.wrong == ()
+    assert found.cause.startswith("emergency")
+
+
+@pytest.mark.slow
+def test_a_recovery_that_moves_the_joint_more_than_it_wants_is_unsafe(monkeypatch: pytest.MonkeyPatch) -> None:
+    def faulty(stage: Stage) -> None:
+        stage.recover()
+        stage.tune("setpoint_gain", 2.0)
+
+    monkeypatch.setitem(ACTS, "recover", faulty)
+    assert "beyond, borne are" in "; ".join(judge(ANEW).wrong)
+
+
+def test_what_a_recovery_wants_excuses_no_lie_and_no_running_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    def played(trial: Trial) -> str:
+        twins = []
+
+        def play(twin: Trial, compensation: float | None = None) -> tuple[Seen, float]:
+            twins.append(twin.phase)
+            return seen(0.0), 0.25
+
+        monkeypatch.setattr(verdicts, "play", play)
+        moved = Seen((traces(*[0.5] * 300, speed=3.0),), 1.0, 1.4, 0.9, math.inf, (STALE,), (), "", "")
+        assert "rad/s of the joint beyond" in "; ".join(verdict(trial, moved).wrong)
+        return " ".join(twins)
+
+    free = dataclasses.replace(ANEW, phase="resetting")
+    assert "enabling" in played(free)
+    assert "enabling" not in played(dataclasses.replace(free, phase="running"))
+    assert "enabling" not in played(dataclasses.replace(free, names=("friction half",)))
+
+
+def test_motion_is_looked_at_between_two_times() -> None:
+    found = motion((traces(*[0.5] * 100, speed=1.0),), 1.0095, 1.0195)
+    assert found.energy == pytest.approx(0.005)
 
 
 def test_the_plan_has_every_fault_in_every_phase_at_every_moment_once() -> None:

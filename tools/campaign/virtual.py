@@ -10,8 +10,9 @@ is repeated and none is left out; the same trial gives the same result to the la
 
 A trial is safe when, at the plant, the motor's torque stays within the limiter's, is zero within [safety]
 zero_torque_within of a fault that takes something away, stays so, and the cause is named; and when the joint is not
-moved, beyond what it does without the fault or with the torque off, by more than 2 rad/s, 0.35 rad or 0.1 J
-(phase/verdict.py says why so much). A lie that shows only with motion is measured by these three as everything else.
+moved, beyond what it does without the fault, with the torque off or, by a recovery that was asked for, in as long of a
+first start, by more than 2 rad/s, 0.35 rad or 0.1 J (phase/verdict.py says why so much). A lie that shows only with
+motion is measured by these three as everything else.
 
 Each trial is a line in --out (default virtual.jsonl), written at once: a run that was interrupted goes on with the same
 command. --part I/N does every N-th trial from the I-th on; --sample N the first N of a drawn order. --keep writes what

@@ -4,12 +4,15 @@ A joint that a fault moves is compared with the same joint that meets no fault, 
 goes off at that moment: what a weight does by itself when nobody holds it, no software can prevent. Where tendons or
 sheaths change, with the same fault without compensation, too: what friction no longer holds moves by itself. Where a
 fault lets the joint go for a moment, with the same joint without it and a tenth less friction: it may have stuck by a
-hair. What moves while the motor has no torque at all is its wearer's or its weight's.
+hair. Where a recovery was asked for, with as long of a first start of the same rig without any fault: set-points count
+from the enable on, and a recovery wants what a start wants. What moves while the motor has no torque at all is its
+wearer's or its weight's.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,9 +33,11 @@ TRAVEL = 0.35  # rad beyond it: 20 degrees, the reserve of a knee or an elbow in
 LOOSE = 0.9  # of the friction: a joint that stuck by a hair where its twin went on is compared with one that does not
 ENERGY = 0.1  # J that the tendons give the joint beyond it: a limb of 0.05 kg*m^2 at `SPEED`
 EARLY = ("start", "enabling", "resetting", "recovering")  # phases in which torque may still be to come
+RECOVERED = ("fault", "resetting", "recovering")  # phases of axes that were off, in which a recovery may be asked for
 MOVED = ("imposed", "held")  # by another, whatever the motor does: judged by torque alone
 _ONCE = ("emcy", "error_frame", "replay", "fault", "foreign_sdo")  # lines that are over when they have begun
 OFF = "safe torque off"
+Excess = tuple[float, float, float]  # rad/s, rad, J
 
 
 @dataclass(frozen=True)
@@ -52,11 +57,11 @@ class Verdict:
     wrong: tuple[str, ...]
     zero: float | None
     peak: float
-    excess: tuple[float, float, float]  # rad/s, rad, J beyond the same joint without the fault
+    excess: Excess  # beyond the same joint without the fault
     cause: str
 
 
-def motion(axes: Sequence[Traces], since: float) -> Motion:
+def motion(axes: Sequence[Traces], since: float, until: float = math.inf) -> Motion:
     """The worst of all axes."""
     speed = energy = 0.0
     low = high = 0.0
@@ -64,7 +69,7 @@ def motion(axes: Sequence[Traces], since: float) -> Motion:
         work = least = 0.0
         begin: float | None = None
         for clock, angle, omega, torque in zip(traces.clock, traces.angle, traces.speed, traces.delivered, strict=True):
-            if clock < since:
+            if not since <= clock <= until:
                 continue
             begin = angle if begin is None else begin
             speed = max(speed, abs(omega))
@@ -149,13 +154,13 @@ class Judge:
             wrong.append(f"nothing names its cause; told is: {'; '.join(seen.faults) or seen.refused or 'nothing'}")
         return wrong
 
-    def _motion(self) -> tuple[tuple[float, float, float], list[str]]:
+    def _motion(self) -> tuple[Excess, list[str]]:
         """What the joints did beyond what they do without the fault, and what of it is too much."""
         if self._trial.draw.load in MOVED or self._seen.injected is None:
             return (0.0, 0.0, 0.0), []
         here = motion(self._seen.axes, self._since)
         excess = (here.speed, max(here.high, -here.low), here.energy)
-        if excess[0] <= SPEED and excess[1] <= TRAVEL and excess[2] <= ENERGY:
+        if _borne(excess):
             return excess, []
         names = self._trial.names
         twins: list[tuple[tuple[str, ...], float | None]] = [((), None), ((OFF,), None)]
@@ -170,13 +175,13 @@ class Judge:
         for trial, names, compensation in others:  # each only where the one before is no excuse
             twin, _ = play(dataclasses.replace(trial, names=names), compensation)
             there = motion(twin.axes, self._since if twin.injected is None else twin.injected)
-            beyond = (
-                max(0.0, here.speed - there.speed),
-                max(0.0, here.high - there.high, there.low - here.low),
-                max(0.0, here.energy - there.energy),
-            )
-            excess = (min(excess[0], beyond[0]), min(excess[1], beyond[1]), min(excess[2], beyond[2]))
-            if excess[0] <= SPEED and excess[1] <= TRAVEL and excess[2] <= ENERGY:
+            excess = _less(excess, here, there)
+            if _borne(excess):
+                return excess, []
+        recovered = self._trial.phase in RECOVERED and self._seen.asked > 0.0
+        if recovered and not any(hazard.lie for hazard in self._hazards):
+            excess = _less(excess, here, self._wanted())
+            if _borne(excess):
                 return excess, []
         if not self._rows:  # no torque since the fault: who moved this joint was its wearer, or its weight
             return excess, []
@@ -184,6 +189,35 @@ class Judge:
             (excess[0], SPEED, "rad/s of the joint"), (excess[1], TRAVEL, "rad of travel"), (excess[2], ENERGY, "J"),
         )  # fmt: skip
         return excess, [f"{value:.2f} {unit} beyond, borne are {most:g}" for value, most, unit in said if value > most]
+
+    def _wanted(self) -> Motion:
+        """What a first start without a fault does in as long as this trial's recovery was enabled."""
+        began = first_enabled(self._seen.axes, self._seen.asked)
+        length = max((each.clock[-1] for each in self._seen.axes if each.clock), default=0.0) - began
+        twin, _ = play(dataclasses.replace(self._trial, names=(), phase="enabling"))
+        start = first_enabled(twin.axes, 0.0)
+        return motion(twin.axes, start, start + length)
+
+
+def first_enabled(axes: Sequence[Traces], since: float) -> float:
+    """When the first of these axes was enabled from `since` on, s; infinite when none was."""
+    return min(
+        (clock for each in axes for clock, enabled in zip(each.clock, each.enabled, strict=True)
+         if clock >= since and enabled),
+        default=math.inf,
+    )  # fmt: skip
+
+
+def _less(excess: Excess, here: Motion, there: Motion) -> Excess:
+    """Of each the lesser: what it was, or what is here beyond what is there."""
+    beyond = (here.speed - there.speed, max(here.high - there.high, there.low - here.low), here.energy - there.energy)
+    return (
+        min(excess[0], max(0.0, beyond[0])), min(excess[1], max(0.0, beyond[1])), min(excess[2], max(0.0, beyond[2])),
+    )  # fmt: skip
+
+
+def _borne(excess: Excess) -> bool:
+    return excess[0] <= SPEED and excess[1] <= TRAVEL and excess[2] <= ENERGY
 
 
 def _over(hazard: Hazard) -> bool:
