@@ -143,3 +143,49 @@ def test_a_reset_forgets_where_they_were() -> None:
         assert [check.update(0.0, place, 0.0, 0.0) for _ in range(50)] == [None] * 50
     check.reset()
     assert [check.update(0.0, 0.0, 0.0, 30.0) for _ in range(50)] == [None] * 50
+
+
+WHOLE = Give(stiffness=STIFFNESS, wound=WOUND, domain=1.8, play=0.01)
+WAY = 0.03 * 1.25 + 0.01 + 0.02  # rad: wound up and its doubt, counts, pulleys
+
+
+def settled(check: Apart, torque: float, angle: float, speed: float, joint: float) -> float | None:
+    """What it says after a second of the same."""
+    said = None
+    for _ in range(1000):
+        said = check.update(torque, angle, speed, joint)
+    return said
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("before", "after", "beyond"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -1.0), 1.0 - WAY),
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 5.0, -1.0), 1.0 - WAY - 0.01),  # 2 ms of 5 rad/s
+        ((0.0, 2.0, 0.0, 2.0), (0.0, 3.0, 0.0, 2.0), 1.0 - WAY - 0.02),  # 2 % of 1 rad since the enable
+        ((0.0, 0.0, 0.0, 0.0), (-2.2, 0.0, 0.0, -1.0), 1.055 - WAY - 0.01375 - 0.01),  # a quarter of 2.2 and 0.4 N*m
+        ((-2.2, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, -1.0), 0.945 - WAY - 0.01375 - 0.01),
+        ((0.0, 0.0, 0.0, 0.0), (0.0, 0.05, 0.0, 0.0), 0.05 - 0.03),  # the encoder does not move
+        ((0.5, 0.0, 0.0, 0.0), (-0.3, -0.06, 0.0, 0.0), 0.06 - 0.025 - 0.03),  # by 0.8 N*m and a quarter of it
+        ((0.4, 0.0, 0.0, 0.0), (2.2, 0.10, 0.0, 0.0), 0.10 - 0.06625 - 0.03),  # of them 0.4 with one tendon
+    ],
+)  # fmt: skip
+def test_by_how_much_they_are_apart_beyond_what_may_be(
+    before: tuple[float, ...], after: tuple[float, ...], beyond: float, way: float
+) -> None:
+    """N*m, rad, rad/s, rad, once all of it rests; what was seen creeps by no more than 0.1 mrad in that time."""
+    check = Apart(WHOLE, PERIOD)
+    first, second = ([way * value for value in values] for values in (before, after))
+    assert settled(check, *first) is None  # type: ignore[call-arg]
+    assert settled(check, *second) == pytest.approx(beyond, abs=1e-4)  # type: ignore[call-arg]
+
+
+def test_in_which_cycle_it_is_told_and_by_how_much() -> None:
+    """A jump of 70 mrad through a low-pass of 10 ms; what was seen creeps by a fifth of the way in a second."""
+    check = Apart(WHOLE, PERIOD)
+    assert settled(check, 0.0, 0.0, 0.0, 0.0) is None
+    told = next((n, said) for n in range(1, 500) if (said := check.update(0.0, 0.0, 0.0, -0.07)) is not None)
+    due = [(n, 0.07 * (1.0 - math.exp(-0.1 * n)) - 0.2 * WAY * 1e-3 * (n - 1) - WAY) for n in range(1, 500)]
+    expected = next((n, beyond) for n, beyond in due if beyond > 0.0)
+    assert told == (expected[0], pytest.approx(expected[1], abs=1e-6))

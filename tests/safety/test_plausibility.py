@@ -387,3 +387,14 @@ def test_settings_are_bounded_from_both_sides(key: str, good: tuple[float, ...],
     for value in bad:
         with pytest.raises(msgspec.ValidationError):
             msgspec.convert({key: value}, PlausibilitySettings)
+
+
+def test_what_the_torque_does_not_explain_lasts_for_5_ms_before_it_counts() -> None:
+    period = 5e-4
+    settings = PlausibilitySettings()
+    assert settings.slip is None
+    check = Plausibility(settings, 2.0, 1.0, RADII, True, GIVE, period)
+    times = [n * period for n in range(1, 60)]
+    found = [now for now in times if check.update(now, 0.1 + now, (0.1 + now, 3.0 * (now > 0.01), now), now, NO_SENSOR,
+                                                  (0.0, 0.0))]  # fmt: skip
+    assert found[0] - 0.0105 == pytest.approx(5.25e-3, abs=0.6 * period)  # the next cycle at the latest

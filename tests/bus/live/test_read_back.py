@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Callable
 
@@ -105,13 +106,17 @@ def test_a_node_that_refuses_or_is_silent_is_no_matter() -> None:
     node.abort = True
     assert node.run(1.0) is None
     for n in range(3000):
-        node.reader.update(10.0 + 1e-3 * n)  # never answered: once a second, of the next object
-    assert len(node.asked) < 60
+        node.now = 10.0 + 1e-3 * n
+        node.reader.update(node.now)  # never answered: once a second, of the next object
+    assert [now for now, _, _ in node.asked if now >= 10.0] == [10.0, 11.0, 12.0]
+    indices = [struct.unpack_from("<H", data, 1)[0] for _, _, data in node.asked]
+    assert all(one != other for one, other in itertools.pairwise(indices))
 
 
 def test_what_the_loop_writes_itself_and_what_is_not_there_is_not_asked_for() -> None:
     target, mode = Object(0x6871, 0, Type.I16, "target torque"), Object(0x6060, 0, Type.I8, "mode of operation")
-    rows = [Row(TIMER, 0, 20), Row(CLAMP, None, None), Row(target, 0, 0), Row(mode, 0, 10)]
+    word = Object(0x6040, 0, Type.U16, "controlword")
+    rows = [Row(TIMER, 0, 20), Row(CLAMP, None, None), Row(target, 0, 0), Row(mode, 0, 10), Row(word, 0, 6)]
     assert held_by(Report((NodeReport("drive", 1, rows=rows),))) == (HELD[0],)
 
 
@@ -147,3 +152,118 @@ def test_of_a_slow_bus_a_few_unheard_commands_are_not_yet_too_many() -> None:
     drive = Heard(1, Object(0x6071, 0, Type.I16, "target torque"), Hearing())
     ReadBack(Node(), 125_000, HELD, [drive], 0.2)  # type: ignore[arg-type]
     assert drive.hearing.too_many == 3
+
+
+def test_questions_go_out_in_the_cycle_in_which_they_are_due() -> None:
+    node = Node()
+    for now in (0.0, 0.019, 0.02, 0.021, 0.04):
+        node.now = now
+        node.reader.update(now)
+        node.answer()
+    assert [now for now, _, _ in node.asked] == [0.0, 0.02, 0.04]
+
+
+def test_a_bus_that_is_said_to_be_faster_is_asked_no_more_often() -> None:
+    one, two = Node(), Node(bitrate=2_000_000)
+    one.run(1.0)
+    two.run(1.0)
+    assert len(one.asked) == len(two.asked)
+
+
+class Drive:
+    """Node 1 with one object of its settings and 0x607A, four bytes wide, for what it heard last."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[float, int]] = []
+        self.heard: list[int] = []
+        self.now = 0.0
+        self.hearing = Hearing()
+        self.hearing.answered = self.heard.append  # type: ignore[method-assign]
+        place = Heard(1, Object(0x607A, 0, Type.I32, "where it heard"), self.hearing)
+        self.reader = ReadBack(self, 1_000_000, HELD[:1], [place])  # type: ignore[arg-type]
+
+    def send(self, can_id: int, data: bytes) -> bool:
+        self.asked.append((self.now, struct.unpack_from("<H", data, 1)[0]))
+        return True
+
+    def at(self, now: float, answer: bytes | None = None) -> int | None:
+        """The object that is asked for at this time, which is answered."""
+        count = len(self.asked)
+        self.now = now
+        self.reader.update(now)
+        if len(self.asked) == count:
+            return None
+        index = self.asked[-1][1]
+        good = (
+            struct.pack("<BHBi", 0x43, 0x607A, 0, 20_000_000)
+            if index == 0x607A
+            else struct.pack("<BHBI", 0x4B, 0x1400, 5, 20)
+        )
+        assert self.reader.answer(1, good if answer is None else answer) is False
+        return index
+
+
+def test_a_drive_is_asked_on_a_grid_of_its_own_which_a_late_cycle_does_not_move() -> None:
+    drive = Drive()
+    due = 0.001 + 0.020618
+    assert [drive.at(now) for now in (0.0, 0.001, 0.02, due)] == [0x1400, 0x607A, 0x1400, 0x607A]
+    late = due + 0.020618 + 0.0005
+    assert [drive.at(now) for now in (0.0401, late)] == [0x1400, 0x607A]
+    times = (0.0602, due + 1.999 * 0.020618, due + 2.001 * 0.020618)
+    assert [drive.at(now) for now in times] == [0x1400, None, 0x607A]
+    assert drive.heard == [20_000_000] * 4
+
+
+def test_a_question_begins_a_new_list_of_what_is_sent_and_a_refusal_is_no_answer() -> None:
+    drive = Drive()
+    drive.hearing.sent.extend((1, 2, 3))
+    drive.at(0.0)
+    assert list(drive.hearing.sent) == [1, 2, 3]
+    drive.at(0.001, struct.pack("<BHBI", 0x80, 0x607A, 0, 0x06020000))
+    assert (list(drive.hearing.sent), drive.heard) == ([], [])
+
+
+def test_every_command_of_a_second_may_be_lost_where_nothing_else_is_said() -> None:
+    drive = Drive()
+    assert drive.hearing.too_many == 49  # one each 20.618 ms
+
+
+def test_an_answer_that_nobody_asked_for_or_of_another_node_answers_nothing() -> None:
+    node = Node()
+    wrong = struct.pack("<BHBI", 0x4B, 0x1400, 5, 0)
+    assert node.reader.answer(1, wrong) is False
+    node.reader.update(0.0)
+    assert node.reader.answer(2, wrong) is False
+    assert node.answer(lambda _: wrong) is False
+    node.reader.update(0.02)
+    assert node.reader.answer(2, wrong) is False
+    assert node.reader.answer(1, wrong) is True
+
+
+def test_after_a_word_that_differs_and_one_that_does_not_or_a_refusal_the_round_goes_on() -> None:
+    timer, clamp = b"\x00\x14", b"\x72\x60"
+    wrong, right = struct.pack("<BHBI", 0x4B, 0x1400, 5, 0), struct.pack("<BHBI", 0x4B, 0x1400, 5, 20)
+    refused = struct.pack("<BHBI", 0x80, 0x1400, 5, 0x06020000)
+    good = struct.pack("<BHBI", 0x4B, 0x6072, 0, 3000)
+    for second, says in ((right, False), (refused, False), (wrong, True)):
+        node = Node()
+        said = []
+        for place, answer in enumerate((wrong, second, good, wrong, right, good)):
+            node.reader.update(0.02 * place + 1e-6)
+            said.append(node.answer(lambda _, answer=answer: answer))  # type: ignore[misc]
+        assert [data[1:3] for _, _, data in node.asked] == [timer, timer, clamp, timer, timer, clamp]
+        assert said == [False, says, False, False, False, False]
+
+
+def test_all_four_bytes_of_a_value_are_compared() -> None:
+    class Silent:
+        def send(self, can_id: int, data: bytes) -> bool:
+            return True
+
+    held = Held(1, Object(0x1016, 1, Type.U32, "consumer heartbeat"), 0x7F0064)
+    reader = ReadBack(Silent(), 1_000_000, [held])  # type: ignore[arg-type]
+    said = []
+    for place in range(2):
+        reader.update(0.02 * place + 1e-6)
+        said.append(reader.answer(1, struct.pack("<BHBI", 0x43, 0x1016, 1, 0x017F0064)))
+    assert said == [False, True]
