@@ -35,6 +35,9 @@ PASSING, PASSING_TIME = 0.015, 0.05
 ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
 FACTOR = 4.0  # of x either way
 STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in an hour
+# 1, times the stretch that friction can hide: the model's tendons begin level, and when they slide, those that lay the
+# other way and have half as much friction again need twice that still; after a turn half is enough for a quarter more
+SURELY = 2.0
 NEARLY = 0.99  # 1, of a bound, that counts as reached
 STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
@@ -87,7 +90,7 @@ class StretchObserver:
         self._first = pairs_of(model)
         self._pairs = self._first.copy()
         self._memory = np.zeros(tendons.MEMORY)
-        self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]))
+        self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]), self._line.centre)
         self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
         per_torque = r_j / r_m
         self._noise = (per_torque * TORQUE_NOISE) ** 2
@@ -100,7 +103,6 @@ class StretchObserver:
 
     def reset(self) -> None:
         """Forget everything, the zero of s, too; the next measurement begins anew."""
-        self.state = StretchState.UNSLID
         self._gap = 0.0
         self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
         self._memory[:] = 0.0
@@ -113,6 +115,7 @@ class StretchObserver:
 
     def _lose(self) -> None:
         """Forget where the fronts are; what was learned of friction and zero stays."""
+        self.state = StretchState.UNSLID
         self.torque = self.low = self.high = math.nan
         self._last = math.nan  # m, the joint's way
         self._omega = math.nan
@@ -132,6 +135,7 @@ class StretchObserver:
             self._pairs[number, 1, tendons.TENSION] += factor * stiffness * real
             memory[tendons.WAY + number] = real
         memory[tendons.JOINT_WAY] = memory[tendons.SLID] = memory[tendons.FAST] = 0.0
+        memory[tendons.SLIDING] = memory[tendons.SENSE] = memory[tendons.TURNED] = 0.0
         memory[tendons.REST] = memory[tendons.KNOWN] = 0.0
         self._grip()
 
@@ -268,14 +272,14 @@ def pairs_of(model: TendonSheath) -> Array:
     return pairs
 
 
-def _settings(model: TendonSheath, period: float, counts: tuple[float, float]) -> Array:
-    """What the filter is told once; `counts` in m of the two pulleys."""
+def _settings(model: TendonSheath, period: float, counts: tuple[float, float], centre: float) -> Array:
+    """What the filter is told once; `counts` in m of the two pulleys, `centre` of the bends, 1."""
     x, stretched = model.friction_angle, model.pretension / model.tendon_stiffness
     told = np.zeros(tendons.SETTINGS)
     told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x
     told[tendons.MOST_ZERO] = stretched
     keep = math.exp(-period / PASSING_TIME)
-    hidden = 0.5 * x * stretched  # m, at a joint at rest: half of what friction can hide
+    hidden = centre * x * stretched  # m that friction can hide, either way, at a motor without torque
     told[tendons.MOST_STIFF] = STIFF_FACTOR
     prior = {tendons.X: FRICTION_PRIOR, tendons.F: PASSING, tendons.Z: hidden}
     walk = {tendons.X: FRICTION_WALK, tendons.Z: ZERO_WALK, tendons.K: STIFF_WALK}
@@ -288,4 +292,5 @@ def _settings(model: TendonSheath, period: float, counts: tuple[float, float]) -
     torque = 0.5 * TORQUE_NOISE / model.motor_pulley_radius / model.tendon_stiffness
     told[tendons.NOISE] = ALIKE * (COUNTS * (counts[0] ** 2 + counts[1] ** 2) / 12.0 + torque**2)
     told[tendons.LEAST] = SLACK * model.pretension
+    told[tendons.SETTLED] = SURELY * hidden
     return told

@@ -161,7 +161,7 @@ ANGLE = 0  # friction angle x of the tendons as they are now, 1
 ZERO = 1  # m of stretch that the encoders show where there is none
 FAST = 2  # 1, friction beyond x that is not expected to stay
 STIFF = 3  # 1, stiffness over the model's
-SLID = 4  # 1 once both tendons have slid all along: what they were before is forgotten
+SLID = 4  # 1 once both tendons have slid all along, however they lay at the start: what they were before is forgotten
 INNOVATION = 5  # m
 REST = 6  # 1, from when the joint's end rests until all slides again: how surely the tensions were known then
 KNOWN = 7  # 1, share of what was held that counts as known
@@ -170,7 +170,10 @@ JOINT_WAY = 9  # m that the joint has made
 WAY = 10  # and the next two: m that the motor has made, by each pair
 GAIN_S, GAIN_T = 13, 15  # two each: m and N by which stretch and T4 - T2 grow with ln x and ln STIFF
 HELD_S, HELD_T = 17, 19  # the same when the joint's end of both tendons came to rest
-COVARIANCE = 21  # from here on, (4, 4)
+SLIDING = 21  # m that motor and joint have made while both tendons slid all along, one way
+SENSE = 22  # -1 or 1, that way; 0 before any
+TURNED = 23  # 1 when it was the other way before
+COVARIANCE = 24  # from here on, (4, 4)
 STATES = 4
 X, K, F, Z = 0, 1, 2, 3  # ln x, ln STIFF, FAST, ZERO (m)
 MEMORY = COVARIANCE + STATES * STATES
@@ -183,11 +186,12 @@ WALK = 8  # and the next three: variance a step gains
 KEEP_F = 12  # share of FAST that a step leaves
 NOISE = 13  # m^2 of a stretch measured
 LEAST = 14  # N, tension below which a tendon is slack
-SETTINGS = 15
+SETTLED = 15  # m of SLIDING, after which all slides whatever was before; a quarter of it where that was the other way
+SETTINGS = 16
 PAIRS = 3  # as they are, with other friction, with other stiffness
 MORE = (-0.05, 0.05)  # 1, of x and of the stiffness; less x, so that it slips before the first does, and never too late
 _OUTLIER = 5.0  # standard deviations beyond which an innovation counts no more
-_STEP = 0.05  # 1, of ln x and ln STIFF, most in a cycle: the tensions must follow
+_STEP = 0.05  # 1, of ln x and ln STIFF, most in a cycle, as the tensions must follow: what asks for more counts less
 OK, UNSETTLED, SLACK = 0, 1, 2
 
 
@@ -199,17 +203,24 @@ def covariance(memory: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
-def _rest(pairs: Array, w: Array, keep: float, sure: float) -> None:
+def _rest(pairs: Array, w: Array, keep: float, sure: float, way: float, settled: float) -> None:
     """Keep apart what no longer depends on x and stiffness: tensions at a joint's end at rest, measured while all slid.
 
-    As far as x, and not the zero, was known then: `sure` is the variance of ln x at which half of it counts.
+    As far as x, and not the zero, was known then: `sure` is the variance of ln x at which half of it counts. `way`: m
+    that motor and joint made in this step; `settled`: see SETTLED.
     """
     n = pairs.shape[3] - 1
     slides = True
     for i in range(n):
         slides = slides and pairs[0, 0, MODE, i] != 0.0 and pairs[0, 1, MODE, i] != 0.0
     if slides:
-        w[SLID] = 1.0
+        sense = pairs[0, 1, MODE, 0]
+        if sense != w[SENSE]:
+            w[TURNED] = 1.0 if w[SENSE] != 0.0 else 0.0
+            w[SENSE], w[SLIDING] = sense, 0.0
+        w[SLIDING] += way
+        if w[SLIDING] > (0.25 if w[TURNED] else 1.0) * settled:
+            w[SLID] = 1.0
         w[REST] = 0.0
     elif w[REST] == 0.0 and pairs[0, 0, MODE, n - 1] == 0.0 and pairs[0, 1, MODE, n - 1] == 0.0:
         w[REST] = sure / (sure + covariance(w)[X, X])
@@ -270,10 +281,13 @@ def observe(
     n = pairs.shape[3] - 1
     w = memory
     all_settled = True
+    gone = abs(joint)
     for number in range(PAIRS):
         way, settled = move(pairs[number], difference, joint)
         w[WAY + number] += way
         all_settled = all_settled and settled
+        if number == 0:
+            gone += abs(way)
     least = min(pairs[0, 0, TENSION].min(), pairs[0, 1, TENSION].min())
     if not (all_settled and least > settings[LEAST]):
         return math.nan, math.nan, UNSETTLED if least > settings[LEAST] else SLACK
@@ -283,13 +297,13 @@ def observe(
         w[GAIN_S + which] = (w[WAY + 1 + which] - w[WAY]) / MORE[which]
         w[GAIN_T + which] = (pairs[1 + which, 1, TENSION, n] - pairs[1 + which, 0, TENSION, n] - end) / MORE[which]
     keep = settings[KEEP_F]
-    _rest(pairs, w, keep, 2.0 * settings[PRIOR + F])
+    _rest(pairs, w, keep, 2.0 * settings[PRIOR + F], gone, settings[SETTLED])
     for which in range(2):
         w[GAIN_S + which] -= w[KNOWN] * w[HELD_S + which]
         w[GAIN_T + which] -= w[KNOWN] * w[HELD_T + which]
     error = stretch - w[ZERO] - (w[WAY] - w[JOINT_WAY]) - w[GAIN_S] * keep * w[FAST]
     w[INNOVATION] = error
-    by_x, by_k = _learn(w, settings, keep, error)
+    by_x, by_k = _learn(w, settings, keep, error) if w[SLID] == 1.0 else (0.0, 0.0)  # friction before that is not known
     x = min(settings[HIGH], max(settings[LOW], w[ANGLE] * math.exp(by_x)))
     most = settings[MOST_STIFF]
     stiff = min(most, max(1.0 / most, w[STIFF] * math.exp(by_k)))
@@ -322,10 +336,12 @@ def _learn(w: Array, settings: Array, keep: float, error: float) -> tuple[float,
         gain[i] = h * (p[i, X] + p[i, F]) + by_k * p[i, K] + p[i, Z]
     total = h * (gain[X] + gain[F]) + by_k * gain[K] + gain[Z] + settings[NOISE]
     most = _OUTLIER * math.sqrt(total)
-    share = min(most, max(-most, error)) / total
+    error = min(most, max(-most, error))
+    total *= max(1.0, abs(gain[X] * error / total) / _STEP, abs(gain[K] * error / total) / _STEP)
+    share = error / total
     for i in range(STATES):
         for j in range(STATES):
             p[i, j] -= gain[i] * gain[j] / total
     w[FAST] = keep * w[FAST] + gain[F] * share
     w[ZERO] = min(settings[MOST_ZERO], max(-settings[MOST_ZERO], w[ZERO] + gain[Z] * share))
-    return min(_STEP, max(-_STEP, gain[X] * share)), min(_STEP, max(-_STEP, gain[K] * share))
+    return gain[X] * share, gain[K] * share
