@@ -50,6 +50,18 @@ def test_no_parameter_takes_what_is_outside(parameters: tuple[Parameter, ...]) -
     assert [parameter.value for parameter in parameters] == before
 
 
+def test_every_parameter_takes_its_bounds(parameters: tuple[Parameter, ...]) -> None:
+    tuner = Tuner(parameters, 1e3)  # s, in which everything arrives
+    for index, parameter in enumerate(parameters):
+        if parameter.name == "direction_zone":  # never narrower than the encoder's noise
+            continue
+        for value in (parameter.low, parameter.high):
+            if value is not None:
+                tuner.set(index, value)
+                tuner.update()
+                assert parameter.value == value, parameter.name
+
+
 def test_a_torque_limit_comes_down_without_a_jump(parameters: tuple[Parameter, ...]) -> None:
     """From all to nothing within a quarter of a second, in steps that the torque can follow."""
     index, limit = next((n, p) for n, p in enumerate(parameters) if p.name == "torque_limit")
@@ -69,3 +81,68 @@ def test_limits_can_be_lowered_never_raised(parameters: tuple[Parameter, ...]) -
     by_name = {parameter.name: parameter for parameter in parameters}
     for name in ("torque_limit", "rate_limit"):
         assert by_name[name].high == by_name[name].value
+
+
+ALWAYS = {  # name: bounds and unit/s; None: another kind's. With x = 0.26, T_p0 = 45 N, 2 N*m, 200 N*m/s of the file
+    "compensation": (0.0, 1.2, 0.5),
+    "slew": (1.0, 10_000.0, math.inf),
+    "damping": (None, None, math.inf),
+    "friction_angle": (None, None, 0.13),
+    "pretension": (None, None, 22.5),
+    "use_estimate": (None, None, math.inf),
+    "bending_angle": (None, None, 2.0),
+    "direction_zone": (0.002, 10.0, math.inf),
+    "setpoint_gain": (-2.0, 2.0, 0.5),
+    "back_off": (0.0, 1.0, 0.5),
+    "torque_limit": (0.0, 2.0, 8.0),
+    "rate_limit": (1.0, 200.0, math.inf),
+}
+USED = {"use_estimate": (0.0, 1.0, math.inf)}
+OF_KIND = {
+    "fixed": {"friction_angle": (0.0, 0.52, 0.13), "pretension": (0.0, 90.0, 22.5)},
+    "sensor": USED,
+    "map": {"bending_angle": (0.0, 100.0, 2.0)},
+    "motor": USED,
+    "stretch": USED,
+}
+
+
+def bounds(parameters: tuple[Parameter, ...]) -> dict[str, tuple[float | None, float | None, float]]:
+    return {each.name: (each.low, each.high, each.rate) for each in parameters}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> None:
+    bending = [('# source = "fixed"  ', 'source = "command"  ')] if kind == "map" else []
+    machine = Machine(tmp_path, ('# kind = "stretch"  ', f'kind = "{kind}"  '), *bending)
+    found = bounds(parameters_of(machine.axis))
+    expected = ALWAYS | OF_KIND[kind]
+    assert list(found) == list(expected)
+    for name, values in expected.items():
+        assert found[name] == pytest.approx(values), name
+    machine.close()
+
+
+def test_damping_can_be_lowered_from_what_the_motor_bears(tmp_path: Path) -> None:
+    machine = Machine(tmp_path, ("# motor_inertia = 1e-4 ", "motor_inertia = 1e-4 "))
+    most = machine.axis.law.plan.damping
+    assert 0.0 < most < 1.0
+    assert bounds(parameters_of(machine.axis))["damping"] == (0.0, most, math.inf)
+    machine.close()
+
+
+def test_what_moves_slowly_takes_its_time_and_then_rests(parameters: tuple[Parameter, ...]) -> None:
+    index, gain = next((n, p) for n, p in enumerate(parameters) if p.name == "setpoint_gain")
+    tuner = Tuner(parameters, 1e-3)
+    tuner.set(index, 0.9)
+    values = []
+    for _ in range(202):
+        tuner.update()
+        values.append(gain.value)
+    assert values[0] == pytest.approx(0.9995)
+    assert values[99] == pytest.approx(0.95)
+    assert values[198] > 0.9
+    assert values[200:] == [0.9, 0.9]
+    setattr(gain.part, gain.attribute, 0.3)
+    tuner.update()
+    assert gain.value == 0.3  # it arrived, and holds nothing any more

@@ -28,6 +28,7 @@ COMMANDS: Mapping[str, str] = {
     "runaway": "tools/run campaign/runaway --rows FILE",
     "runaway-missed": "tools/run campaign/runaway --rows FILE --which",
     "two-encoders": "tools/run bench/two_encoders --by-row --draws 1",
+    "supervision": "tools/run bench/supervision",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",
 }
 Row = dict[str, Any]
