@@ -26,10 +26,10 @@ def test_what_a_part_calls_of_another_counts_there_alone() -> None:
 @pytest.mark.slow
 def test_every_part_of_the_loop_is_seen_and_left_as_it_was() -> None:
     before = {(owner, name): getattr(owner, name) for places in PARTS.values() for owner, name in places}
-    begun = loop.run_cycle
+    begun = vars(loop)["run_cycle"]
     found, cycles = measured(0.3, 1000.0, "held")
     assert cycles > 250
     assert set(found) == {*PARTS, "the rest"} - {"bus and plant"}
     assert all(value > 0.0 for value in found.values())
-    assert loop.run_cycle is begun
+    assert vars(loop)["run_cycle"] is begun
     assert {(owner, name): getattr(owner, name) for owner, name in before} == before

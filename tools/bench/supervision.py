@@ -22,6 +22,7 @@ from typing import Any
 
 from tools import command
 from tsa_ctrl.bus.live.read_back import ReadBack
+from tsa_ctrl.control import cycle
 from tsa_ctrl.daemon import loop
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
@@ -101,8 +102,8 @@ def stamped() -> Iterator[Stamps]:
         for part, places in PARTS.items():
             for owner, name in places:
                 put(owner, name, stamps.timed(part, getattr(owner, name)))
-        put(loop, "run_cycle", stamps.cycle(loop.run_cycle))
-        put(loop, "follow_up", stamps.timed("the rest", loop.follow_up))
+        put(loop, "run_cycle", stamps.cycle(cycle.run_cycle))
+        put(loop, "follow_up", stamps.timed("the rest", cycle.follow_up))
         yield stamps
 
 
