@@ -207,7 +207,7 @@ class Rig:
             ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 0.5 "),
             ("# zero_torque_within = 0.25 ", f"zero_torque_within = {PATIENT} "),
         )  # fmt: skip
-        edit(folder, "plant.toml", ('"vcan0"', f'"{vcan}"'))
+        edit(folder, "plant.toml", ('"vcan0"', f'"{vcan}"'), ('# load = "imposed" ', 'load = "held" '))
         self.plant = subprocess.Popen(["tsa", "plant", "plant.toml"], cwd=folder, stdout=subprocess.PIPE, text=True)
         assert self.plant.stdout is not None
         assert any("ready" in line for line in self.plant.stdout)
@@ -243,6 +243,9 @@ def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants
     assert all(0.0 < time <= found["limit"] for time in times.values())
     assert times["withheld"] > 0.2  # by the heartbeat's time-out alone
     assert times["kill"] > 0.1  # by the command's
+    acted = {trial["trial"]: trial["watchdog"] for trial in found["trials"]}
+    assert acted == {"withheld": "heartbeat", "hang": "rpdo", "kill": "rpdo"}
+    assert all(trial["pull"]["shown"].startswith("right") for trial in found["trials"])
     record = json.loads(Path(folder / found["record"]).read_text(encoding="utf-8"))
     assert record["safe"] is True
     assert len(record["trials"][0]["samples"]) > 10
@@ -250,6 +253,19 @@ def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants
         ["tsa", "run", "controller.toml", "--seconds", "0.5"], cwd=folder, capture_output=True, text=True
     )
     assert after.returncode == 0, after.stderr
+
+
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_a_motor_that_pulls_the_wrong_way_is_found_by_its_first_torque(
+    folder: Path, vcan: str, plants: list[Rig]
+) -> None:
+    plants.append(Rig(folder, vcan))
+    edit(folder, "controller.toml", ("# torque_sign = 1 ", "torque_sign = -1 "))
+    found, code, error = plants[0].verify()
+    assert (code, found) == (1, {})
+    assert "the motor's torque the wrong way round" in error
 
 
 def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configuration:

@@ -55,25 +55,21 @@ class Stamps:
 
     def __init__(self) -> None:
         self.rows: list[dict[str, float]] = []
-        self._open: list[list[Any]] = []  # name, s of parts inside, calls inside
+        self._inside: list[float] = []  # s of the parts inside of each that runs, and of what their stamps cost
         self._row: dict[str, float] = {}
         self._cost = statistics.median(-(time.perf_counter() - time.perf_counter()) for _ in range(1000))
 
     def timed(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def stamped(*arguments: Any) -> Any:
-            inside = [name, 0.0, 0]
-            self._open.append(inside)
+            self._inside.append(self._cost)
             begin = time.perf_counter()
             try:
                 return function(*arguments)
             finally:
                 taken = time.perf_counter() - begin
-                self._open.pop()
-                own = taken - inside[1] - self._cost * (1 + inside[2])
-                self._row[name] = self._row.get(name, 0.0) + 1e6 * own
-                if self._open:
-                    self._open[-1][1] += taken
-                    self._open[-1][2] += 1
+                self._row[name] = self._row.get(name, 0.0) + 1e6 * (taken - self._inside.pop())
+                if self._inside:
+                    self._inside[-1] += taken + self._cost
 
         return stamped
 
