@@ -49,7 +49,7 @@ def fit(problem: Problem, hypothesis: Hypothesis, start: Array, iterations: int 
             if attempt == TRIES:  # along some coordinates a gradient means little: try without them
                 damping = 1e-4
             used = jacobian if attempt < TRIES else np.where(nonsmooth, 0.0, jacobian)
-            step = _step(used, residual, point, hypothesis, damping)
+            step = bounded_step(used, residual, hypothesis.low - point, hypothesis.high - point, damping)
             trial = np.clip(point + step, hypothesis.low, hypothesis.high)
             change = trial - point
             expected = rss - float(np.sum((residual - jacobian @ change) ** 2))
@@ -99,9 +99,12 @@ def gradients(problem: Problem, fitted: Fit) -> Array:
     return _jacobian(problem, fitted.hypothesis, fitted.point, fitted.residual)
 
 
-def _step(jacobian: Array, residual: Array, point: Array, hypothesis: Hypothesis, damping: float) -> Array:
-    """Damped least-squares step; the coordinate that leaves its bounds furthest is held there, the rest solved anew."""
-    count = len(point)
+def bounded_step(jacobian: Array, residual: Array, low: Array, high: Array, damping: float) -> Array:
+    """Damped least-squares step (k,) within `low` .. `high`, by jacobian (m, k) and residual (m,).
+
+    The coordinate that leaves its bounds furthest is held there, the rest solved anew.
+    """
+    count = len(low)
     scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
     gram = (jacobian / scale).T @ (jacobian / scale)
     slope = (jacobian / scale).T @ residual
@@ -115,12 +118,11 @@ def _step(jacobian: Array, residual: Array, point: Array, hypothesis: Hypothesis
         right = slope[index] - gram[np.ix_(index, fixed)] @ (step[fixed] * scale[fixed])
         matrix = gram[np.ix_(index, index)] + damping * np.eye(index.size)
         step[index] = np.linalg.solve(matrix, right) / scale[index]
-        target = point + step
-        beyond = np.where(free, np.maximum(hypothesis.low - target, target - hypothesis.high), 0.0) * scale
+        beyond = np.where(free, np.maximum(low - step, step - high), 0.0) * scale
         worst = int(np.argmax(beyond))
         if beyond[worst] <= 0.0:
             break
-        step[worst] = np.clip(target[worst], hypothesis.low[worst], hypothesis.high[worst]) - point[worst]
+        step[worst] = np.clip(step[worst], low[worst], high[worst])
         free[worst] = False
     return step
 

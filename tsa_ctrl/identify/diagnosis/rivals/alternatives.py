@@ -16,7 +16,7 @@ from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.residual.structure import error_criterion
 from tsa_ctrl.identify.diagnosis.rivals.groups import UNRECORDED, Group, Rival, compared, groups
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, with_fit, without_causes
-from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
+from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless, meaningless_by_error
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 
 MOST_CHANGES = 8  # of a name, by a rival that does better: each leaves less, so that they end, and few are ever needed
@@ -46,7 +46,8 @@ def alternatives(
     if guesses:
         chosen = without_causes(chosen, guesses)
         grouped = groups(problem, chosen.fitted, catalogue, structure)
-    while unfounded := meaningless(problem, chosen.fitted):  # another variant, or without a guess beside it
+    unmeant = meaningless if structure is None else meaningless_by_error
+    while unfounded := unmeant(problem, chosen.fitted):  # another variant, or without a guess beside it
         chosen = without_causes(chosen, unfounded)
         grouped = groups(problem, chosen.fitted, catalogue, structure)
     return chosen, tuple(grouped)
@@ -96,7 +97,7 @@ def _better(problem: Problem, fitted: Fit, grouped: Sequence[Group]) -> Fit | No
     best, least = None, CLEARLY_BETTER * simulation_error(problem, fitted, reversals)
     for group in grouped:
         for rival in group.alternatives:
-            if not _takes_the_place(rival) or meaningless(problem, rival.fitted):
+            if not _takes_the_place(rival) or meaningless_by_error(problem, rival.fitted):
                 continue
             error = simulation_error(problem, rival.fitted, reversals)
             if error < least:

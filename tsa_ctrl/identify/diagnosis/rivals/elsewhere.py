@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, bounded_step
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
 from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
@@ -22,6 +22,7 @@ from tsa_ctrl.model.functions import Array
 # its scatter; and where noise is most of the error, whitened residuals are the sharper test
 VISIBLY = 1.5
 BEYOND = 3.0  # t of the difference over about 24 blocks: 0.3 % one-sided
+SINGULAR = 1e-9  # of a coordinate's square, added to it: twins stay where they are, and all else moves as if it were 0
 
 
 @dataclass(frozen=True)
@@ -46,25 +47,19 @@ class Elsewhere:
 def elsewhere(problem: Problem, found: Fit, reversals: bool) -> Elsewhere:
     """The simulation error of a hypothesis on blocks it was not fitted on: whole logs where there are enough of them.
 
-    One Gauss-Newton step from the fit on all of them, with each coordinate kept within its bounds.
+    One Gauss-Newton step from the fit on all of them; where a bound holds a coordinate the others are solved anew, for
+    along a valley (friction and pretension beside a torque constant) the one alone means a wall.
     """
     learned = fit_on_simulation_error(problem, found, reversals)
     blocks, folds = problem.blocks, _folds(problem)
     jacobian, residual = learned.jacobian, learned.residual
-    low, high = learned.hypothesis.low[learned.free], learned.hypothesis.high[learned.free]
     point = learned.point[learned.free]
-    gram = jacobian.T @ jacobian
-    gram[np.diag_indices(len(gram))] *= 1.0 + 1e-9
+    low, high = learned.hypothesis.low[learned.free] - point, learned.hypothesis.high[learned.free] - point
     squares = np.zeros(int(blocks[-1]) + 1)
     for fold in np.unique(folds):
         inside = folds == fold
-        part, rest = jacobian[inside], residual[inside]
-        step = np.zeros(len(point))
-        if len(point):
-            left = gram - part.T @ part
-            known = np.linalg.pinv(left, rcond=1e-10, hermitian=True) @ (jacobian[~inside].T @ residual[~inside])
-            step = np.clip(point + known, low, high) - point
-        squares += np.bincount(blocks[inside], (rest - part @ step) ** 2, len(squares))
+        step = bounded_step(jacobian[~inside], residual[~inside], low, high, SINGULAR)
+        squares += np.bincount(blocks[inside], (residual[inside] - jacobian[inside] @ step) ** 2, len(squares))
     return Elsewhere(squares * problem.noise.rms**2)
 
 

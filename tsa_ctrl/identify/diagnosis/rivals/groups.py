@@ -10,7 +10,7 @@ Where most of what is left is structure, the simulation error decides (`residual
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
-from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless
+from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless, meaningless_by_error
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
 from tsa_ctrl.model.catalogue import twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
@@ -115,7 +115,8 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
     ]
     if structure is not None:
         found = _by_simulation_error(problem, found, structure, smaller, models_reversals(fitted))
-    found = _judged_elsewhere(problem, fitted, smaller, found, limits)
+    unmeant = meaningless if structure is None else meaningless_by_error
+    found = _judged_elsewhere(problem, fitted, smaller, found, limits, unmeant)
     best: dict[str, Rival] = {}  # of each name
     for rival in sorted(found, key=lambda rival: (rival.excluded, rival.worse)):
         best.setdefault(rival.name, rival)
@@ -136,9 +137,17 @@ def _by_simulation_error(
 
 
 def _judged_elsewhere(
-    problem: Problem, fitted: Fit, smaller: Fit, found: Sequence[Rival], limits: set[str]
+    problem: Problem,
+    fitted: Fit,
+    smaller: Fit,
+    found: Sequence[Rival],
+    limits: set[str],
+    unmeant: Callable[[Problem, Fit], list[int]],
 ) -> list[Rival]:
-    """The same, with what samples that no fit has seen say of those that are left, and of `limits` of the cause."""
+    """The same, with what samples that no fit has seen say of those that are left, and of `limits` of the cause.
+
+    unmeant: numbers of the effects of a fit that mean nothing, for which nothing wins.
+    """
     judged = list(found)
     reversals = models_reversals(fitted)
     own = without = None
@@ -148,7 +157,7 @@ def _judged_elsewhere(
         if own is None or without is None:
             own, without = (elsewhere(problem, each, reversals) for each in (fitted, smaller))
         other = elsewhere(problem, rival.fitted, reversals)
-        wins = other.clearly_beats(own) and not meaningless(problem, rival.fitted)
+        wins = other.clearly_beats(own) and not unmeant(problem, rival.fitted)
         judged[number] = dataclasses.replace(
             rival,
             fails_elsewhere=own.clearly_beats(other),

@@ -12,6 +12,11 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
+    fit_on_simulation_error,
+    models_reversals,
+    on_simulation_error,
+)
 
 # Of the torque: a part three times as large has eight ninths of its square cancelled by other parts, so that its number
 # is the difference of two guesses
@@ -29,6 +34,14 @@ def meaningless(problem: Problem, found: Fit) -> list[int]:
         for index, part in enumerate(_parts(problem, found))
         if _at_bound(problem, found, index) or part > MOST_PART * torque(problem)
     ]
+
+
+def meaningless_by_error(problem: Problem, found: Fit) -> list[int]:
+    """The same where structure decides: of the numbers that the simulation error wants, which are those reported.
+
+    What structure colours whitens away what is as slow, and drives a number to a bound that the error never asks for.
+    """
+    return meaningless(on_simulation_error(problem, models_reversals(found)), fit_on_simulation_error(problem, found))
 
 
 def torque(problem: Problem) -> float:

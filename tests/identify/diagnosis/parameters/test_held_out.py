@@ -1,0 +1,71 @@
+"""A cause that the held-out logs cannot show is not worthless for it; one that they show, and that does harm, is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.identify.diagnosis.nominal import model
+from tsa_ctrl.identify.diagnosis.data.prepare import prepare
+from tsa_ctrl.identify.diagnosis.data.split import split
+from tsa_ctrl.identify.diagnosis.fitting.fit import fit
+from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
+from tsa_ctrl.identify.diagnosis.hypotheses.candidates import candidates, scales_of
+from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut, held_out
+
+R_J, R_M, X, PRETENSION = 0.025, 0.02, 0.26, 45.0
+LOADS = (0.1, 0.35, 0.6, 0.85, 1.1)  # N*m at the joint
+T = np.arange(0.0, 12.0, 0.005)
+
+Columns = dict[str, NDArray[np.float64]]
+
+
+def log(number: int, growth: float) -> Columns:
+    """One load, with friction that grows with it about the middle one, where there is somewhat less of it besides."""
+    rng = np.random.default_rng(number)
+    omega = np.cos(2.0 * np.pi * 0.3 * T)
+    heavier = 1.0 + growth * (LOADS[number] - LOADS[2]) - (0.02 if number == 2 else 0.0)
+    friction = 2.0 * PRETENSION * R_J * np.sinh(X) * heavier
+    tau_j = LOADS[number] + 0.05 * np.sin(2.0 * np.pi * 0.11 * T + number) + 0.01 * rng.normal(size=T.size)
+    tau_m = (tau_j + friction * np.sign(omega)) * R_M / R_J / np.cosh(X)
+    return {"t": T, "tau_m": tau_m, "omega_j": omega, "tau_j": tau_j}
+
+
+@cache
+def errors(hold_out: str, growth: float) -> HeldOut:
+    """With load_dependent_friction and viscous_friction as causes, the first in truth."""
+    nominal = model()
+    data = split(prepare({f"load{n}.csv": log(n, growth) for n in range(5)}, nominal, hold_out), hold_out)
+    scales = scales_of(data.frame, nominal)
+    catalogue = candidates(data.frame, nominal, scales).catalogue
+    problem, base = recalibrated(data.frame, nominal, scales, catalogue)
+    hypothesis, start = base.hypothesis, [base.point]
+    for name in ("load_dependent_friction", "viscous_friction"):
+        variant = catalogue[name][0]
+        hypothesis = replace(hypothesis, variants=(*hypothesis.variants, variant))
+        start.append(np.array(variant.starts[0]))
+    found = fit(problem, hypothesis, np.concatenate(start))
+    return held_out(problem, base, found, data, 0.0)
+
+
+@pytest.mark.slow
+def test_a_cause_of_the_other_loads_is_kept_where_the_middle_one_is_held_out() -> None:
+    found = errors("load2*", 0.4)
+    assert found.lost[0] > 0.2
+    assert found.worthless != 0
+
+
+@pytest.mark.slow
+def test_a_cause_that_is_not_there_loses_nothing() -> None:
+    assert max(errors("load2*", 0.0).lost) <= 0.05
+
+
+@pytest.mark.slow
+def test_a_cause_that_the_held_out_load_shows_is_judged_there() -> None:
+    found = errors("load4*", 0.4)
+    assert found.lost[0] > 0.2
+    assert found.worthless == 1
