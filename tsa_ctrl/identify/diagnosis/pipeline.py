@@ -88,7 +88,7 @@ def diagnose(
             groups = (*groups[:worthless], *groups[worthless + 1 :])
             errors = held_out(selection.problem, base, selection.fitted, data, share)
         beside = by_stretch(selection, scales)
-        reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted))
+        reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted, share > 0.0))
         reported = in_proportion(data.frame, reported)
         refuse_unrelated(problem, data.held, errors, share)
         refuse_useless(problem, bool(selection.fitted.names), errors)

@@ -3,20 +3,23 @@
 Along them a prediction jumps at every reversal, so a gradient says neither where the best value is nor how sure it is,
 and the columns that free each reversal's own moment take out the very pulses that tell it. So without these columns
 the sum of squares is followed along the coordinate, block by block, everything else solved for linearly; blocks drawn
-with replacement then spread the best value (a block bootstrap, Efron and Tibshirani 1993).
+with replacement then spread the best value (a block bootstrap, Efron and Tibshirani 1993); where structure is left,
+states of motion are drawn as well, and the wider spread counts (`passes`).
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
+from tsa_ctrl.identify.diagnosis.parameters.passes import states_of
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.model.functions import Array
 
@@ -25,6 +28,7 @@ FIRST_SPAN = 2.0  # steps of the coordinate, to either side
 DOUBLINGS = 6  # of the span
 HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end
 DRAWS = 400
+REACH = 4.0  # standard deviations that a profile spans where they are known: of 400 draws hardly one lies beyond
 MOST_RSS = 1.1  # of the sum of squares of the fit, that the refined one may have
 UNEVEN = 0.5  # of a grid step: jumps of single samples make a profile no smoother
 
@@ -38,42 +42,51 @@ def profile_refined(problem: Problem, reported: Refit) -> Refit:
     plain = on_simulation_error(problem, models_reversals(found))
     bare = dataclasses.replace(plain, nuisance=Nuisance(plain.nuisance.smooth))
     covariance = reported.covariance.copy()
+    clusters = (bare.blocks, states_of(bare)) if reported.structured else (bare.blocks,)
     for i in nonsmooth:
-        best, deviation = _resampled(bare, found, int(i))
         before = float(np.sqrt(max(covariance[i, i], 0.0)))
+        best, deviation = _resampled(bare, found, int(i), clusters, REACH * before if reported.structured else 0.0)
         covariance[i, :] *= deviation / before if before > 0.0 else 0.0
         covariance[:, i] = covariance[i, :]
         covariance[i, i] = deviation**2
         found = _with_coordinate(plain, found, int(i), best)
-    return Refit(found, covariance, reported.factor)
+    return dataclasses.replace(reported, fitted=found, covariance=covariance)
 
 
-def _resampled(problem: Problem, found: Fit, index: int) -> tuple[float, float]:
-    """Best value of one coordinate and its standard deviation, in its own scale."""
+def _resampled(
+    problem: Problem, found: Fit, index: int, clusters: Sequence[NDArray[np.int64]], reach: float
+) -> tuple[float, float]:
+    """Best value of one coordinate and its standard deviation, in its own scale; the profile spans `reach` at least."""
     present = dataclasses.replace(found, residual=_residual(problem, found, found.point))
     others = orthonormal(np.delete(gradients(problem, present), index, axis=1))
-    count = int(problem.blocks[-1]) + 1
 
     def squares(u: float) -> Array:
         point = found.point.copy()
         point[index] = u
         rest = _residual(problem, found, point)
         rest = rest - others @ (others.T @ rest)
-        return np.asarray(np.bincount(problem.blocks, rest * rest, count), dtype=np.float64)
+        return np.asarray(rest * rest)
 
-    grid = _grid(found, index, lambda u: float(squares(u).sum()))
+    grid = _grid(found, index, lambda u: float(squares(u).sum()), reach)
     profile = np.array([squares(float(u)) for u in grid])
-    drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), DRAWS)
-    spread = float(np.std(_lowest(grid, profile @ drawn.T)))
+    spread = 0.0
+    for cluster in clusters:
+        count = int(cluster.max(initial=0)) + 1
+        within = np.array([np.bincount(cluster, each, count) for each in profile])
+        drawn = np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), DRAWS)
+        spread = max(spread, float(np.std(_lowest(grid, within @ drawn.T))))
     step = float(grid[1] - grid[0])
     return float(_lowest(grid, profile.sum(axis=1, keepdims=True))[0]), float(np.hypot(spread, UNEVEN * step))
 
 
-def _grid(found: Fit, index: int, total: Callable[[float], float]) -> Array:
-    """Values about the present one, so far to either side that the sum of squares has risen well above the noise."""
+def _grid(found: Fit, index: int, total: Callable[[float], float], reach: float) -> Array:
+    """Values about the present one, so far to either side that the sum of squares has risen well above the noise.
+
+    And `reach`, in the coordinate's scale, at least.
+    """
     coordinate = found.hypothesis.coordinates[index]
     middle = float(found.point[index])
-    span = FIRST_SPAN * coordinate.step
+    span = max(FIRST_SPAN * coordinate.step, reach)
     enough = total(middle) + HIGH_ENOUGH
     for _ in range(DOUBLINGS):
         low, high = max(coordinate.low, middle - span), min(coordinate.high, middle + span)

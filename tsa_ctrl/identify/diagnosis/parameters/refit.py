@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
+from tsa_ctrl.identify.diagnosis.parameters.passes import states_of, widened
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.student import NOISE, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE
@@ -29,11 +30,15 @@ STEP = 0.05  # of a standard deviation, for derivatives of parameters
 
 @dataclass(frozen=True)
 class Refit:
-    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for the interval."""
+    """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for the interval.
+
+    structured: whether what is left is not noise alone, so that passes over the same motion are no news (`passes`).
+    """
 
     fitted: Fit
     covariance: Array
     factor: float
+    structured: bool = False
 
     def quantity(self, value: float, variance: float, unit: str, low: float, high: float) -> Quantity:
         """Interval of a derived number; a positive one with a wide interval is taken as log-normal."""
@@ -44,8 +49,8 @@ class Refit:
         return Quantity(value, max(value - half, low), min(value + half, high), unit)
 
 
-def refit(problem: Problem, found: Fit) -> Refit:
-    """Fit of the same hypothesis on the simulation error, started at `found`."""
+def refit(problem: Problem, found: Fit, structured: bool = False) -> Refit:
+    """Fit of the same hypothesis on the simulation error, started at `found`; `structured` as of `Refit`."""
     plain = on_simulation_error(problem, models_reversals(found))
     best = fit(plain, found.hypothesis, found.point)
     count = len(best.point)
@@ -53,16 +58,19 @@ def refit(problem: Problem, found: Fit) -> Refit:
     base = len(best.hypothesis.base.coordinates())
     index = np.flatnonzero(best.free | (np.arange(count) < base))  # a bound says nothing of how sure x and T_p are
     if index.size and plain.count:
-        covariance[np.ix_(index, index)] = _covariance(problem, plain, best, gradients(plain, best)[:, index])
-    return Refit(best, covariance, half_width(NOISE))
+        covariance[np.ix_(index, index)] = _covariance(
+            problem, plain, best, gradients(plain, best)[:, index], structured
+        )
+    return Refit(best, covariance, half_width(NOISE), structured)
 
 
-def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) -> Array:
+def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, structured: bool) -> Array:
     """Of the coordinates of `jacobian` (m, k): what noise of that colour spreads, or blocks if they differ by more.
 
-    A log has few blocks that are longer than its slow noise, so blocks alone come out too sure.
+    A log has few blocks that are longer than its slow noise, so blocks alone come out too sure. Where structure is left
+    states of motion are blocks as well.
     """
-    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10)
+    bread = np.asarray(np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10), dtype=np.float64)
     columns = np.zeros((len(plain.frame), jacobian.shape[1]))
     columns[plain.mask] = jacobian
     coloured = bread @ problem.noise.spread(columns, plain.frame.slices) @ bread / plain.noise.rms**2
@@ -71,8 +79,9 @@ def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array) ->
     np.add.at(scores, plain.blocks, jacobian * best.residual[:, None])
     blocked = bread @ (scores.T @ scores * number / max(number - 1, 1)) @ bread
     ratio = np.diag(blocked) / np.maximum(np.diag(coloured), 1e-300)
-    widened = np.sqrt(np.clip(ratio, 1.0, WIDEST**2))
-    return np.asarray(coloured * np.outer(widened, widened))
+    wider = np.sqrt(np.clip(ratio, 1.0, WIDEST**2))
+    covariance = np.asarray(coloured * np.outer(wider, wider))
+    return widened(covariance, jacobian @ bread, best.residual, states_of(plain)) if structured else covariance
 
 
 def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
