@@ -24,13 +24,18 @@ BENDS = [[0.0, 0.0], [0.6, 1.0], [1.0, 1.0]]  # s_c 0.3
 COLUMNS = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j")
 
 
-def columns(folder: Path, load: str, setpoint: dict[str, Any], seconds: float = 5.0) -> dict[str, np.ndarray]:
+def columns(
+    folder: Path, load: str, setpoint: dict[str, Any], seconds: float = 5.0, bends: list[list[float]] = BENDS
+) -> dict[str, np.ndarray]:
     """A log of a rig that is not nominal, its motor's inertia 1e-4."""
-    plant = {"perturbation": OFF, "tendon": {"curvature": BENDS}}
+    plant = {"perturbation": OFF, "tendon": {"curvature": bends}}
     result = play(folder, load, setpoint, seconds, compensation=0.7, plant=plant)
     log = result.log
     kept = np.isfinite(log["q_m"]) & np.isfinite(log["q_j"]) & np.isfinite(log["tau_m"]) & np.isfinite(log["tau_j"])
     return {name: log[name][kept] for name in COLUMNS}
+
+
+TWO_BENDS = [[0.0, 0.0], [0.1, 0.0], [0.35, 0.5], [0.65, 0.5], [0.9, 1.0], [1.0, 1.0]]
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +57,19 @@ def test_with_a_torque_sensor_stiffness_shape_and_inertia_are_found(gait: dict[s
     assert fit.motor_inertia.value == pytest.approx(1e-4, rel=0.15)
     assert fit.model.axial_stiffness_uncertainty < 0.03
     assert fit.friction_angle.value == pytest.approx(1.15 * 0.9 * NOMINAL.friction_angle, rel=0.03)
+
+
+@pytest.mark.slow
+def test_two_bends_with_a_straight_piece_between_are_told_from_an_even_one(tmp_path: Path) -> None:
+    """Both have their centre at 0.5; the places of a sixth, a half less and a half more, and of five sixths."""
+    fit = fit_stretch([dataset(columns(tmp_path, "imposed", GAIT, bends=TWO_BENDS))], NOMINAL)
+    course = fit.model.bending_course
+    assert course is not None
+    places = np.interp([1.0 / 6.0, 0.4, 0.6, 5.0 / 6.0], *np.array(course).T[::-1])
+    assert places == pytest.approx([0.183, 0.3, 0.7, 0.817], abs=0.06)
+    assert fit.centre is not None
+    assert fit.centre.low < 0.5 < fit.centre.high
+    assert fit.motor_inertia.value == pytest.approx(1e-4, rel=0.1)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from tsa_ctrl.model.parameters import (
     load_tendon_sheath,
     save_model,
 )
+from tsa_ctrl.model.stretch import profile_of
 
 EXAMPLE = Path(__file__).parents[2] / "config" / "actuator.toml"
 DRIVE = '[actuator]\nkind = "rigid_drive"\ninertia = 0.002\ncoulomb_friction = 0.05\n'
@@ -44,6 +45,41 @@ def bare(model: TendonSheath | RigidDrive) -> TendonSheath | RigidDrive:
 def test_example_is_the_reference_actuator() -> None:
     """The commented example loads to the numbers that stand in it."""
     assert bare(load_model(EXAMPLE)) == dataclasses.replace(ACTUATOR, bending_centre=0.5)
+
+
+COURSE = ((0.0, 0.0), (0.1, 0.5), (0.7, 0.5), (0.8, 1.0), (1.0, 1.0))
+
+
+def with_course(course: str, centre: str = "") -> str:
+    return EXAMPLE.read_text().replace("bending_centre = 0.5 ", f"bending_course = {course}\n{centre}# ")
+
+
+def test_a_course_of_the_bending_has_its_own_centre_and_is_squeezed_to_one_that_is_given(tmp_path: Path) -> None:
+    """0.05 and 0.75 are the middles of its two bends; read, written and read again it is the same."""
+    course = str([list(point) for point in COURSE])
+    own = loaded(tmp_path, with_course(course))
+    assert isinstance(own, TendonSheath)
+    assert own.bending_course == COURSE
+    assert own.bending_centre == pytest.approx(0.4)
+    assert profile_of(own).points == COURSE
+    given = loaded(tmp_path, with_course(course, "bending_centre = 0.2"))
+    assert isinstance(given, TendonSheath)
+    assert profile_of(given).centre == pytest.approx(0.2)
+    save_model(given, tmp_path / "again.toml", template=EXAMPLE)
+    assert bare(load_model(tmp_path / "again.toml")) == bare(given)
+
+
+@pytest.mark.parametrize(
+    ("course", "words"),
+    [
+        ("[[0.0, 0.0], [0.5, 0.6], [0.4, 1.0], [1.0, 1.0]]", r"bending_course is \[\[0.0, 0.0\].*; give \[\[fraction"),
+        ("[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]", "centre at 1, allowed is between 0 and 1; remove it"),
+    ],
+)
+def test_what_is_no_course_is_refused_in_one_line(tmp_path: Path, course: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words) as caught:
+        loaded(tmp_path, with_course(course))
+    assert "\n" not in str(caught.value)
 
 
 def test_derived_quantities() -> None:

@@ -16,6 +16,7 @@ from functools import cached_property
 from types import MappingProxyType
 from typing import TypeAlias
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import F, Functions
 
 Points: TypeAlias = tuple[tuple[float, float], ...]  # (fraction of the length, fraction of the bending)
@@ -71,6 +72,20 @@ def centred(profile: Profile, centre: float) -> Profile:
         return Profile((*((share * u, b) for u, b in profile.points), (1.0, 1.0)))
     share = (1.0 - centre) / (1.0 - now)
     return Profile(((0.0, 0.0), *((1.0 - share * (1.0 - u), b) for u, b in profile.points)))
+
+
+def course_of(given: Points, where: str) -> Profile:
+    """[sheath] bending_course; raises UsageError for what is no course, and for one that bends at one end alone."""
+    points = as_points(given)
+    if points is None:
+        raise UsageError(f"{where}: [sheath] bending_course is {[list(pair) for pair in given]}; give {POINTS}")
+    course = Profile(points)
+    if not 0.0 < course.centre < 1.0:
+        raise UsageError(
+            f"{where}: [sheath] bending_course has its centre at {course.centre:g}, allowed is between 0 and 1; remove "
+            "it, and give [effects.elongation_coupling] for a sheath that bends at one end alone"
+        )
+    return course
 
 
 def as_points(value: object) -> Points | None:

@@ -19,6 +19,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
+from tsa_ctrl.model.curvature import Points, course_of
 from tsa_ctrl.model.provenance import interval_low, toml_table
 
 Positive = Annotated[float, Meta(gt=0.0)]
@@ -64,6 +65,7 @@ class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     contact_offset: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # p, m
     unstrained_bending_angle: float | None = None  # Theta_us, rad (3.51)
     bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, where no effect gives the whole course
+    bending_course: tuple[tuple[float, float], ...] | None = None  # (of the length, of the bending) about that centre
 
 
 class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -125,6 +127,7 @@ class TendonSheath:
     series_stiffness: float | None = None
     series_at_joint: bool = False
     bending_centre: float | None = None  # of the length from the motor; None: evenly bent, or by elongation_coupling
+    bending_course: Points | None = None  # how the bends lie about it; None: evenly. It moves nothing but the stretch
     friction_angle_uncertainty: float = 0.25
     pretension_uncertainty: float = 0.25
     axial_stiffness_uncertainty: float = UncertaintySection().axial_stiffness
@@ -154,10 +157,8 @@ class TendonSheath:
     @property
     def tendon_stiffness(self) -> float:
         """k_t = 1 / (l_us/EA + 1/k_s), N/m: pretension per path-length change (3.56)."""
-        compliance = self.unstrained_length / self.axial_stiffness
-        if self.series_stiffness is not None:
-            compliance += 1.0 / self.series_stiffness
-        return 1.0 / compliance
+        spring = 0.0 if self.series_stiffness is None else 1.0 / self.series_stiffness
+        return 1.0 / (self.unstrained_length / self.axial_stiffness + spring)
 
     @property
     def lever(self) -> float:
@@ -232,6 +233,8 @@ def model_from(data: dict[str, Any], where: str) -> Model:
     file = settings.convert(data, ActuatorFile, where)
     if file.tendon.series_position is not None and file.tendon.series_stiffness is None:
         raise UsageError(f"{where}: [tendon] series_position without series_stiffness; give that (N/m) or remove this")
+    centre, bends = file.sheath.bending_centre, file.sheath.bending_course
+    course = None if bends is None else course_of(bends, where)
     model = TendonSheath(
         motor_pulley_radius=file.actuator.motor_pulley_radius,
         joint_pulley_radius=file.actuator.joint_pulley_radius,
@@ -243,7 +246,8 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         friction_coefficient=file.sheath.friction_coefficient,
         bending_angle=file.sheath.bending_angle,
         contact_offset=file.sheath.contact_offset,
-        bending_centre=file.sheath.bending_centre,
+        bending_centre=course.centre if centre is None and course is not None else centre,
+        bending_course=None if course is None else course.points,
         pretension=0.0,  # resolved below; it needs the stiffness
         friction_angle_uncertainty=file.uncertainty.friction_angle,
         pretension_uncertainty=file.uncertainty.pretension,
@@ -315,11 +319,9 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
     if isinstance(model, RigidDrive):
         names = ("inertia", "coulomb_friction", "viscous_friction", "torque_offset")
         return {"actuator": {"kind": "rigid_drive", **{name: getattr(model, name) for name in names}}}
-    uncertainty: dict[str, float | None] = {
-        "friction_angle": model.friction_angle_uncertainty,
-        "pretension": model.pretension_uncertainty,
-    }
-    place, usual = "joint" if model.series_at_joint else "motor", UncertaintySection()
+    known = ("friction_angle", "pretension")
+    uncertainty: dict[str, float | None] = {name: getattr(model, f"{name}_uncertainty") for name in known}
+    place, usual, course = "joint" if model.series_at_joint else "motor", UncertaintySection(), model.bending_course
     for name in ("axial_stiffness", "bending_centre"):  # only where somebody found them
         value = getattr(model, f"{name}_uncertainty")
         uncertainty[name] = None if value == getattr(usual, name) else value
@@ -341,6 +343,7 @@ def _sections(model: Model) -> dict[str, dict[str, Any]]:
             "contact_offset": model.contact_offset,
             "unstrained_bending_angle": None,
             "bending_centre": model.bending_centre,
+            "bending_course": None if course is None else [list(point) for point in course],
         },
         "pretension": {"value": model.pretension, "length_change": None},
         "uncertainty": uncertainty,

@@ -106,12 +106,12 @@ def why_not(model: TendonSheath) -> str:
 
 
 def profile_of(model: TendonSheath) -> Profile:
-    """Where the sheath of a model bends; evenly where it does not say, or around the centre that it gives."""
+    """Where the sheath of a model bends; evenly where it does not say, and about the centre that it gives."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
     if isinstance(transmission, Elongating):
         return transmission.profile
-    even = Profile.of("uniform")
-    return even if model.bending_centre is None else centred(even, model.bending_centre)
+    course = Profile.of("uniform" if model.bending_course is None else model.bending_course)
+    return course if model.bending_centre is None else centred(course, model.bending_centre)
 
 
 def compliance_centre(model: TendonSheath) -> float:

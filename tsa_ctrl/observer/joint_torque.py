@@ -9,6 +9,7 @@ from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
 MEMORY = 2.0  # s over which sensor and stretch are compared: a turn or two, so that no reversal alone speaks
+SENSOR = 0.03  # 1, of its torque, that a sound joint torque sensor may be off itself, beside the band
 OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: told above, told again only after it was below
 
 
@@ -79,7 +80,9 @@ class JointTorque:
         if tau_j == tau_j and stretch.state is StretchState.TOLD and fresh:
             forget = self._forget
             self.difference += forget * (tau_j - stretch.torque - self.difference)
-            self._outside += forget * ((0.0 if stretch.low <= tau_j <= stretch.high else 1.0) - self._outside)
+            room = SENSOR * abs(tau_j)
+            agrees = stretch.low - room <= tau_j <= stretch.high + room
+            self._outside += forget * ((0.0 if agrees else 1.0) - self._outside)
             if self._outside > OFTEN:
                 self.contradicted = True
             elif self._outside < SELDOM:

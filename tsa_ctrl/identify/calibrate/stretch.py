@@ -4,7 +4,7 @@ The observer's tendons (`tsa_ctrl.observer.tendons`) are led through the log by 
 foretell the stretch; Gauss-Newton's method finds
 
     ln of the stiffness   (E A and a series spring by one factor: the way of s with tau_M while all slides, 1/(2 k_t))
-    s_c                   (the model's bends squeezed to one end)
+    s_c                   (the model's bends squeezed to one end; then their course, `course`)
     ln x                  (at the model's pretension: the way of s from one direction to the other, x T_p (1 - s_c)/k_t)
     J_M, and the zero of s of each log
 
@@ -25,15 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate.course import find_course
 from tsa_ctrl.identify.calibrate.regression import block_labels, solve
+from tsa_ctrl.identify.calibrate.tendon_log import TendonLog, foretold, taken, varied
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.curvature import centred
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of
-from tsa_ctrl.observer import tendons
-from tsa_ctrl.observer.stretch import pairs_of
 
 FloatArray = NDArray[np.float64]
 
@@ -43,9 +42,9 @@ MOST = (0.3, 0.1, 0.3, 2e-4)  # in one round
 # 95 %, of the same, for what the chain of contacts leaves out: with it beside the scatter of the blocks the intervals
 # hold the truth on rigs whose file is up to 20 % off in friction, pretension and stiffness (tools/run bench/stretch)
 MODEL = (0.006, 0.006, 0.03, 5e-6)
+COURSE_FOUND = 0.002  # 1, of s_c, instead, where the log has shown the course of the bends: 0.0013 at most
 WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log cannot tell
 LEAST_SLID = 1.0  # s after the tendons have slid all along
-TURNED = 0.05  # of the joint's way at the motor: pulley radii are known to a few per cent
 CENTRES = (0.01, 0.97)
 
 
@@ -87,50 +86,50 @@ class StretchFit:
 _Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # rows, rests, blocks
 
 
-@dataclass(frozen=True)
-class _Log:
-    """One log as the tendons take it, (n,) each."""
-
-    name: str
-    tau_m: FloatArray
-    acceleration: FloatArray  # rad/s^2, of the motor
-    way: FloatArray  # m that the joint's pulley turns from row to row
-    stretch: FloatArray  # m
-    tau_j: FloatArray | None
-    period: float
-
-
 def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
     """Fit them to all logs at once. Raises UsageError, with the cure, for what these logs cannot tell."""
     if not (model.friction_angle > 0.0 and model.pretension > 0.0):
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
-    taken = [_taken(log, model) for log in logs]
-    sensor = all(log.tau_j is not None for log in taken)
+    seen = [taken(log, model) for log in logs]
+    count = len(seen)
     # ln k, s_c, ln x, J_M; then the zero of each log, and of its sensor
-    count = len(taken)
-    p = np.array([0.0, profile_of(model).centre, 0.0, 0.0, *(log.stretch[0] for log in taken), *np.zeros(count)])
+    p = np.array([0.0, profile_of(model).centre, 0.0, 0.0, *(log.stretch[0] for log in seen), *np.zeros(count)])
+    sensor = all(log.tau_j is not None for log in seen)
+    half, rms = _search(seen, model, p, sensor, _names(logs))
+    if sensor and "elongation_coupling" not in model.effects and p[1] <= MOST_CENTRE:
+        model = find_course(seen, _variant(model, p), float(p[3]))
+        p[:3] = 0.0, profile_of(model).centre, 0.0
+        half, rms = _search(seen, model, p, sensor, _names(logs), COURSE_FOUND)
+    return _result(seen, model, p, half, rms, sensor)
+
+
+def _search(
+    logs: list[TendonLog], model: TendonSheath, p: FloatArray, sensor: bool, names: str, of_centre: float = MODEL[1]
+) -> tuple[dict[int, float], float]:
+    """Gauss-Newton from `p`, which it moves; half the interval of each that is free, and the stretch's RMS (m)."""
+    count = len(logs)
     free = [0, 1, 2, 3, *range(4, 4 + 2 * count)] if sensor else [0, 2, 3, *range(4, 4 + count)]
     step = np.array([*STEPS, *np.full(count, 1e-6), *np.full(count, 1e-3)])
     most = np.array([*MOST, *np.full(count, 1e-3), *np.full(count, 1.0)])
-    labels = block_labels([log.stretch.size for log in taken])
+    labels = block_labels([log.stretch.size for log in logs])
     for _ in range(ROUNDS):
-        rows, rest, blocks, rms = _linear(taken, model, p, free, step, sensor, labels)
+        rows, rest, blocks, rms = _linear(logs, model, p, free, step, sensor, labels)
         try:
             estimate = solve(rows, rows, rest, blocks)
         except np.linalg.LinAlgError:
-            raise UsageError(f"{_names(logs)}: {_CURE}") from None
+            raise UsageError(f"{names}: {_CURE}") from None
         change = np.clip(estimate.value, -most[free], most[free])
         p[free] += change
         p[1] = min(CENTRES[1], max(CENTRES[0], p[1]))
         if np.all(np.abs(change) < 0.01 * step[free]):
             break
     half = {place: 0.5 * float(np.subtract(*estimate.interval(i)[::-1])) for i, place in enumerate(free)}
-    for place, floor in enumerate(MODEL):
+    for place, floor in enumerate((MODEL[0], of_centre, *MODEL[2:])):
         if place in half:
             half[place] = math.hypot(half[place], floor)
     if not half[0] < WIDEST[0] or not half.get(1, 0.0) < WIDEST[1]:
-        raise UsageError(f"{_names(logs)}: {_CURE}")
-    return _result(taken, model, p, half, rms, sensor)
+        raise UsageError(f"{names}: {_CURE}")
+    return half, rms
 
 
 def told(logs: Sequence[Dataset], found: StretchFit) -> list[Dataset]:
@@ -138,7 +137,7 @@ def told(logs: Sequence[Dataset], found: StretchFit) -> list[Dataset]:
     p = np.array([0.0, profile_of(found.model).centre, 0.0, found.motor_inertia.value])
     out = []
     for log in logs:
-        _, torque, known = _foretold(_taken(log, found.model), found.model, p)
+        _, torque, known = _foretold(taken(log, found.model), found.model, p)
         first = int(np.argmax(known))
         columns = {name: values[first:] for name, values in log.columns.items() if name != "tau_j"}
         finite = np.flatnonzero(np.isfinite(torque[first:]))
@@ -157,67 +156,17 @@ def _names(logs: Sequence[Dataset]) -> str:
     return logs[0].label or logs[0].name if len(logs) == 1 else f"{len(logs)} logs"
 
 
-def _taken(log: Dataset, model: TendonSheath) -> _Log:
-    """The columns that are needed; raises UsageError where angles contradict each other, or one is missing."""
-    label = log.label or log.name
-    q_m, q_j = log["q_m"], log["q_j"]
-    r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
-    way = r_j * q_j
-    stretch = r_m * q_m - way
-    if np.ptp(way) > 10.0 * model.pretension / model.tendon_stiffness:
-        turned = float(np.polyfit(way, r_m * q_m, 1)[0])
-        if abs(turned - 1.0) > TURNED:
-            what = "one of them has the wrong sign" if turned < 0.0 else "counts per turn or a pulley's radius is wrong"
-            raise UsageError(
-                f"{label}: columns q_m and q_j contradict each other: r_M q_M makes {turned:.3g} times the way of "
-                f"r_J q_J, which may be {1.0 - TURNED:g} to {1.0 + TURNED:g}; {what}"
-            )
-    omega = log.columns.get("omega_m")
-    if omega is None:
-        omega = np.gradient(q_m, log.period)
-    acceleration = np.diff(omega, prepend=omega[0]) / log.period
-    return _Log(
-        log.name,
-        log["tau_m"],
-        acceleration,
-        np.diff(way, prepend=way[0]),
-        stretch,
-        log.columns.get("tau_j"),
-        log.period,
-    )
-
-
 def _variant(model: TendonSheath, p: FloatArray) -> TendonSheath:
     """The model with the stiffness, the shape and the friction angle of `p`."""
-    factor = math.exp(p[0])
-    centre = float(p[1])
-    profile = profile_of(model)
-    series = model.series_stiffness
-    changed = dataclasses.replace(
-        model.recalibrated(model.friction_angle * math.exp(p[2])),
-        axial_stiffness=factor * model.axial_stiffness,
-        series_stiffness=None if series is None else factor * series,
-    )
-    if abs(centre - profile.centre) < 1e-9:
-        return changed
-    if "elongation_coupling" in model.effects:
-        points = centred(profile, centre).points
-        return changed.with_effects({**model.effects, "elongation_coupling": {"curvature_profile": points}})
-    return dataclasses.replace(changed, bending_centre=centre)
+    return varied(model, float(p[0]), float(p[1]), float(p[2]))
 
 
-def _foretold(log: _Log, model: TendonSheath, p: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Stretch (m) and joint torque (N*m), zeros left out, and the rows from which the tendons are known."""
-    variant = _variant(model, p)
-    pair = pairs_of(variant)[0].copy()
-    tendons.grip(pair, variant.friction_angle)
-    difference = (log.tau_m - p[3] * log.acceleration) / model.motor_pulley_radius
-    stretch, end, slid = tendons.follow(pair, difference, log.way)
-    return stretch, model.joint_pulley_radius * end, (slid > 0.0) & np.isfinite(end)
+def _foretold(log: TendonLog, model: TendonSheath, p: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    return foretold(log, _variant(model, p), float(p[3]))
 
 
 def _linear(
-    logs: list[_Log],
+    logs: list[TendonLog],
     model: TendonSheath,
     p: FloatArray,
     free: list[int],
@@ -266,7 +215,7 @@ def _linear(
 
 
 def _result(
-    logs: list[_Log], model: TendonSheath, p: FloatArray, half: dict[int, float], rms: float, sensor: bool
+    logs: list[TendonLog], model: TendonSheath, p: FloatArray, half: dict[int, float], rms: float, sensor: bool
 ) -> StretchFit:
     found = _variant(model, p)
     stiffness, x, centre = found.axial_stiffness, found.friction_angle, float(p[1])

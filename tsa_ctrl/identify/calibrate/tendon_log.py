@@ -1,0 +1,94 @@
+"""A log as the tendons take it, and what the observer's tendons, led through it, foretell of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.curvature import centred
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.stretch import profile_of
+from tsa_ctrl.observer import tendons
+from tsa_ctrl.observer.stretch import pairs_of
+
+FloatArray = NDArray[np.float64]
+
+TURNED = 0.05  # of the joint's way at the motor: pulley radii are known to a few per cent
+
+
+@dataclass(frozen=True)
+class TendonLog:
+    """(n,) each."""
+
+    name: str
+    tau_m: FloatArray
+    acceleration: FloatArray  # rad/s^2, of the motor
+    way: FloatArray  # m that the joint's pulley turns from row to row
+    stretch: FloatArray  # m
+    tau_j: FloatArray | None
+    period: float
+
+
+def taken(log: Dataset, model: TendonSheath) -> TendonLog:
+    """The columns that are needed; raises UsageError where angles contradict each other, or one is missing."""
+    label = log.label or log.name
+    q_m, q_j = log["q_m"], log["q_j"]
+    r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+    way = r_j * q_j
+    stretch = r_m * q_m - way
+    if np.ptp(way) > 10.0 * model.pretension / model.tendon_stiffness:
+        turned = float(np.polyfit(way, r_m * q_m, 1)[0])
+        if abs(turned - 1.0) > TURNED:
+            what = "one of them has the wrong sign" if turned < 0.0 else "counts per turn or a pulley's radius is wrong"
+            raise UsageError(
+                f"{label}: columns q_m and q_j contradict each other: r_M q_M makes {turned:.3g} times the way of "
+                f"r_J q_J, which may be {1.0 - TURNED:g} to {1.0 + TURNED:g}; {what}"
+            )
+    omega = log.columns.get("omega_m")
+    if omega is None:
+        omega = np.gradient(q_m, log.period)
+    acceleration = np.diff(omega, prepend=omega[0]) / log.period
+    return TendonLog(
+        log.name,
+        log["tau_m"],
+        acceleration,
+        np.diff(way, prepend=way[0]),
+        stretch,
+        log.columns.get("tau_j"),
+        log.period,
+    )
+
+
+def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> TendonSheath:
+    """The model, exp(`stiffer`) times as stiff, its bends at `centre`, its friction angle exp(`more`) times as large."""
+    factor = math.exp(stiffer)
+    profile = profile_of(model)
+    series = model.series_stiffness
+    changed = dataclasses.replace(
+        model.recalibrated(model.friction_angle * math.exp(more)),
+        axial_stiffness=factor * model.axial_stiffness,
+        series_stiffness=None if series is None else factor * series,
+    )
+    if abs(centre - profile.centre) < 1e-9:
+        return changed
+    if "elongation_coupling" in model.effects:
+        points = centred(profile, centre).points
+        return changed.with_effects({**model.effects, "elongation_coupling": {"curvature_profile": points}})
+    return dataclasses.replace(changed, bending_centre=centre)
+
+
+def foretold(
+    log: TendonLog, model: TendonSheath, motor_inertia: float
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Stretch (m) and joint torque (N*m), zeros left out, and the rows from which the tendons are known."""
+    pair = pairs_of(model)[0].copy()
+    tendons.grip(pair, model.friction_angle)
+    difference = (log.tau_m - motor_inertia * log.acceleration) / model.motor_pulley_radius
+    stretch, end, slid = tendons.follow(pair, difference, log.way)
+    return stretch, model.joint_pulley_radius * end, (slid > 0.0) & np.isfinite(end)
