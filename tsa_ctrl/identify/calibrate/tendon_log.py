@@ -66,7 +66,7 @@ def taken(log: Dataset, model: TendonSheath) -> TendonLog:
 
 
 def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> TendonSheath:
-    """The model, exp(`stiffer`) times as stiff, its bends at `centre`, its friction angle exp(`more`) times as large."""
+    """The model exp(`stiffer`) times as stiff, its bends at `centre`, its friction angle exp(`more`) times as large."""
     factor = math.exp(stiffer)
     profile = profile_of(model)
     series = model.series_stiffness
