@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.direction import NOISE, Direction, DirectionSettings
+from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, Direction, DirectionSettings
 from tsa_ctrl.control.motion import Motion
 
 PERIOD = 1e-3
@@ -196,3 +197,147 @@ def test_is_odd() -> None:
         one.motion.update(angle)
         other.motion.update(-angle)
         assert one.direction.update(float(wanted), 0.0) == -other.direction.update(-float(wanted), 0.0)
+
+
+class Told(Motion):
+    """A motion that is said, not measured."""
+
+    def __init__(self, noise: float = 0.0) -> None:
+        self.angle = self.velocity = self.acceleration = 0.0
+        self.noise = noise
+
+
+PLAY = 2.0**-20  # m; all of these are whole powers of two, so that what is equal is so to the last bit
+TO_M = 2.0**-12  # m per N*m
+RADIUS = 2.0**-5  # m
+TURN = PLAY / TO_M  # N*m that turn back by the play
+
+
+class By:
+    """Direction, zone 0.0625 rad/s, of a joint whose speed, acceleration and angle are said."""
+
+    def __init__(self, lead: float = 0.0, give: float | None = None, **more: float) -> None:
+        self.motion = Told()
+        settings = DirectionSettings(zone=0.0625, play=PLAY)
+        self.direction = Direction(settings, self.motion, lead, TO_M, RADIUS, PERIOD, give, **more)
+
+    def __call__(
+        self, speed: float, ahead: float = math.nan, rate: float = 0.0, angle: float = 0.0, turning: float = 0.0
+    ) -> float:
+        self.motion.velocity, self.motion.angle, self.motion.acceleration = speed, angle, turning
+        return self.direction.update(ahead, rate)
+
+
+def test_settings_and_their_bounds() -> None:
+    given = DirectionSettings()
+    assert LEAST_ZONE == 0.002
+    assert (given.zone, given.play) == (0.005, 1e-6)
+    for good in ({"zone": 1e-9}, {"zone": 100.0}, {"play": 1e-12}, {"play": 1e-3}):
+        msgspec.convert(good, DirectionSettings)
+    for bad in ({"zone": 0.0}, {"zone": 100.1}, {"play": 0.0}, {"play": 1.01e-3}):
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert(bad, DirectionSettings)
+
+
+def test_the_zone_is_one_and_a_half_of_a_counts_velocity() -> None:
+    assert Direction(DirectionSettings(), Told(0.02), LEAD, REACH, R_J, PERIOD).zone == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_at_the_edge_of_the_zone_the_joint_stands(way: float) -> None:
+    by = By()
+    assert by(way * 0.0625) == 0.0
+    assert (by.direction.moving, by.direction.rest) == (False, PERIOD)
+    assert by(way * 0.0626) == way
+    assert (by.direction.moving, by.direction.rest) == (True, 0.0)
+    by(0.0)
+    by.direction.reset()
+    assert (by.direction.sigma, by.direction.age, by.direction.rest, by.direction.moving) == (0.0, 0.0, 0.0, True)
+
+
+@pytest.mark.parametrize(
+    ("speed", "turning", "age"), [(0.25, 500.0, 0.5), (0.25, -500.0, 0.5), (0.25, 0.0, 0.0), (2.0, 500.0, 1.0)]
+)
+def test_the_age_of_a_turn_is_the_time_since_the_speed_was_zero(speed: float, turning: float, age: float) -> None:
+    by = By()
+    by(-1.0)
+    by(speed, turning=turning)
+    assert by.direction.age == pytest.approx(age)
+    by(speed, turning=turning)
+    assert by.direction.age == 0.0  # of this turn alone
+    by(-speed, turning=-turning)
+    by.direction.reset()
+    assert by.direction.age == 0.0
+
+
+def test_what_exactly_cancels_turns_nothing() -> None:
+    by = By(give=TO_M)
+    assert by(0.5) == 1.0
+    assert by(0.5, ahead=0.0, rate=-RADIUS * 0.5 / TO_M) == 1.0
+    assert by(0.5, ahead=0.0, rate=-2.0 * RADIUS * 0.5 / TO_M) == -1.0
+
+
+def test_what_stretches_while_the_joint_moves_is_what_does_so_at_rest_unless_it_is_said() -> None:
+    assert By()(0.125, 0.0, -RADIUS * 0.25 / TO_M) == -1.0
+    assert By(give=0.0)(0.125, 0.0, -RADIUS * 0.25 / TO_M) == 1.0
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_torque_turns_the_tendon_by_more_than_the_play_from_where_it_was(way: float) -> None:
+    by = By()
+    assert by(way, way * 1.0) == way
+    assert by(0.0, way * (1.0 - TURN)) == way  # from what was wanted while the joint moved: by the play alone
+    assert by(0.0, way * (1.0 - 1.5 * TURN)) == -way
+    assert by(0.0, way * (1.0 + 0.5 * TURN)) == -way  # the play is behind it now
+    assert by(0.0, way * (1.0 + 0.75 * TURN)) == way
+    rested = By()
+    assert rested(0.0, way * TURN) == 0.0
+    assert rested(0.0, way * 1.5 * TURN) == way
+    assert rested(0.0, way * -0.5 * TURN) == way
+    assert rested(0.0, way * -0.75 * TURN) == -way
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_that_turned_by_a_twentieth_of_the_way_has_turned_nothing(way: float) -> None:
+    """Of 0.4 rad: 20 mrad, once it has rested for more than 5 ms."""
+    for gone, back in ((0.0199, True), (0.02, False), (0.0201, False)):
+        by = By(way=0.4)
+        by(way)
+        by(way, angle=0.1)
+        assert by(-way, angle=0.1) == -way
+        assert by(-way, angle=0.1 - gone if gone != 0.02 else 0.1) == -way
+        by.motion.angle = 0.1
+        sigmas = [by(0.0, angle=0.1 - gone) for _ in range(10)]
+        told = sigmas.index(way) if way in sigmas else None
+        assert told == (5 if back else None), gone
+    alone = By()  # whose way is not known
+    alone(way)
+    alone(way, angle=1.0)
+    alone(-way, angle=1.0)
+    assert {alone(0.0, angle=1.0) for _ in range(10)} == {-way}
+
+
+def test_after_one_that_went_back_again_the_next_turn_counts_from_where_it_is() -> None:
+    by = By(way=0.4)
+    by(1.0)
+    for speed, angle in ((-1.0, 0.1), (1.0, 0.095), (-1.0, 0.096)):
+        by(speed, angle=angle)
+    assert [by(0.0, angle=0.078) for _ in range(10)][-1] == 1.0  # 18 mrad after it, 22 after the first
+
+
+def test_the_first_motion_however_little_has_nothing_before_it() -> None:
+    by = By(way=0.4)
+    by(1.0)
+    assert {by(0.0, angle=0.001) for _ in range(10)} == {1.0}
+
+
+def test_a_joint_that_trembles_keeps_the_direction_before_and_the_torques_place() -> None:
+    """There and back within the way: the next turn counts from there; and what is wanted meanwhile is not behind it."""
+    by = By(way=0.4)
+    by(1.0, 1.0)
+    by(-1.0, 1.0, angle=0.1)
+    by(-1.0, 1.0 + 8.0 * TURN, angle=0.09)  # of a turn that may be none
+    by(1.0, 1.0 + 8.0 * TURN, angle=0.095)  # back again: as before
+    assert {by(0.0, 1.0 + 8.0 * TURN, angle=0.096) for _ in range(10)} == {1.0}
+    assert by(-1.0, 1.0, angle=0.0961) == -1.0
+    assert {by(0.0, angle=0.0961) for _ in range(10)} == {-1.0, 1.0}

@@ -5,11 +5,25 @@ from __future__ import annotations
 import math
 import os
 import struct
+import time
 from collections.abc import Iterator
 
 import pytest
 
-from tsa_ctrl.ipc.mailbox import SLOTS, AxisStatus, Command, General, Mailbox
+from tsa_ctrl.ipc.mailbox import (
+    BANDS,
+    COUNTS,
+    RECOVER,
+    SLOTS,
+    STAGE,
+    TEXT,
+    AxisStatus,
+    Command,
+    General,
+    Mailbox,
+    Parameters,
+    Reading,
+)
 
 
 @pytest.fixture
@@ -125,3 +139,118 @@ def test_a_server_that_follows_another_goes_on_with_its_tickets(mailbox: Mailbox
     assert other_end(mailbox).put(Command(0, 0, 0.0)) == 0
     assert other_end(mailbox).put(Command(0, 1, 1.0)) == 1
     assert [mailbox.take() for _ in range(3)] == [Command(0, 0, 0.0), Command(0, 1, 1.0), None]
+
+
+READINGS = [Reading(*(1000.0 * axis + n for n in range(len(Reading._fields)))) for axis in range(2)]
+
+
+def test_how_much_fits() -> None:
+    assert (SLOTS, TEXT, STAGE, RECOVER) == (64, 16 * 1024, 512, -1)
+    assert set(COUNTS) < set(AxisStatus._fields)
+    assert {f"{band}{end}" for band in BANDS for end in ("", "_low", "_high")} < set(AxisStatus._fields)
+
+
+@pytest.mark.parametrize("one", [1, 2])
+@pytest.mark.parametrize("next_one", [1, 2])
+def test_nothing_lies_where_something_else_does(mailbox: Mailbox, one: int, next_one: int) -> None:
+    """Everything is written, to the last byte, and then read at the other end; neighbours in either of two places."""
+    other = other_end(mailbox)
+    values: Parameters = (9.0, 8.0, 7.0)
+    status = [(axis, values) for axis, _ in AXES]
+    waits, told = "w" * (STAGE - 8), "t" * (STAGE - 8)
+    begun = time.monotonic()
+    commands = [Command(n % 2, n, -0.5 * n) for n in range(SLOTS)]
+    for n in range(one):
+        mailbox.publish_text(b"e" * TEXT)
+        mailbox.publish(GENERAL, status)
+        other.want(1, 2.5, 3.5)
+        other.tell(float(n), told)
+    for n in range(next_one):
+        mailbox.publish_stage(float(n), waits)
+        other.want(0, 1.5, 2.5)
+        mailbox.measure(float(n), 12, 13, READINGS)
+    for n in range(len(mailbox.lateness)):
+        mailbox.lateness[n], mailbox.work[n] = 1 + n, 1_000_000 + n
+    other.replace(3)
+    other.alive()
+    for command in commands:
+        other.put(command)
+    assert not mailbox.stop_requested
+    assert begun <= mailbox.heard <= time.monotonic()
+    other.request_stop()
+    assert mailbox.stop_requested
+    assert begun <= mailbox.heard <= time.monotonic()
+    assert mailbox.replaced == 3
+    assert list(other.lateness) == [1 + n for n in range(len(other.lateness))]
+    assert list(other.work) == [1_000_000 + n for n in range(len(other.work))]
+    assert other.status() == (GENERAL, status)
+    assert other.text() == (one, b"e" * TEXT)
+    assert other.stage() == (next_one - 1.0, waits)
+    assert other.measured() == (next_one - 1.0, 12, 13, READINGS)
+    assert mailbox.told() == (one - 1.0, told)
+    assert [mailbox.wanted(axis) for axis in range(2)] == [(1.5, 2.5), (2.5, 3.5)]
+    assert [mailbox.take() for _ in commands] == commands
+    assert other.taken(SLOTS - 1)
+    assert not other.taken(SLOTS)
+
+
+def test_one_that_was_torn_leaves_the_one_before(mailbox: Mailbox) -> None:
+    """The older of the two places is whole, whatever is written into the newer one."""
+    other = other_end(mailbox)
+    for number in range(2):
+        mailbox.publish(GENERAL._replace(time=float(number)), AXES)
+        mailbox.publish_stage(float(number), f"stage {number}")
+        mailbox.measure(float(number), number, 0, READINGS)
+        other.tell(float(number), f"told {number}")
+    for newer in (b"stage 1", b"told 1"):
+        at = mailbox._memory.bytes.find(newer)
+        mailbox._memory.bytes[at] ^= 0xFF
+    assert other.stage() == (0.0, "stage 0")
+    assert mailbox.told() == (0.0, "told 0")
+
+
+def test_before_anything_is_said_there_is_nothing(mailbox: Mailbox) -> None:
+    other = other_end(mailbox)
+    zeros = Reading(*(0.0 for _ in Reading._fields))
+    assert Reading() == zeros
+    assert other.measured() == (0.0, 0, 0, [zeros, zeros])
+    assert (other.stage(), other.text()) == ((0.0, ""), (0, b""))
+    assert (mailbox.told(), mailbox.heard, mailbox.replaced) == (None, 0.0, 0)
+
+
+def test_what_is_told_is_given_once_and_what_the_start_waits_for_may_be_over(mailbox: Mailbox) -> None:
+    other = other_end(mailbox)
+    other.tell(1.0, "one")
+    other.tell(2.0, "two")
+    assert (mailbox.told(), mailbox.told()) == ((2.0, "two"), None)
+    mailbox.publish_stage(3.0, "drive node 1")
+    assert other.stage() == (3.0, "drive node 1")
+    mailbox.publish_stage(4.0, "")
+    assert other.stage() == (4.0, "")
+    mailbox.publish_text(b"[]")
+    assert other.text() == (1, b"[]")
+    mailbox.publish_text(b"")
+    assert other.text() == (2, b"")
+
+
+def test_what_is_too_long_is_cut(mailbox: Mailbox) -> None:
+    mailbox.publish_stage(3.0, "x" * 1000)
+    assert other_end(mailbox).stage() == (3.0, "x" * (STAGE - 8))
+
+
+def test_what_the_start_waits_for_stays_where_nothing_of_it_is_whole(mailbox: Mailbox) -> None:
+    other = other_end(mailbox)
+    for _ in range(2):
+        mailbox.publish_stage(3.0, "drive node 1")
+    assert other.stage() == (3.0, "drive node 1")
+    for at in range(0, len(mailbox._memory.bytes), 8):
+        mailbox._memory.bytes[at] ^= 0x80
+    assert other.stage() == (3.0, "drive node 1")
+
+
+def test_a_closed_box_gives_its_memory_back() -> None:
+    box = Mailbox(1, 0)
+    descriptor = box.descriptor
+    box.close()
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)

@@ -11,6 +11,7 @@ from typing import Any
 
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.by_stretch import ByStretch
+from tsa_ctrl.control.direction import LEAST_ZONE
 from tsa_ctrl.control.estimator import Fixed, toward
 from tsa_ctrl.control.recursive import Recursive
 
@@ -57,7 +58,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
         p("pretension", "N", *tensions, 0.25 * pretension, "T_p0", estimator, "pretension"),
         p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
         p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
-        p("direction_zone", "rad/s", 0.002, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
+        p("direction_zone", "rad/s", LEAST_ZONE, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
         p("back_off", "1", 0.0, 1.0, 0.5, "of the guard; 1 restores", axis.guard, "back_off"),
         p(
