@@ -182,6 +182,14 @@ def test_a_summary_tells_cause_time_and_what_was_unsafe() -> None:
     (found,) = summary([good, bad]).values()
     assert (found["safe"], found["trials"], found["causes"]) == (1, 2, ["stale PDO"])
     assert (found["zero_worst"], found["speed"], found["unsafe"]) == (0.4, 2.5, {"running": 1})
+    assert found["beyond"] == {
+        "joints": {"held": 1},
+        "blind": 0,
+        "peak": 0.9,
+        "speed": 2.5,
+        "travel": 0.0,
+        "energy": 0.0,
+    }
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b"])

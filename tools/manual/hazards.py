@@ -8,6 +8,7 @@ from typing import Any
 from tools.campaign.phase import plan
 from tools.campaign.phase.catalogue import HAZARDS, Hazard
 from tools.campaign.phase.results import KEPT
+from tools.campaign.phase.rigs import LIMIT
 from tsa_ctrl.safety.cures import cure
 from tsa_ctrl.safety.supervisor import Cause
 
@@ -56,11 +57,29 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
         zero = f"{1e3 * row['zero_median']:.0f} ms ({1e3 * row['zero_worst']:.0f} ms)"
     worst = f"{row['speed']:.1f}, {row['travel']:.2f}, {row['energy']:.2f}"
     unsafe = "".join(f"; {count} unsafe while {phase}" for phase, count in row["unsafe"].items())
-    residual = "; ".join(words for words in (hazard.residual, hazard.open and f"open: {hazard.open}") if words) or "-"
+    residual = "; ".join(words for words in (hazard.residual, _open(hazard, row)) if words) or "-"
     if mend:
         reaction = f"{reaction}; then: {mend}"
     counted = f"{row['safe']}/{row['trials']}{unsafe}"
     return hazard.hazard, hazard.name, detected, reaction, zero, worst, residual, counted
+
+
+def _open(hazard: Hazard, row: dict[str, Any]) -> str:
+    """What is known not to be met: how often, on which joints, by how much, and what limits it."""
+    if not hazard.open:
+        return ""
+    beyond = row.get("beyond")
+    if beyond is None:
+        return f"open, though met in all of these: {hazard.open}"
+    count = sum(row["unsafe"].values())
+    joints = ", ".join(f"{name} {times}" for name, times in beyond["joints"].items())
+    worst = f"{beyond['speed']:.1f} rad/s, {beyond['travel']:.2f} rad, {beyond['energy']:.2f} J"
+    if beyond["peak"] > LIMIT:
+        worst += f", {beyond['peak']:.1f} N*m of the motor"
+    return (
+        f"open in {count} of {row['trials']} (joint {joints}; {beyond['blind']} of them without a torque sensor; at "
+        f"worst {worst}): {hazard.open}"
+    )
 
 
 def not_shown() -> list[str]:

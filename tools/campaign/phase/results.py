@@ -87,6 +87,16 @@ def _summed(rows: list[Row]) -> Row:
         "travel": round(max(each["travel"] for each in rows), 2),
         "energy": round(max(each["energy"] for each in rows), 3),
         "unsafe": dict(unsafe),
+        **({"beyond": _beyond([each for each in rows if each["wrong"]])} if unsafe else {}),
+    }
+
+
+def _beyond(rows: list[Row]) -> Row:
+    """Of the unsafe ones: on which joints, how many without a torque sensor, and the worst of each quantity."""
+    return {
+        "joints": dict(Counter(each["rig"][0] for each in rows).most_common()),
+        "blind": sum(not each["rig"][4] for each in rows),
+        **{name: max(each[name] for each in rows) for name in ("peak", "speed", "travel", "energy")},
     }
 
 
