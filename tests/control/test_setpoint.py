@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tsa_ctrl.control.setpoint import Component, SetPoint, SetPointSettings, read_file, waveform
+from tsa_ctrl.control.setpoint import Component, SetPoint, SetPointSettings, Source, read_file, waveform
 from tsa_ctrl.errors import UsageError
 
 PERIOD = 1e-3
@@ -214,6 +214,171 @@ def test_contradictions_are_refused(data: dict[str, Any]) -> None:
     """A file without its kind, a kind without its file or components: an error."""
     with pytest.raises(msgspec.ValidationError, match="kind"):
         msgspec.convert(data, SetPointSettings)
+
+
+def test_settings_where_nothing_is_said() -> None:
+    given = SetPointSettings()
+    assert msgspec.structs.asdict(given) == {
+        "kind": "constant", "offset": 0.0, "amplitude": 0.0, "frequency": 0.5, "end_frequency": 5.0, "duration": 20.0,
+        "at": 1.0, "components": (), "file": "", "loop": False, "timeout": 0.2, "rate": 50.0,
+    }  # fmt: skip
+    assert Component(amplitude=1.0, frequency=1.0).phase == 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "lowest", "highest", "below", "above"),
+    [
+        ("offset", -1000.0, 1000.0, -1000.1, 1000.1),
+        ("amplitude", -1000.0, 1000.0, -1000.1, 1000.1),
+        ("frequency", 1e-6, 200.0, 0.0, 200.1),
+        ("end_frequency", 1e-6, 200.0, 0.0, 200.1),
+        ("duration", 1e-6, 86_400.0, 0.0, 86_401.0),
+        ("at", 0.0, 86_400.0, -1e-6, 86_401.0),
+        ("timeout", 1e-6, 60.0, 0.0, 60.1),
+        ("rate", 1e-6, 10_000.0, 0.0, 10_001.0),
+    ],
+)
+def test_bounds_of_settings(name: str, lowest: float, highest: float, below: float, above: float) -> None:
+    for good in (lowest, highest):
+        assert getattr(msgspec.convert({name: good}, SetPointSettings), name) == good
+    for bad in (below, above):
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({name: bad}, SetPointSettings)
+
+
+def test_bounds_of_a_component() -> None:
+    for phase in (-7.0, 7.0):
+        msgspec.convert({"amplitude": 1.0, "frequency": 1.0, "phase": phase}, Component)
+    for bad in ({"phase": -7.1}, {"phase": 7.1}, {"frequency": 0.0}, {"amplitude": 1001.0}, {"of": 1.0}):
+        with pytest.raises(msgspec.ValidationError):
+            msgspec.convert({"amplitude": 1.0, "frequency": 1.0} | bad, Component)
+    with pytest.raises(msgspec.ValidationError):
+        msgspec.convert({"of": 1.0}, SetPointSettings)
+    settings = SetPointSettings()
+    with pytest.raises(AttributeError):
+        settings.offset = 1.0  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        SetPointSettings("sine")  # type: ignore[misc]
+    with pytest.raises(AttributeError):
+        Component(amplitude=1.0, frequency=1.0).phase = 1.0  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        Component(1.0, frequency=1.0)  # type: ignore[misc]
+
+
+def test_every_waveform_is_what_its_settings_say_at_any_time() -> None:
+    times = [0.013 * n for n in range(400)]
+    sine = waveform(SetPointSettings(kind="sine", offset=0.1, amplitude=0.7, frequency=1.3))
+    assert [sine(t) for t in times] == pytest.approx([0.1 + 0.7 * math.sin(2.0 * math.pi * 1.3 * t) for t in times])
+    both = (Component(amplitude=0.4, frequency=0.9, phase=0.3), Component(amplitude=0.2, frequency=2.1, phase=-1.0))
+    multi = waveform(SetPointSettings(kind="multi_sine", offset=-0.2, components=both))
+    assert [multi(t) for t in times] == pytest.approx(
+        [-0.2 + 0.4 * math.sin(math.tau * 0.9 * t + 0.3) + 0.2 * math.sin(math.tau * 2.1 * t - 1.0) for t in times]
+    )
+    chirp = waveform(
+        SetPointSettings(kind="chirp", offset=0.2, amplitude=0.5, frequency=0.5, end_frequency=2.5, duration=4.0)
+    )
+    phases = [math.tau * (0.5 * (t % 4.0) + 0.25 * (t % 4.0) ** 2) for t in times]  # 0.5 Hz more in each second
+    assert [chirp(t) for t in times] == pytest.approx([0.2 + 0.5 * math.sin(phase) for phase in phases])
+    step = waveform(SetPointSettings(kind="step", offset=0.2, amplitude=0.5, at=1.0))
+    assert [step(t) for t in (0.0, 0.999, 1.0, 5.0)] == [0.2, 0.2, 0.7, 0.7]
+    with pytest.raises(UsageError, match="has no waveform"):
+        waveform(SetPointSettings(kind="socket"))
+
+
+def test_a_file_at_its_rows_before_and_after_them(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "t,tau_j_des\n2,0.5\n3,0.7\n5,-0.3\n")
+    once = waveform(SetPointSettings(kind="file", file="a.csv", offset=0.1), tmp_path)
+    loop = waveform(SetPointSettings(kind="file", file="a.csv", offset=0.1, loop=True), tmp_path)
+    for source in (once, loop):
+        found = [source(t) for t in (-1.0, 0.0, 0.5, 1.0, 2.0, 3.0)]
+        assert found == pytest.approx([0.6, 0.6, 0.7, 0.8, 0.3, -0.2])
+    assert [once(t) for t in (3.001, 100.0)] == [0.0, 0.0]
+    assert [loop(t) for t in (3.5, 7.0)] == pytest.approx([0.7, 0.8])
+
+
+def test_a_file_may_say_as_much_as_a_setting(tmp_path: Path) -> None:
+    assert read_file(write(tmp_path / "a.csv", "t,tau_j_des\n0,1000\n1,-1000\n")) == ([0.0, 1.0], [1000.0, -1000.0])
+    with pytest.raises(UsageError, match=re.escape("row 2 (line 3): -1000.1 N*m is beyond 1000; give")):
+        read_file(write(tmp_path / "a.csv", "t,tau_j_des\n0,0\n1,-1000.1\n2,1001\n"))
+
+
+def test_a_socket_value_counts_for_its_timeout_to_the_last_bit_and_the_rate_is_its_slope() -> None:
+    set_point = SetPoint(SetPointSettings(kind="socket", timeout=0.25, rate=100.0), 0.125)  # 12.5 N*m a period
+    set_point.receive(20.0, 0.0)
+    assert [set_point.update(t) for t in (0.0, 0.125)] == [12.5, 20.0]
+    assert (set_point.rate, set_point.silent) == (60.0, False)
+    assert (set_point.update(0.25), set_point.rate, set_point.silent) == (20.0, 0.0, False)
+    assert (set_point.update(0.375), set_point.rate, set_point.silent) == (7.5, -100.0, True)
+    assert (set_point.acting, set_point.ahead) == (7.5, 7.5)
+    set_point.gain = -0.5
+    set_point.receive(4.0, 0.5)
+    assert set_point.update(0.5) == -2.0
+    set_point.reset()
+    assert (set_point.silent, set_point.value, set_point.gain) == (False, 0.0, -0.5)
+    assert set_point.update(0.0) == 0.0
+    assert set_point.silent
+
+
+def test_a_rate_that_is_reached_exactly_is_no_jump() -> None:
+    for way in (1.0, -1.0):
+        set_point = SetPoint(SetPointSettings(kind="constant", offset=way, rate=4.0), 0.125)
+        assert [set_point.update(0.125 * n) for n in range(4)] == [way * 0.5, way, way, way]
+
+
+def test_what_is_known_of_the_future_is_as_long_as_the_longest_of_its_times() -> None:
+    """In periods of an eighth of a second, of a ramp of 1 N*m/s."""
+    for times in ({"delay": 0.5}, {"lead": 0.5}, {"horizon": 0.5}):
+        set_point = SetPoint(SetPointSettings(kind="chirp", offset=0.0, rate=1.0), 0.125, **times)
+        set_point._source = lambda t: t  # type: ignore[assignment]
+        for n in range(1, 20):
+            assert set_point.update(0.125 * n) == pytest.approx(0.125 * n)
+            assert set_point.ahead == pytest.approx(0.125 * n + 0.5)
+            assert set_point.acting == pytest.approx(0.125 * n + times.get("delay", 0.0))
+            assert set_point.rate == pytest.approx(1.0)
+        assert len(set_point._known) == 6
+
+
+def ramp(**times: float) -> SetPoint:
+    """1 N*m/s, in periods of an eighth of a second."""
+    source: Source = lambda t: t  # noqa: E731
+    set_point = SetPoint(SetPointSettings(rate=1.0), 0.125, **times)
+    set_point._source = source
+    return set_point
+
+
+def test_between_two_periods_the_future_is_on_the_line_between() -> None:
+    set_point = ramp(delay=0.125 * 1.25, horizon=0.125 * 2.5)
+    for n in range(1, 5):
+        set_point.update(0.125 * n)
+        assert set_point.acting == pytest.approx(0.125 * (n + 1.25))
+        assert set_point.ahead == pytest.approx(0.125 * (n + 2.5))
+
+
+@pytest.mark.parametrize(("late", "periods"), [(0.45, 1), (0.5, 1), (0.55, 2), (4.3, 5), (5.3, 6), (5.55, 6.55)])
+def test_a_cycle_that_is_late_by_more_than_half_a_period_is_the_next_one(late: float, periods: float) -> None:
+    """One beyond what is known begins anew, at its own time."""
+    set_point = ramp(delay=0.5)
+    set_point.update(0.125)
+    assert set_point.update(0.125 * (1.0 + late)) == pytest.approx(0.125 * periods)
+
+
+def test_a_reset_says_nothing_of_a_socket() -> None:
+    set_point = SetPoint(SetPointSettings(kind="socket"), PERIOD)
+    set_point.update(1.0)
+    assert set_point.silent
+    set_point.reset()
+    assert not set_point.silent
+
+
+@pytest.mark.parametrize("gap", [1, 2, 5, 6, 7, 20])
+def test_after_a_gap_the_limited_set_point_goes_on_from_what_was_known(gap: int) -> None:
+    """Up to what is known ahead exactly as without the gap; beyond it from the newest that is known, at the rate."""
+    settings = SetPointSettings(kind="step", amplitude=10.0, at=0.0, rate=4.0)
+    one, other = (SetPoint(settings, 0.125, delay=0.5) for _ in range(2))
+    one.update(0.0)
+    for n in range(gap + 1):
+        other.update(0.125 * n)
+    assert one.update(0.125 * gap) == pytest.approx(other.value if gap <= 6 else 3.5)
 
 
 @pytest.mark.slow
