@@ -10,6 +10,7 @@ import pytest
 from tools import command
 from tools.bench import measured
 from tools.bench.results import Row
+from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import RigidDrive
 
 
@@ -83,11 +84,33 @@ def test_an_effect_is_hidden_at_the_size_that_was_asked_for(effect: str) -> None
         assert measured.number_of(hidden, [log], base, 1e3) is None  # no delay moves a torque by more than itself
 
 
+def test_at_steady_speed_an_inertia_would_be_the_noise_of_the_velocity() -> None:
+    drive, t, rng = RigidDrive(coulomb_friction=0.1), np.linspace(0.0, 10.0, 1000), np.random.default_rng(1)
+    numbers = []
+    for omega in (3.0 + 0.05 * rng.normal(size=t.size), 3.0 * np.cos(2.0 * t) + 0.01 * rng.normal(size=t.size)):
+        log = Dataset.from_arrays({"t": t, "tau_m": 0.1 * np.sign(omega), "omega_m": omega}, "one.csv")
+        numbers.append(measured.with_hidden([log], drive, "inertia", 0.01)[1])
+    assert numbers[0] is None
+    assert numbers[1] is not None
+
+
+def test_static_friction_fades_by_a_speed_of_the_drive_not_of_the_log() -> None:
+    t = np.linspace(0.0, 10.0, 1000)
+    logs = [
+        Dataset.from_arrays({"t": t, "tau_m": np.full(t.size, 0.1), "omega_m": np.full(t.size, speed)}, f"{speed}.csv")
+        for speed in (0.2, 2.0)
+    ]
+    slow, fast = measured.motions_of(logs, RigidDrive(coulomb_friction=0.1))
+    change = measured.HIDDEN["stribeck_friction"].change
+    assert float(np.mean(change(slow, 1.0))) == pytest.approx(np.exp(-1.0), rel=1e-6)
+    assert float(np.mean(change(fast, 1.0))) == pytest.approx(np.exp(-10.0), rel=1e-6)
+
+
 def still_moving() -> measured.Motion:
     t = np.linspace(0.0, 10.0, 2000)
     omega, acceleration = np.cos(t) + 0.3 * np.cos(2.7 * t), -np.sin(t) - 0.81 * np.sin(2.7 * t)
     torque = 0.4 * np.sign(omega) + 0.1 * acceleration
-    return measured.Motion(t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 0.4)
+    return measured.Motion(t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 1.3, 0.4)
 
 
 @pytest.mark.slow

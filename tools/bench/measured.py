@@ -19,7 +19,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,7 @@ SETS = {  # the trials of the cable drive at one frequency: all 25 take minutes 
 }
 SLOW = 0.03  # s, over which motion is averaged for what is hidden: any smooth motion near the measured one will do
 STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
+MOST_BLURRED = 0.5  # of what is hidden, RMS, that may be another when the motion is averaged over twice as long
 MOST_CYCLES = 40  # of a ripple per turn: more are not looked for (model/effects/motor.py), and would be another test
 HALVINGS = 30  # of the range of a delay or a distance, until its size is the one wanted
 HALVES = "half against half"
@@ -59,6 +60,7 @@ class Motion:
     torque: Array
     tau_m: Array
     reach: float  # rad, the largest range of an angle in the set
+    fastest: float  # rad/s, of the set
     friction: float  # N*m, Coulomb friction of the set by least squares
 
 
@@ -67,33 +69,45 @@ class Hidden:
     """`change` of the torque (N*m) that a plain drive needs, or that tendons lose, with this number of the effect.
 
     `parameter` of the model file that the number is, "" where the file's law is another one; `range`: of a number in
-    which the change is not linear.
+    which the change is not linear. `follows_acceleration`: which at steady speed is the velocity's noise alone.
     """
 
     change: Callable[[Motion, float], Array]
     parameter: str = ""
     needs_angle: bool = False
     range: tuple[float, float] | None = None
+    follows_acceleration: bool = False
 
 
-def smooth(y: Array, t: Array) -> Array:
-    """Mean over SLOW, (n,)."""
-    width = max(3, round(SLOW / float(np.median(np.diff(t)))) | 1)
+def smooth(y: Array, t: Array, times: int = 1) -> Array:
+    """Mean over so many times SLOW, three samples at least each, (n,)."""
+    width = times * max(3, round(SLOW / float(np.median(np.diff(t)))) | 1) | 1
     return np.convolve(np.pad(y, width // 2, mode="edge"), np.full(width, 1.0 / width), mode="valid")
 
 
-def motion(log: Dataset, plain: bool, reach: float = 0.0, friction: float = 0.0) -> Motion:
-    """Motion by differences of averages; of a recorded velocity the angle is the integral."""
+def motions_of(logs: Sequence[Dataset], model: Model, times: int = 1) -> list[Motion]:
+    """Motion by differences of averages over so many times SLOW, and what of it the set has in common."""
+    plain = isinstance(model, RigidDrive)
+    found = [_motion(log, plain, times) for log in logs]
+    bases = [base_of(each, model) for each in found]
+    fitted = np.linalg.lstsq(np.concatenate(bases), np.concatenate([each.torque for each in found]), rcond=None)[0]
+    reach, fastest = max(float(np.ptp(each.q)) for each in found), max(float(np.max(np.abs(m.omega))) for m in found)
+    friction = abs(float(fitted[0 if plain else 1]))
+    return [replace(each, reach=reach, fastest=fastest, friction=friction) for each in found]
+
+
+def _motion(log: Dataset, plain: bool, times: int) -> Motion:
+    """Of one log; of a recorded velocity the angle is the integral."""
     t = log["t"]
     angle, velocity = ("q_m", "omega_m") if plain else ("q_j", "omega_j")
     if angle in log and angle not in log.derived:
-        q = smooth(log[angle], t)
-        omega = smooth(np.gradient(q, t), t)
+        q = smooth(log[angle], t, times)
+        omega = smooth(np.gradient(q, t), t, times)
     else:
-        omega = smooth(log[velocity], t)
+        omega = smooth(log[velocity], t, times)
         q = np.cumsum(omega) * float(np.median(np.diff(t)))
     torque = log["tau_m" if plain else "tau_j"]
-    return Motion(t, q, omega, smooth(np.gradient(omega, t), t), torque, log["tau_m"], reach, friction)
+    return Motion(t, q, omega, smooth(np.gradient(omega, t), t, times), torque, log["tau_m"], 0.0, 0.0, 0.0)
 
 
 def presliding(log: Motion, share: float) -> Array:
@@ -122,10 +136,10 @@ HIDDEN: Mapping[str, Hidden] = {
     "joint_stiffness": Hidden(lambda log, a: a * log.q, "stiffness", needs_angle=True),
     "torque_offset": Hidden(lambda log, a: np.full(len(log.q), a)),
     "viscous_friction": Hidden(lambda log, a: a * log.omega, "coefficient"),
-    "inertia": Hidden(lambda log, a: a * log.acceleration, "inertia"),
+    "inertia": Hidden(lambda log, a: a * log.acceleration, "inertia", follows_acceleration=True),
     "direction_asymmetric_friction": Hidden(lambda log, a: a * np.abs(log.omega), "viscous_difference"),
     "stribeck_friction": Hidden(
-        lambda log, a: a * np.sign(log.omega) * np.exp(-np.abs(log.omega) / (STRIBECK * np.max(np.abs(log.omega))))
+        lambda log, a: a * np.sign(log.omega) * np.exp(-np.abs(log.omega) / (STRIBECK * log.fastest))
     ),
     "torque_ripple": Hidden(lambda log, a: a * np.sin(cycles(log) * log.q + 0.7), needs_angle=True),
     "presliding_hysteresis": Hidden(presliding, needs_angle=True, range=(1e-6, 0.1)),
@@ -198,20 +212,19 @@ def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
 
 
 def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float) -> tuple[list[Dataset], float | None]:
-    """The logs with an effect of this size (N*m) in them, and its number; None where there is none of that size."""
+    """The logs with an effect of this size (N*m) in them, and its number.
+
+    None where there is none of that size, or where it would follow the velocity's noise (acceleration at steady speed).
+    """
     plain, hidden = isinstance(model, RigidDrive), HIDDEN[effect]
     if (plain and getattr(model, effect, None) is not None) or (
         hidden.needs_angle and not any(name in logs[0] and name not in logs[0].derived for name in ("q_m", "q_j"))
     ):
         return list(logs), None
-    motions = [motion(log, plain) for log in logs]
+    motions = motions_of(logs, model)
     bases = [base_of(each, model) for each in motions]
-    fitted = np.linalg.lstsq(np.concatenate(bases), np.concatenate([each.torque for each in motions]), rcond=None)[0]
-    friction = abs(float(fitted[0 if plain else 1]))
-    reach = max(float(np.ptp(each.q)) for each in motions)
-    motions = [motion(log, plain, reach, friction) for log in logs]
     number = number_of(hidden, motions, bases, size)
-    if number is None:
+    if number is None or (hidden.follows_acceleration and _is_noise(hidden, motions, motions_of(logs, model, 2))):
         return list(logs), None
     name, sign = "tau_m" if plain else "tau_j", 1.0 if plain or effect == "transport_delay" else -1.0
     changed = [
@@ -219,6 +232,12 @@ def with_hidden(logs: Sequence[Dataset], model: Model, effect: str, size: float)
         for log, each in zip(logs, motions, strict=True)
     ]
     return changed, number
+
+
+def _is_noise(hidden: Hidden, motions: Sequence[Motion], coarser: Sequence[Motion]) -> bool:
+    """Whether most of the change is another one when the motion is averaged longer."""
+    change, other = (np.concatenate([hidden.change(each, 1.0) for each in logs]) for logs in (motions, coarser))
+    return float(np.sum((change - other) ** 2)) > (MOST_BLURRED**2) * float(np.sum(change**2))
 
 
 def halves(folder: Path) -> Row:
