@@ -81,6 +81,15 @@ def test_a_stranger_is_noticed_or_explained_away() -> None:
     assert (quiet.flagged, quiet.falsely_explained) == (False, False)
 
 
+@pytest.mark.parametrize(("after", "described"), [(0.35, True), (0.7, False)])
+def test_a_formula_describes_a_stranger_when_it_takes_most_of_what_is_left(after: float, described: bool) -> None:
+    """Of a mean square of 1, of which 0.04 is noise, 0.92 or 0.53."""
+    stranger = hidden("outside", outside="sheath_kink", noise=0.2)
+    formula = {"rms": {"before": 1.0, "after": after, "unit": "N*m", "held_out": True}}
+    assert mark(stranger, said(verdict="unexplained", formula=formula)).described is described
+    assert mark(stranger, said(verdict="unexplained", formula=None)).described is False
+
+
 def test_twins_ask_for_a_group_and_an_experiment() -> None:
     twins = hidden("confounded", "gravity_load", twins=("gravity_load", "joint_stiffness"))
     group = mark(twins, said(("joint_stiffness", ("gravity_load",)), experiment="move further"))
