@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 CHECKED = 10.0  # Hz, up to which an angle is compared with its velocity: factors of 57 and 1000 show in any motion
 MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
-FEWEST = 10  # rows
+FEWEST = 10  # rows, below which a table is no log but a heading of one
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
 

@@ -25,8 +25,9 @@ from tsa_ctrl.model.parameters import Model, TendonSheath
 
 Array = NDArray[np.float64]
 
-BLOCKS = 12  # of time, the clusters of the standard errors
-CERTAIN = 5.0  # standard errors
+BLOCKS = 12  # of time, the clusters of the standard errors: t of 11 degrees of freedom is 2.2
+# Standard errors: a sign turned or columns swapped is an accusation; of 12 blocks one good log in 2,500 has as much
+CERTAIN = 5.0
 CLEAR = 0.5  # of the residual's RMS: a smaller term may be the work of what the fit lacks
 CARRIES = (
     0.2  # of the motor torque's standard deviation: what the joint's torque must explain for its sign to be judged

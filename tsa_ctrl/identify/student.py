@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from scipy.special import stdtrit  # scipy.stats is slow to import
 
-LEVEL = 0.95  # of every interval that is told
-NOISE = 12.0  # degrees of freedom of the noise's density where it matters
+LEVEL = 0.95  # of every interval that is told: the usual one
+# Degrees of freedom of the noise's density where it matters: a band of its spectrum has 10 (FEWEST_WAVES pairs) or more
+NOISE = 12.0
 
 
 def half_width(freedom: float, level: float = LEVEL) -> float:

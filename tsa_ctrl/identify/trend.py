@@ -37,7 +37,7 @@ SIDE = 2  # runs on either side of a change
 SWING = 0.05  # 1, of the bending angle, that a log must span to tell the lever
 SLIDING = 0.05  # 1, of the fastest: slower, the direction of the friction is not sure
 PARTS = 10  # of a log, each left out once for the lever's interval
-T_OF_PARTS = 2.262  # Student's t of 95 % at 9 degrees of freedom
+T_OF_PARTS = 2.262  # Student's t of 95 % at 9 degrees of freedom, as there are PARTS parts
 WORDS = {  # of a change up and down
     "half_loop_torque": (
         "more friction: a liner wears or is dirty, the sheath is bent more, or the tensioner is tighter",

@@ -15,7 +15,7 @@ from tsa_ctrl.errors import UsageError
 
 Array = NDArray[np.float64]
 
-FASTEST = 50e3  # Hz, sampling rate
+FASTEST = 50e3  # Hz, sampling rate: faster are no logs of a drive but times in the wrong unit
 SLOWEST = 2.0  # Hz: a 1 or 2 kHz log looks like this or slower with time in ms
 SLOW = 12.0  # Hz: a 10 kHz log looks like this with time in ms; a steady motion may well be logged at such a rate,
 LONGEST_SLOW = 3000.0  # s: but no longer than the 3 s that anything can be told from look like with time in ms
@@ -32,7 +32,7 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
     "temperature": (200.0, "degC", "kelvin"),
 }
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
-DEGREES = 180.0 / np.pi
+DEGREES = 180.0 / np.pi  # per radian: what an angle in degrees is too large by
 INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have changed places
 MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
 

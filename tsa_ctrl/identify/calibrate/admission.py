@@ -20,8 +20,9 @@ NOISE_FACTOR = 5.0  # a speed below so many times the velocity noise has no sure
 SPEED_FRACTION = 0.05  # of the fast motion's speed: slower is called standstill
 STROKE_FRACTION = 0.15  # of the stroke after a reversal: friction may still be building up
 GUARD_TIME = 0.03  # s beside each reversal: sensor delays
-MIN_SECONDS = 1.0  # admitted motion in each direction
-MIN_LOAD_TO_NOISE = 2.0  # spread of the motor torque within a direction against its noise
+MIN_SECONDS = 1.0  # admitted motion in each direction: twice the time within which noise is alike (prepared.LAG_LIMIT)
+# Spread of the motor torque within a direction over its noise: below, noise bends the slope by more than a fifth
+MIN_LOAD_TO_NOISE = 2.0
 
 
 @dataclass(frozen=True)

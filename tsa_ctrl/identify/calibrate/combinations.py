@@ -18,7 +18,7 @@ from tsa_ctrl.model.sliding import pretension_level
 
 FloatArray = NDArray[np.float64]
 
-MIN_BLOCKS = 8
+MIN_BLOCKS = 8  # t of 7 degrees of freedom is 2.4; of half as many it would be 3.2, and intervals useless
 
 
 def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:

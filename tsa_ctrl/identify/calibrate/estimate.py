@@ -32,7 +32,8 @@ Split = Literal["keep", "fit"]
 HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
 EFFECT_ITERATIONS = 20  # at most; with all bending at the motor each leaves 0.12 of the error at x = 0.3, 0.55 at 1
 SETTLED = 1e-4  # of the half loop: below it they end; intervals are a hundred times as wide
-GAP = 1.0  # s left out between a held-out block and the rest
+# s left out between a held-out block and the rest: twice the time within which noise is alike (prepared.LAG_LIMIT)
+GAP = 1.0
 GAP_SHARE = 0.25  # of a block: a gap in a short log is no longer, lest it leave too little
 
 

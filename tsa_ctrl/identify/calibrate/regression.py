@@ -21,9 +21,10 @@ from tsa_ctrl.identify.student import LEVEL, half_width
 
 FloatArray = NDArray[np.float64]
 
+# t of 17 degrees of freedom is within 8 % of the normal one, and a block of a short log is still longer than its noise
 BLOCKS = 18
 MAX_LAG_LOSS = 0.10  # the instrument may lose so much of the correlation with its signal
-ALONE = 1e-6  # 1 - leverage, below which a block alone determines a combination
+ALONE = 1e-6  # 1 - leverage, below which a block alone determines a combination: rounding of a sum of thousands
 NOISE_CORRELATION = 0.05  # the lag at which the noise's autocorrelation has died out
 
 

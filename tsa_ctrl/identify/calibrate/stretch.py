@@ -45,7 +45,7 @@ MODEL = (0.006, 0.006, 0.03, 5e-6)
 COURSE_FOUND = 0.002  # 1, of s_c, instead, where the log has shown the course of the bends: 0.0013 at most
 WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log cannot tell
 LEAST_SLID = 1.0  # s after the tendons have slid all along
-CENTRES = (0.01, 0.97)
+CENTRES = (0.01, 0.97)  # of the bends: at an end itself one of the two softnesses is 0, and its logarithm none
 
 
 @dataclass(frozen=True)

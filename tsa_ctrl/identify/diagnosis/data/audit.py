@@ -12,15 +12,16 @@ from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
-SHORTEST = 3.0  # s
-FEWEST = 60  # score samples
+SHORTEST = 3.0  # s: a slow reversal and what comes before and after it
+FEWEST = 60  # score samples: two and a half in each of the blocks (frame.BLOCKS) that every test counts by
 CLEAR = 6.0  # times the velocity's noise, above which a motion is none of it
 LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
-STUCK = 0.5  # share of a torque's samples that repeat the one before
-FEWEST_HELD = 20  # samples at the largest value that are no chance
+# Share of a torque's samples that repeat the one before: more was held by something, for noise moves the last digit
+STUCK = 0.5
+FEWEST_HELD = 20  # samples at the largest value: so many are a limit, and no chance
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
-FEWEST_MEANS = 20
-SPEED_BINS, LOAD_BINS = 8, 8
+FEWEST_MEANS = 20  # whose spread is then known to a sixth
+SPEED_BINS, LOAD_BINS = 8, 8  # a picture that is read at a glance; no verdict hangs on it
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,9 @@ LOWEST = 8.0  # Hz, cut-off; joints move below 5 Hz and reverse within tens of m
 MARGIN = 8.0  # spectral density above the noise floor that still counts as motion
 SEGMENT = 4.0  # s, of one periodogram
 SHARP = 100.0  # Hz, of the motor torque: no lower, for it follows a reversal at once; and of angles at most
-VELOCITY_HIGHEST = 40.0  # Hz
+VELOCITY_HIGHEST = (
+    40.0  # Hz, of a recorded velocity's low-pass: five times what joints move by, so that no reversal is late
+)
 STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
 RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is left as it is
 JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches

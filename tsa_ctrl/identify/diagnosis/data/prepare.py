@@ -27,9 +27,9 @@ Log = Dataset | Mapping[str, ArrayLike]
 Logs = Sequence[Log] | Mapping[str, Mapping[str, ArrayLike]]
 
 COMPUTE_RATE = 500.0  # Hz at most: reversals are placed to 2 ms
-COMPUTE_SAMPLES = 90_000  # of all logs together at most
+COMPUTE_SAMPLES = 90_000  # of all logs together at most: three minutes at COMPUTE_RATE
 SCORE_RATE = 125.0  # Hz about: rate at which torques are compared
-SCORE_SAMPLES = 12_000  # of all logs together at most
+SCORE_SAMPLES = 12_000  # of all logs together at most: whitened columns of a thousand responses then fit into 100 MB
 
 
 def prepare(logs: Logs, model: Model, hold_out: str | None = None) -> list[Run]:

@@ -18,11 +18,12 @@ from tsa_ctrl.identify.dataset import matches
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run, block_numbers
 
 STRETCHES = 12  # of one log; every third is held out
-GAP = 0.3  # s between what is learned from and what is held out
-ENDS = 0.15  # s at either end of a log whose motion was derived
+GAP = 0.3  # s between what is learned from and what is held out: what a reversal leaves in the torque has faded
+# s at either end of a log whose motion was derived: a low-pass of the joints' motion sees that far beyond it
+ENDS = 0.15
 FIRST_SPEED = 0.01  # of the fastest: slower is standstill at the log's start
 FIRST_TRAVEL = 0.02  # of half the range, after which a joint that stood has its friction whatever was before
-FEWEST_LOGS = 3  # from which on whole logs are held out
+FEWEST_LOGS = 3  # from which on whole logs are held out: of two, one would be learned from alone
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis, Problem
 from tsa_ctrl.model.functions import Array
 
-ITERATIONS = 12
-ENOUGH = 0.05  # decrease of the sum of squares (white units) below which a fit has converged
-TRIES = 5  # of damping within one iteration
+ITERATIONS = 12  # of Gauss-Newton: it ends earlier where a step gains less than ENOUGH
+ENOUGH = 0.05  # decrease of the sum of squares (white units): a twentieth of what one coordinate of noise is worth
+TRIES = 5  # of damping within one iteration: ten to the fifth between a Newton step and hardly any
 
 
 @dataclass(frozen=True)

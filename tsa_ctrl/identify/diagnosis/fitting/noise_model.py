@@ -23,10 +23,13 @@ from tsa_ctrl.model.effects.search import Scales
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
-PILOT_NOISE = 0.02  # of the torque, before anything is known of the noise
-LEAST_DECREASE = 12.0  # decrease of the sum of squares for which a column is taken into the pilot model
-MOST_COLUMNS = 16
-MOST_SHARE = 0.1  # of the samples, that saturation may span
+# Of the torque: white, and divided out again by what it leaves; only the first fit is weighted by it
+PILOT_NOISE = 0.02
+# Of the sum of squares: the best of a thousand columns of noise takes 12 (twice the logarithm, less its own)
+LEAST_DECREASE = 12.0
+MOST_COLUMNS = 16  # some for each of the causes that may be named (selection.forward.MOST_CAUSES)
+# Of the samples, that saturation may span: more would be taken out of the noise, whose level is what is wanted
+MOST_SHARE = 0.1
 
 
 def recalibrated(frame: Frame, model: Model, scales: Scales, catalogue: Catalogue) -> tuple[Problem, Fit]:

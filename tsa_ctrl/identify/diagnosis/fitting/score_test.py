@@ -18,7 +18,8 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
 
-TRIAL = 0.02  # amplitude (in units of the torque) at which a nearly linear response is computed
+# Amplitude (in units of the torque) of a nearly linear response: small, so that it is linear; far above rounding
+TRIAL = 0.02
 STRETCH = 1.6  # a grid point may stand for an effect so many times its own, before the fit refines it
 
 

@@ -18,14 +18,16 @@ from scipy.linalg import cholesky, solve_toeplitz, solve_triangular, toeplitz
 
 from tsa_ctrl.model.functions import Array
 
-MEMORY = 1.0  # s, of the whitening filter at most
-MOST_LAGS = 120
-BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum
+# s, of the whitening filter at most: noise slower than that is drift, and looked for as such (residual.changes)
+MEMORY = 1.0
+MOST_LAGS = 120  # about MEMORY at the usual score rate (prepare.SCORE_RATE)
+BAND = 1.22  # ratio of the edges of one band of the smoothed spectrum: three and a half to an octave
 FLOOR = 0.04  # of the mean density: a band that seems quieter is not trusted with more weight
-FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep
-REFERENCE = (0.7, 5.0)  # Hz, band whose slope continues to lower frequencies, where a log has too few waves
-STEEPEST = 1.2  # power of 1/f that noise may have
-LOWEST = 0.15  # Hz, below which it is flat
+FEWEST_WAVES = 5.0  # degrees of freedom (pairs) that one band must keep: its level is then known to 45 %
+# Hz, band whose slope continues downwards: above what a log has too few waves of, below what joints shake by
+REFERENCE = (0.7, 5.0)
+STEEPEST = 1.2  # power of 1/f that noise may have: electronics have 1; a slope beyond is a motion's or an effect's
+LOWEST = 0.15  # Hz, below which it is flat: one wave in 7 s, of which a log of seconds shows a part
 FEW_COLUMNS = 4  # below which a sum over a hundred taps takes less time than three Fourier transforms
 
 

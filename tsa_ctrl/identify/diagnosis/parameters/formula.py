@@ -32,7 +32,7 @@ from tsa_ctrl.model.parameters import Model, RigidDrive
 
 MOST_TERMS = 3  # that a person still reads as a law
 LEAST_PART = 0.05  # of the mean square left, that a term must take elsewhere: less is not worth a line in a file
-LEAST_GAIN = 0.1  # of the mean square left on held-out data, that the whole must take to be told
+LEAST_GAIN = 0.1  # of the mean square left on held-out data, to be told: less is not seen in a picture of it
 TRIAL = 1e-3  # coefficient at which a term's response is computed; it is linear but for a load's friction
 SINGULAR = 1e-9  # of a column's square, added to the normal equations: twins among the terms
 CONSTANTS = "abc"

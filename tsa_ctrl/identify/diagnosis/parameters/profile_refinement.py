@@ -23,13 +23,14 @@ from tsa_ctrl.identify.diagnosis.parameters.passes import states_of
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
 from tsa_ctrl.model.functions import Array
 
-POINTS = 41  # of a profile
-FIRST_SPAN = 2.0  # steps of the coordinate, to either side
-DOUBLINGS = 6  # of the span
-HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end
-DRAWS = 400
+POINTS = 41  # of a profile: steps of a twentieth of its half, between which a parabola places the lowest point
+FIRST_SPAN = 2.0  # steps of the coordinate, to either side: doubled where that is too near
+DOUBLINGS = 6  # of the span: 64 times the first, beyond which nothing is known of it
+HIGH_ENOUGH = 60.0  # white units above the best, at which a profile may end: 7 standard deviations
+DRAWS = 400  # a standard deviation is then known to 4 %
 REACH = 4.0  # standard deviations that a profile spans where they are known: of 400 draws hardly one lies beyond
-MOST_RSS = 1.1  # of the sum of squares of the fit, that the refined one may have
+# Of the sum of squares of the fit, of the refined one: a best moment that costs the others more is theirs, not its own
+MOST_RSS = 1.1
 UNEVEN = 0.5  # of a grid step: jumps of single samples make a profile no smoother
 
 

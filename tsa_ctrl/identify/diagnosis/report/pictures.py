@@ -16,13 +16,13 @@ from tsa_ctrl.identify.diagnosis.report.result import Diagnosis
 from tsa_ctrl.identify.diagnosis.report.words import captions, spoken, torque_scale
 from tsa_ctrl.model.functions import Array
 
-DPI = 150
+DPI = 150  # as sharp on paper as on a screen
 WIDTH = 6.2  # inches: letters of 9 points stay readable where the page is 400 px wide
 SEGMENT = 4.0  # s of a picture of the worst moments
-SEGMENTS = 3
+SEGMENTS = 3  # the worst moments: what a page holds
 BINS = 40  # of a residual against a signal
 DOTS = 4000  # at most, of a scatter
-RANKED = 12
+RANKED = 12  # lines that can still be read
 MEASURED, GIVEN, CALIBRATED, EXTENDED = "black", "tab:red", "tab:orange", "tab:blue"
 
 Draw = Callable[[Diagnosis, Details], Figure]

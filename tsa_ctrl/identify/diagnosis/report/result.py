@@ -15,7 +15,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.parameters import Model
 
-SCHEMA = 1
+SCHEMA = 1  # of diagnosis.json: it changes when a reader of the last one would go wrong
 DIGITS = 6  # significant, of every number written: more is rounding of this machine
 
 

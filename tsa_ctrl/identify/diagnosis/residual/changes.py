@@ -16,18 +16,20 @@ from tsa_ctrl.identify.diagnosis.residual.dependence import LEAST_SHARE, Finding
 from tsa_ctrl.model.functions import Array
 
 STEP_TIMES = 60  # of all runs at which a step may be; at least 12 of each
-STEP_MARGIN = 0.06  # of the run's length at either end
-CHANCE = 1e-4  # that noise alone is found, per test
-DRAWS = 200
-LINE_BAND = (0.1, 25.0)  # Hz
-BURST = 0.25  # s
+STEP_MARGIN = 0.06  # of the run's length at either end: a step there is an end effect, and no two levels are seen
+CHANCE = 1e-4  # that noise alone is found, per test: three of them, so that one log in 3,000 is
+DRAWS = 200  # of the largest: its tail is a Gumbel law of their mean and spread, known to 7 %
+LINE_BAND = (0.1, 25.0)  # Hz: two cycles in 20 s, and what reaches the score rate without folding back by much
+BURST = 0.25  # s: a reversal with its presliding
 BURST_SHARE = 0.03  # of the time: bursts may take
-BURST_ENERGY = 0.12  # of the mean square that they hold, above what noise puts there
+# Of the mean square that they hold, above what noise puts there: what a person sees first in a picture
+BURST_ENERGY = 0.12
 DRIFT = "a slow drift"  # its share is of the plain mean square
-REFERENCE_BAND = (0.4, 5.0)  # Hz, from which noise is continued to lower frequencies
-STEEPEST = 1.2  # power of 1/f that noise may have there
-DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have
-DRIFT_RATIO = 4.0  # of its power to the continued noise
+REFERENCE_BAND = (0.4, 5.0)  # Hz, from which noise is continued to lower frequencies, as by noise.autoregressive
+STEEPEST = 1.2  # power of 1/f that noise may have there, as in noise.autoregressive
+DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have: a third of its power, which alone a user would see
+# Of its power to the continued noise: a slope of 1/f that is off by its error of 0.3 may feign a factor of 2
+DRIFT_RATIO = 4.0
 
 
 def steps(

@@ -17,11 +17,13 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
 from tsa_ctrl.identify.diagnosis.selection.entry import FOLDS
 from tsa_ctrl.model.functions import Array
 
-DRAWS = 200
-RIDGES = (3.0, 30.0, 300.0)  # precision of a coefficient before the data, white units
-SURE = 5.0  # standard deviations of the null
+DRAWS = 200  # mean and spread of a null are then known to 7 %, and five of these to a third
+# Precision of a coefficient before the data, white units: small, large, and hardly any dependence, the best counts
+RIDGES = (3.0, 30.0, 300.0)
+# Standard deviations of the null: ten families are looked at, of which none may be found by chance in 1 % of the logs
+SURE = 5.0
 DISTINCT = 1e-2  # of a column's size: what two columns differ by less is the noise of what they are made from
-LEAST_SHARE = 0.04  # of the mean square of the white residual
+LEAST_SHARE = 0.04  # of the mean square of the white residual: 2 % of its RMS, of no use to anybody
 
 
 @dataclass(frozen=True)

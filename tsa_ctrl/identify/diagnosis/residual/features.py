@@ -14,11 +14,12 @@ from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction, low_pass
 
-RANDOM = 90  # random features
-HISTORY = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)  # s, time constants of what a torque remembers
-ECHO = 0.4  # s of the torque's past in single steps
+RANDOM = 90  # random features: a dozen for each of the signals that they mix
+# s, time constants of what a torque remembers, 2.5 apart: neighbours imitate what lies between them
+HISTORY = (0.02, 0.05, 0.12, 0.3, 0.8, 2.0)
+ECHO = 0.4  # s of the torque's past in single steps: delays of a bus, waves in a tendon
 DRIVER_CUTOFF = 5.0  # Hz, of the load as a driver
-AFTER = (0.01, 0.03, 0.08, 0.2)  # s, and shares of the reach, after a reversal
+AFTER = (0.01, 0.03, 0.08, 0.2)  # s, and shares of the reach, after a reversal, 2.5 apart as HISTORY
 
 
 def families(frame: Frame, predicted: Array, rng: np.random.Generator) -> dict[str, Array]:

@@ -22,8 +22,9 @@ from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
 
-STRUCTURE = 0.5  # share of what is left that is structure, above which the simulation error decides
-PART = 0.5  # of what a cause explains, that a rival must explain
+# Share of what is left that is structure: from half on it is more than the noise, which then no longer decides
+STRUCTURE = 0.5
+PART = 0.5  # of what a cause explains, that a rival must explain: less is closer to nothing than to the cause
 
 
 @dataclass(frozen=True)

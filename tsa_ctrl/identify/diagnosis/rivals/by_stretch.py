@@ -23,14 +23,15 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Effects
 
 SPRING = "series_spring"
-MOST = 3  # effects that are named
+MOST = 3  # effects that are named, of four that there are: all at once would be a fit of functions
 ENOUGH = 30.0  # of the cost, that the angles must say: no matter of a few counts
 FROM_FILE = 16.0  # of the cost, that the file must say: 4 standard deviations of its [uncertainty]
-VISIBLY = 1.25  # of the squares with the effect, that are left without it
+VISIBLY = 1.25  # of the squares with the effect, that are left without it: 12 % of the RMS, seen in a picture
 BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
 FOR_ONCE = 1.5  # the same of what passes or happens once: k blocks that say all of it have t = sqrt(k)
 ALIKE = 9.0  # of the cost, within which another effect does as well: 3 standard deviations
-LEAST_TOLD = 0.9  # of the stretch's mean square less zero, drift and the effects, that the tensions must explain
+# Of the stretch's mean square less zero, drift and the effects: else something else stretches the tendons
+LEAST_TOLD = 0.9
 DOUBLINGS, HALVINGS = 24, 16  # of a step that looks for the end of an interval
 NOT_FOLLOWED = "the angles of both pulleys do not follow the tendons' tensions"
 NOT_AS_STIFF = "the angles of both pulleys contradict the stiffness or shape of the model file beyond its [uncertainty]"

@@ -30,14 +30,17 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
 PARAMETER_ERROR = "parameter_error"
-MOST_SPREAD = 3.0  # times the deviation in white noise that blocks may show
+# Times the deviation in white noise that blocks may show: as much as an interval may be widened (refit.WIDEST)
+MOST_SPREAD = 3.0
 INPUT_TOLERANCE = 0.02  # of what the cause explains: inputs and filters are no better known than that
-MOST_INPUT_TOLERANCE = 60.0  # white units, of that tolerance
+# White units, of that tolerance: what is sure by 60 is not made unsure by how much it explains
+MOST_INPUT_TOLERANCE = 60.0
 STILL = 0.3  # rad, range of the joint angle in which a weight may pass for an offset
 UNRECORDED = "thermal_friction_drift"  # a rival under a temperature that nobody recorded
-RISE = 10.0  # K, of the temperature that is made up
-REFERENCE = 25.0  # deg C
-FITTED = 6  # rivals that are fitted in full, beside the cause's own twins
+# K, of the temperature that is made up: a drive that warms up; its coefficient is in proportion, so that any would do
+RISE = 10.0
+REFERENCE = 25.0  # deg C: a room; of a temperature that is made up only differences count
+FITTED = 6  # rivals that are fitted in full, beside the cause's own twins: a group of more would tell nobody anything
 
 
 @dataclass(frozen=True)

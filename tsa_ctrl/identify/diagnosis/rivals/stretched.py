@@ -45,9 +45,9 @@ BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
 ENOUGH = 30.0  # of the cost, that the difference must be: no matter of a few counts
 ASIDE = 9.0 * MOST_SPREAD**2  # of what torque and file cost more: 3 standard deviations of the blocks' largest spread
 HONEST = 1.5  # times what is left with stiffness and shape free: more, and none of them is what stretches the tendons
-LEAST_TOLD = 0.5  # of the stretch's mean square less zero and drift, that the best must explain
+LEAST_TOLD = 0.5  # of the stretch's mean square less zero and drift: less, and the stretch is not of these tensions
 ROUNDS = 2  # of Gauss-Newton: a hypothesis starts where the torque has it
-MOST_CHANGES = 3  # of a name
+MOST_CHANGES = 3  # of a name: each is a search of rivals anew, and the second already comes from a closer group
 
 
 @dataclass(frozen=True)

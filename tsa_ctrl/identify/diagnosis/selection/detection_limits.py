@@ -22,7 +22,7 @@ from tsa_ctrl.identify.diagnosis.selection.forward import Selection
 from tsa_ctrl.identify.diagnosis.selection.meaning import torque
 from tsa_ctrl.model.functions import Array
 
-POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9
+POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9: a normal law's
 SPREAD = 1.15  # a block-robust deviation exceeds the nominal one by so much now and then
 INVISIBLE = 1e-6  # of the largest response: an effect that changes nothing here
 

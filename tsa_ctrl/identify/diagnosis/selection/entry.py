@@ -26,15 +26,19 @@ from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
 
-DRAWS = 300
-FAMILY_LEVEL = 0.002  # chance that the best of all candidates passes the threshold on noise alone
-FOLDS = 6
+DRAWS = 300  # of the best of all candidates: its tail is a Gumbel law of their mean and spread, known to 6 %
+# Chance that the best candidate passes on noise alone: 1 % of logs in all may name something, in five rounds
+FAMILY_LEVEL = 0.002
+FOLDS = 6  # parts left out: each is a sixth, so that what is learned from the others is hardly less than all
 BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
-LEAST_CROSS_VALIDATED = 0.4  # share of the gain that must hold on blocks not fitted on
-LEAST_OUTSIDE = 0.12  # share of the gain that must be left without the best block
-TIMES_OUTSIDE = 2.0  # times the threshold, that the gain outside the best block must pass
-SMALLEST = 0.2  # of the noise RMS: smaller effects are not named
-LEAST_ERROR_REDUCTION = 0.4  # of the noise RMS at the score rate, that the simulation error must lose
+# Share of the gain that holds on blocks not fitted on: fitted noise keeps none, a cause all but its own
+LEAST_CROSS_VALIDATED = 0.4
+LEAST_OUTSIDE = 0.12  # share of the gain left without the best block: an even one of 24 leaves 0.96, a burst none
+# Times the threshold, of the gain outside the best block: so it would enter without it, and as much again
+TIMES_OUTSIDE = 2.0
+SMALLEST = 0.2  # of the noise RMS: smaller effects change the error by 2 %, which nobody would see
+# Of the noise RMS at the score rate, that the simulation error must lose: a sixth of the noise's mean square
+LEAST_ERROR_REDUCTION = 0.4
 # Logs, each of which must lose more than half of its error by a cause fitted on the others alone: a cause that means
 # nothing makes a log better about as often as worse, and halves the error of four hardly ever; fewer logs must lose so
 # much more of it that their shares multiply to no more than those of four

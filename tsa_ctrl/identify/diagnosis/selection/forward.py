@@ -40,9 +40,10 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     step_with_late_reversals,
 )
 
-MOST_CAUSES = 4
+MOST_CAUSES = 4  # beyond which a list of causes is a fit of functions: targets and tests hide two
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
-MORE_THAN_NOISE = 1.05  # of the number of samples, above which the sum of squares (white units) holds more than noise
+# Of the number of samples, of the sum of squares (white units): 5 % are three deviations of 7,000 samples
+MORE_THAN_NOISE = 1.05
 
 
 @dataclass(frozen=True)

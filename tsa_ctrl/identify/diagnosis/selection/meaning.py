@@ -21,8 +21,9 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 # Of the torque: a part three times as large has eight ninths of its square cancelled by other parts, so that its number
 # is the difference of two guesses
 MOST_PART = 3.0
-AT_BOUND = 1e-6  # of the range between two bounds
-BY_NOISE = 14.0  # decrease of the sum of squares (white units) that noise alone may explain
+AT_BOUND = 1e-6  # of the range between two bounds: a fit that is held there stands on it, but for rounding
+# Decrease of the sum of squares (white units) by noise alone: 3.7 deviations; one test in 5,000 has more
+BY_NOISE = 14.0
 # Effects, and the one that each turns into where the joint hardly turns or where the spring rests far away
 SIMPLER: Mapping[str, str] = {"joint_stiffness": "torque_offset", "gravity_load": "torque_offset"}
 

@@ -16,10 +16,11 @@ from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
 
 LATE_REVERSALS = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
-FITTED = 5  # best candidates that are refined, and fitted in full
+FITTED = 5  # best candidates that are refined, and fitted in full: one of them enters, and the others are asked again
 NEAR_BEST = 0.25  # of the best gain: candidates below are not fitted
-SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)  # golden section
-STEPS = 9
+# Golden section: the interval that is left by each step has one of its two points already
+SHRINK = 0.5 * (np.sqrt(5.0) - 1.0)
+STEPS = 9  # of the golden section: 1 % of the first interval is left
 
 
 def step_from_nominal(problem: Problem, fitted: Fit, variant: Variant, start: Sequence[float] = ()) -> Fit | None:
