@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tools import command
-from tools.bench import measured
+from tools.bench import hidden_effects, measured
 from tools.bench.results import Row
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import RigidDrive
@@ -67,21 +67,24 @@ def test_what_the_base_model_has_is_no_size_of_an_effect() -> None:
     """Inertia, friction, drag and offset are projected out: an effect made of them has no size."""
     log = still_moving()
     drive = RigidDrive(inertia=1e-3, coulomb_friction=0.1, viscous_friction=0.1, torque_offset=0.0)
-    base = [measured.base_of(log, drive)]
-    assert measured.left_of([2.0 * log.acceleration + np.sign(log.omega) - 0.5 * log.omega + 1.0], base) < 1e-9
-    assert measured.left_of([np.abs(log.omega)], base) > 0.1
-    assert measured.left_of([np.ones(len(log.q))], [measured.base_of(log, RigidDrive(coulomb_friction=0.1))]) > 0.1
+    base = [hidden_effects.base_of(log, drive)]
+    assert hidden_effects.left_of([2.0 * log.acceleration + np.sign(log.omega) - 0.5 * log.omega + 1.0], base) < 1e-9
+    assert hidden_effects.left_of([np.abs(log.omega)], base) > 0.1
+    assert (
+        hidden_effects.left_of([np.ones(len(log.q))], [hidden_effects.base_of(log, RigidDrive(coulomb_friction=0.1))])
+        > 0.1
+    )
 
 
 @pytest.mark.parametrize("effect", ["direction_asymmetric_friction", "presliding_hysteresis", "transport_delay"])
 def test_an_effect_is_hidden_at_the_size_that_was_asked_for(effect: str) -> None:
-    log, hidden = still_moving(), measured.HIDDEN[effect]
-    base = [measured.base_of(log, RigidDrive(inertia=1e-3, coulomb_friction=0.1))]
-    number = measured.number_of(hidden, [log], base, 0.1)
+    log, hidden = still_moving(), hidden_effects.HIDDEN[effect]
+    base = [hidden_effects.base_of(log, RigidDrive(inertia=1e-3, coulomb_friction=0.1))]
+    number = hidden_effects.number_of(hidden, [log], base, 0.1)
     assert number is not None
-    assert measured.left_of([hidden.change(log, number)], base) == pytest.approx(0.1, rel=1e-3)
+    assert hidden_effects.left_of([hidden.change(log, number)], base) == pytest.approx(0.1, rel=1e-3)
     if hidden.range is not None:
-        assert measured.number_of(hidden, [log], base, 1e3) is None  # no delay moves a torque by more than itself
+        assert hidden_effects.number_of(hidden, [log], base, 1e3) is None  # no delay moves a torque by more than itself
 
 
 def test_at_steady_speed_an_inertia_would_be_the_noise_of_the_velocity() -> None:
@@ -89,7 +92,7 @@ def test_at_steady_speed_an_inertia_would_be_the_noise_of_the_velocity() -> None
     numbers = []
     for omega in (3.0 + 0.05 * rng.normal(size=t.size), 3.0 * np.cos(2.0 * t) + 0.01 * rng.normal(size=t.size)):
         log = Dataset.from_arrays({"t": t, "tau_m": 0.1 * np.sign(omega), "omega_m": omega}, "one.csv")
-        numbers.append(measured.with_hidden([log], drive, "inertia", 0.01)[1])
+        numbers.append(hidden_effects.with_hidden([log], drive, "inertia", 0.01)[1])
     assert numbers[0] is None
     assert numbers[1] is not None
 
@@ -100,17 +103,19 @@ def test_static_friction_fades_by_a_speed_of_the_drive_not_of_the_log() -> None:
         Dataset.from_arrays({"t": t, "tau_m": np.full(t.size, 0.1), "omega_m": np.full(t.size, speed)}, f"{speed}.csv")
         for speed in (0.2, 2.0)
     ]
-    slow, fast = measured.motions_of(logs, RigidDrive(coulomb_friction=0.1))
-    change = measured.HIDDEN["stribeck_friction"].change
+    slow, fast = hidden_effects.motions_of(logs, RigidDrive(coulomb_friction=0.1))
+    change = hidden_effects.HIDDEN["stribeck_friction"].change
     assert float(np.mean(change(slow, 1.0))) == pytest.approx(np.exp(-1.0), rel=1e-6)
     assert float(np.mean(change(fast, 1.0))) == pytest.approx(np.exp(-10.0), rel=1e-6)
 
 
-def still_moving() -> measured.Motion:
+def still_moving() -> hidden_effects.Motion:
     t = np.linspace(0.0, 10.0, 2000)
     omega, acceleration = np.cos(t) + 0.3 * np.cos(2.7 * t), -np.sin(t) - 0.81 * np.sin(2.7 * t)
     torque = 0.4 * np.sign(omega) + 0.1 * acceleration
-    return measured.Motion(t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 1.3, 0.4)
+    return hidden_effects.Motion(
+        t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 1.3, 0.4
+    )
 
 
 @pytest.mark.slow

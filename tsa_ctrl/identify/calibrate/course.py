@@ -24,10 +24,10 @@ from tsa_ctrl.model.stretch import profile_of
 FloatArray = NDArray[np.float64]
 
 PLACES = 6  # with 8 nothing is gained on simulated rigs
-SHARES = (np.arange(PLACES) + 0.5) / PLACES
+SHARES = (np.arange(PLACES) + 0.5) / PLACES  # of the bending, in the middles of equal parts
 SPREAD = 0.1  # of the length, standard deviation of a place beforehand
 ALIKE_FOR = 0.1  # s, for which what the tendons leave out stays alike: so much of a log counts once
-ROUNDS = 12
+ROUNDS = 12  # of Gauss-Newton at most; ENOUGH ends them
 ENOUGH = 2e-3  # of the length: smaller steps of a place end the search
 STEPS = (0.01, 0.02, 1e-5, 0.01)  # of ln k, ln x, J_M and a place, for derivatives
 MOST = (0.1, 0.1, 1e-4, 0.08)  # in one round
