@@ -3,15 +3,13 @@
 Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--out FILE.jsonl] [--list]
 
 Each set is diagnosed as it is; then again with one effect added to its measured torque, as the drive would show it, by
-formulas of their own (hidden_effects), at a size in multiples of the floor that the untouched logs have. The size is the RMS of what is
-left of it once all is projected out that recalibration may change: inertia, friction, drag and offset as far as the
-model has them; of tendons the motor torque and the direction. "found": the name comes in addition to what the untouched
-logs say, and no other name does; "in a group": it stands among others; "wrong": another name without it; "refused": the
-logs were found insufficient. A parameter that the untouched logs have already is no addition: those effects are left
-out. And one half of a set (of its logs, or of its one log's time) is diagnosed with the model that the diagnosis of the
-other half has written: nothing may be added. Rows are kept in --out (default: the file that the manual's table is
-written from), and not made again. The data are looked for in the folder named by TSA_DATA, else in ../shared/data;
-without them there is one line and nothing to do.
+the formulas of `hidden_effects`, at a size in multiples of the floor that the untouched logs have. "found": the name
+comes in addition to what the untouched logs say, and no other name does; "in a group": it stands among others; "wrong":
+another name without it; "refused": the logs were found insufficient. A parameter that the untouched logs have already
+is no addition: those effects are left out. And one half of a set (of its logs, or of its one log's time) is diagnosed
+with the model that the diagnosis of the other half has written: nothing may be added. Rows are kept in --out (default:
+the file that the manual's table is written from), and not made again. The data are looked for in the folder named by
+TSA_DATA, else in ../shared/data; without them there is one line and nothing to do.
 """
 
 from __future__ import annotations
