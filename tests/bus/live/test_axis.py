@@ -279,3 +279,70 @@ def test_names_scales_and_where_the_torque_is_shown() -> None:
     assert (axis.stands_off, axis.refused, axis.tau_m_sent) == (True, 0, 0.0)
     assert axis.tpdo_ids == [0x181, 0x281, 0x1A0, 0x1C0]
     assert [health.role for health in axis.image.nodes] == [Role.DRIVE, Role.ENCODER, Role.TORQUE_SENSOR]
+
+
+def test_the_motors_position_goes_on_over_the_end_of_its_counter() -> None:
+    rig, bus, nodes = one_axis_rig()
+    image = rig.axes[0].image
+    nodes.position = (1 << 31) - 10
+    cycle(rig, bus)
+    before = image.q_m
+    nodes.position = -(1 << 31) + 10
+    cycle(rig, bus)
+    assert image.q_m - before == pytest.approx(20 * math.tau / 65536, rel=1e-6)
+
+
+def test_before_the_first_answer_a_value_is_older_than_any_and_a_node_may_be_silent() -> None:
+    rig, bus, nodes = one_axis_rig()
+    nodes.silent = {0x181, 0x281, 0x1A0, 0x1C0}
+    cycle(rig, bus)
+    assert rig.axes[0].image.pdo_age == math.inf
+    axis = axis_of(axis_nodes())
+    axis.settle(1000.0, True)
+    assert axis.image.silent is axis.image.nodes[0]
+
+
+def test_what_an_axis_is_made_of() -> None:
+    given = axis_nodes()
+    axis = axis_of(given, DriveProfile(warnings=[0x3210]))
+    assert axis.nodes is given
+    assert axis.image.nodes[0].told == {0x3210}
+    for part in (axis.inboxes[0], axis.guards[0]):
+        with pytest.raises(AttributeError):
+            part.another = 1  # type: ignore[union-attr]
+
+
+def test_a_position_counts_from_its_zero_in_all_of_its_range_and_after_a_new_start_again() -> None:
+    rig, bus, nodes = one_axis_rig()
+    image = rig.axes[0].image
+    nodes.position = 3 << 29
+    cycle(rig, bus)
+    assert image.q_m == pytest.approx((3 << 29) * math.tau / 65536)
+    for nodes.position in ((1 << 31) - 10, -(1 << 31) + 10):
+        cycle(rig, bus)
+    assert image.q_m == pytest.approx(((1 << 31) + 10) * math.tau / 65536)
+    rig.axes[0].rearm(bus.clock.now)
+    cycle(rig, bus)
+    assert image.q_m == pytest.approx((-(1 << 31) + 10) * math.tau / 65536)
+
+
+def test_a_speed_of_the_position_is_never_that_which_the_drive_says() -> None:
+    rig, bus, nodes = one_axis_rig(velocity_source="position")
+    nodes.velocity = 60_000
+    cycle(rig, bus)
+    nodes.silent = {0x281}
+    cycle(rig, bus)
+    assert rig.axes[0].image.omega_m == 0.0
+
+
+def test_a_joint_that_is_not_heard_keeps_its_speed_whoever_else_is_silent() -> None:
+    rig, bus, nodes = one_axis_rig()
+    image = rig.axes[0].image
+    for nodes.count in range(0, 50_000, 1000):
+        cycle(rig, bus)
+    before = image.omega_j
+    assert before > 0.0
+    nodes.silent = {0x1A0, 0x1C0}
+    sampled = bus.clock.now
+    cycle(rig, bus)
+    assert (image.omega_j, image.joint_fresh, image.now) == (before, False, sampled)
