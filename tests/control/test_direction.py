@@ -341,3 +341,37 @@ def test_a_joint_that_trembles_keeps_the_direction_before_and_the_torques_place(
     assert {by(0.0, 1.0 + 8.0 * TURN, angle=0.096) for _ in range(10)} == {1.0}
     assert by(-1.0, 1.0, angle=0.0961) == -1.0
     assert {by(0.0, angle=0.0961) for _ in range(10)} == {-1.0, 1.0}
+
+
+def turns_of(frequency: float, amplitude: float, seconds: float = 2.0) -> list[tuple[float, bool]]:
+    """Of a joint that goes to and fro: times (s) at which the direction turned, and whether that followed the joint."""
+    joint, found, last = Joint(way=9.4e-3), [], 0.0
+    for n in range(round(seconds / PERIOD)):
+        sigma = joint.step(0.3 + amplitude * math.sin(2.0 * math.pi * frequency * n * PERIOD))
+        if sigma * last < 0.0:
+            found.append((n * PERIOD, joint.direction.follows))
+        last = sigma
+    return found
+
+
+@pytest.mark.parametrize(
+    ("frequency", "follows"), [(4.0, True), (8.0, True), (12.0, True), (14.0, False), (30.0, False)]
+)
+def test_turns_no_faster_than_a_hand_trembles_are_said_to_follow_the_joint(frequency: float, follows: bool) -> None:
+    found = turns_of(frequency, 2e-3)
+    assert len(found) >= 4.0 * frequency - 3.0
+    assert {told for _, told in found[1:]} == {follows}
+
+
+def test_a_turn_that_no_joint_made_follows_none_and_an_old_one_not_any_longer() -> None:
+    joint = Joint()
+    for wanted in (0.5, 0.4):
+        joint.step(0.3, wanted)
+    assert not joint.direction.follows
+    joint = Joint(way=9.4e-3)
+    told = []
+    for n in range(400):
+        joint.step(0.3 + (1e-3 * n if n < 200 else 0.2 - 1e-3 * (n - 200)))
+        told.append(joint.direction.follows)
+    assert told[210]
+    assert not any(told[260:])

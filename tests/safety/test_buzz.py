@@ -146,3 +146,27 @@ def test_a_number_that_no_torque_can_have_is_passed_over(side: float) -> None:
     assert watch(few) == []
     nan_first = np.concatenate(([math.nan, side * 1.01e6], 0.2 * np.sin(2.0 * math.pi * 60.0 * times(0.5))))
     assert [n - 2 for n in watch(nan_first)] == watch(nan_first[2:])
+
+
+@pytest.mark.parametrize("period", [1e-3, 4e-3])
+def test_the_turns_of_a_hand_that_trembles_are_looked_through(period: float) -> None:
+    """Steps of the friction term 16 times a second: told as a buzz, unless each is said to follow the joint."""
+    t = times(2.0, period)
+    phase = 8.0 * t % 0.5
+    term = 0.2 * np.sign(np.sin(2.0 * math.pi * 8.0 * t + 1e-6))
+    found = {}
+    for name, follows in (("follows", phase < 0.02 * 8.0), ("not", np.zeros(t.size, dtype=bool))):
+        buzz = Buzz(LEVEL, period)
+        found[name] = [
+            buzz.update(*values) for values in zip(term.tolist(), [0.0] * t.size, follows.tolist(), strict=True)
+        ]
+    assert any(found["not"])
+    assert not any(found["follows"])
+
+
+def test_a_swing_is_told_between_the_turns_of_a_hand() -> None:
+    t = times(3.0)
+    follows = (8.0 * t % 0.5) < 0.04 * 8.0
+    swing = 2.0 * LEVEL * np.sin(2.0 * math.pi * 70.0 * t)
+    buzz = Buzz(LEVEL, PERIOD)
+    assert any(buzz.update(*values) for values in zip(swing.tolist(), [0.0] * t.size, follows.tolist(), strict=True))

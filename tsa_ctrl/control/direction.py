@@ -35,6 +35,7 @@ NOISE = 1.5  # times one count's velocity that the zone is at least: a count and
 LEAST_ZONE = 0.002  # rad/s, that may be set while running
 LITTLE = 0.05  # of the way in which the tendons slide all along: a joint that went no further has turned nothing
 AT_REST = 5e-3  # s of rest after which that is said: a reversal passes the zone in less
+TREMOR = 0.04  # s between two turns of a hand that trembles: 12 Hz is the fastest tremor of people (Deuschl 1998)
 
 
 class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -85,6 +86,11 @@ class Direction:
         self._zone = max(value, self._floor)
 
     @property
+    def follows(self) -> bool:
+        """Whether the last turn followed the joint of late, and none came sooner before it than a hand trembles."""
+        return self._follows and self._since < TREMOR
+
+    @property
     def moving(self) -> bool:
         """Whether the joint's motion, and not the stretch, says where the tendon slips."""
         return self.rest == 0.0
@@ -95,6 +101,8 @@ class Direction:
         self.age = 0.0
         self.rest = 0.0
         self._before, self._turned_at = 0.0, math.nan  # the direction before the joint's last turn, and its angle then
+        self._follows = False
+        self._since = TREMOR  # s since the last turn
         self.forget()
 
     def forget(self) -> None:
@@ -112,6 +120,7 @@ class Direction:
         omega = motion.velocity + self.lead * alpha
         stretch = self._reach * ahead
         self.age = 0.0
+        self._since += self._period
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
             if not self._little_since_turn():
@@ -124,24 +133,30 @@ class Direction:
                 elif turned == self._before:
                     self._turned_at = math.nan  # back again: as before
                 self.sigma = turned
+                self._follows, self._since = self._since >= TREMOR, 0.0
                 since = abs(omega / alpha) if alpha != 0.0 else 0.0
                 self.age = since / self._period if since < self._period else 1.0
             return self.sigma
         self.rest += self._period
         if self.rest > AT_REST and self._little_since_turn():
-            self.sigma, self._turned_at = self._before or self.sigma, math.nan
+            self._turn(self._before or self.sigma, self._follows)
         if ahead != ahead:
             return self.sigma
         edge = self._edge if self._edge == self._edge else 0.0
         if stretch > edge + self._play:
             self._edge = stretch - self._play
-            self.sigma, self._turned_at = 1.0, math.nan
+            self._turn(1.0)
         elif stretch < edge - self._play:
             self._edge = stretch + self._play
-            self.sigma, self._turned_at = -1.0, math.nan
+            self._turn(-1.0)
         else:
             self._edge = edge
         return self.sigma
+
+    def _turn(self, sigma: float, follows: bool = False) -> None:
+        if sigma != self.sigma:
+            self._follows, self._since = follows, 0.0
+        self.sigma, self._turned_at = sigma, math.nan
 
     def _little_since_turn(self) -> bool:
         """Whether the joint has gone so little since it turned that its tendons still lie as they did."""

@@ -2,7 +2,8 @@
 
 Such a swing hardly moves the joint and delivers no energy there, so `passivity` does not see it. It is what the law
 adds to the wanted torque, above `LOWEST` Hz, block by block: one turn of the friction at a reversal fills a block or
-two, a swing that feeds itself all of them. A set-point that has as much of that band explains it.
+two, a swing that feeds itself all of them. A set-point that has as much of that band explains it, and a turn that
+follows the joint does: a hand that trembles turns the friction 25 times a second, and is looked through.
 """
 
 from __future__ import annotations
@@ -38,12 +39,15 @@ class Buzz:
         self._count = self._turns = 0
         self._power = self._explained = 0.0
 
-    def update(self, added: float, wanted: float) -> bool:
-        """Whether it buzzes, after this cycle; both N*m at the motor: what the law added, and the set-point's part."""
+    def update(self, added: float, wanted: float, turns: bool = False) -> bool:
+        """Whether it buzzes, after this cycle; both N*m at the motor: what the law added, and the set-point's part.
+
+        `turns`: the friction term turns as the joint did, and what it adds says nothing.
+        """
         slow = self._added
         if not -1e6 < added + wanted < 1e6:
             return False
-        if slow != slow:
+        if turns or slow != slow:
             self._added, self._wanted = added, wanted
             return False
         fast = added - slow

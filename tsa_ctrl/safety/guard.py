@@ -96,18 +96,20 @@ class Guard:
         added: float,
         ideal: float,
         swing: float = 0.0,
+        turns: bool = False,
     ) -> None:
         """After a cycle with torque; N*m at the joint but for `added` and `ideal`, rad/s, J.
 
         `tau_j`: delivered, nan where it is not known; `wanted`: set-point, `rate`: its slope; `term`: the friction term
         as sent; `half_loop`: the model's; `added`, `ideal`: at the motor, what the law added to the set-point's part,
-        and that; `swing`: what the motor has by its motion against the joint, 0 where its inertia is not known.
+        and that; `swing`: what the motor has by its motion against the joint, 0 where its inertia is not known;
+        `turns`: whether the term turns with the joint, which is no buzzing.
         """
         if self._unwinding:
             self._unwinding -= 1
         if self._passivity.update(tau_j, wanted, rate, omega_j, term, half_loop, swing):
             self._energy()
-        if self._buzz.update(added, ideal):
+        if self._buzz.update(added, ideal, turns):
             self._buzzes()
         if self._back_off < 1.0:
             self._recover()
