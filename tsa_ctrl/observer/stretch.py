@@ -41,6 +41,9 @@ SURELY = 2.0
 NEARLY = 0.99  # 1, of a bound, that counts as reached
 STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
+# 1, of what the motor's own inertia takes, by which what is foretold may be off while it does: torque and speed are
+# those of a moment each; with 0.3 a hand that trembles, which shows nothing but turns, teaches a friction that is wrong
+INERTIA_DOUBT = 1.0
 COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
 # times the variance of a stretch measured, as what the tendons' model has not is alike for a while: with 100 lost
 # pretension gives the joint 50 mJ before it is seen, with 20 a stiffness that is off costs 3.4 % of a held torque
@@ -96,13 +99,14 @@ class StretchObserver:
         self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]), self._line.centre)
         self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
         per_torque = r_j / r_m
+        self._own = 0.5 * INERTIA_DOUBT / r_m / model.tendon_stiffness
         self._noise = (per_torque * TORQUE_NOISE) ** 2
         self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
         self._per_torque = per_torque
         known = "elongation_coupling" in model.effects or model.bending_course is not None
         self._course = (TOLD if known else COURSE) * self._friction
         self.pretension = model.pretension  # N, that x is told at
-        tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0)  # compiles
+        tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
 
     def reset(self) -> None:
@@ -225,7 +229,13 @@ class StretchObserver:
         difference = (tau_m - taken) / self._r_m
         memory = self._memory
         tensions, deviation, code = tendons.observe(
-            self._pairs, memory, self._settings, difference, stretch - self._origin, way - self._last
+            self._pairs,
+            memory,
+            self._settings,
+            difference,
+            stretch - self._origin,
+            way - self._last,
+            (self._own * taken) ** 2,
         )
         self._last, self._omega = way, omega_m
         if code != tendons.OK:

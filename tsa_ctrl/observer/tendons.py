@@ -271,12 +271,13 @@ def spread(pairs: Array, x: float, stiffer: float) -> None:
 
 @njit(cache=True, error_model="numpy")
 def observe(
-    pairs: Array, memory: Array, settings: Array, difference: float, stretch: float, joint: float
+    pairs: Array, memory: Array, settings: Array, difference: float, stretch: float, joint: float, doubt: float = 0.0
 ) -> tuple[float, float, int]:
     """One cycle of all pairs, which differ by `MORE`: predict the stretch, learn from the one measured.
 
     `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
-    has turned since. Returns T4 - T2 (N), its standard deviation as far as the tendons decide it (N), and a code.
+    has turned since; `doubt`: m^2, of what is foretold, beside NOISE. Nothing is learned before SLID, as it is not known
+    how the tendons lay. Returns T4 - T2 (N), its standard deviation as far as the tendons decide it (N), and a code.
     """
     n = pairs.shape[3] - 1
     w = memory
@@ -303,7 +304,7 @@ def observe(
         w[GAIN_T + which] -= w[KNOWN] * w[HELD_T + which]
     error = stretch - w[ZERO] - (w[WAY] - w[JOINT_WAY]) - w[GAIN_S] * keep * w[FAST]
     w[INNOVATION] = error
-    by_x, by_k = _learn(w, settings, keep, error) if w[SLID] == 1.0 else (0.0, 0.0)  # friction before that is not known
+    by_x, by_k = _learn(w, settings, keep, error, doubt) if w[SLID] == 1.0 else (0.0, 0.0)
     x = min(settings[HIGH], max(settings[LOW], w[ANGLE] * math.exp(by_x)))
     most = settings[MOST_STIFF]
     stiff = min(most, max(1.0 / most, w[STIFF] * math.exp(by_k)))
@@ -319,7 +320,7 @@ def observe(
 
 
 @njit(cache=True, error_model="numpy")
-def _learn(w: Array, settings: Array, keep: float, error: float) -> tuple[float, float]:
+def _learn(w: Array, settings: Array, keep: float, error: float, doubt: float) -> tuple[float, float]:
     """A step of the states by themselves, then what a stretch changes; returns the changes of ln x and ln STIFF.
 
     FAST forgets, the others walk slowly, never further than the prior. `error`: m by which the stretch was foretold
@@ -334,7 +335,7 @@ def _learn(w: Array, settings: Array, keep: float, error: float) -> tuple[float,
     gain = np.empty(STATES)
     for i in range(STATES):
         gain[i] = h * (p[i, X] + p[i, F]) + by_k * p[i, K] + p[i, Z]
-    total = h * (gain[X] + gain[F]) + by_k * gain[K] + gain[Z] + settings[NOISE]
+    total = h * (gain[X] + gain[F]) + by_k * gain[K] + gain[Z] + settings[NOISE] + doubt
     most = _OUTLIER * math.sqrt(total)
     error = min(most, max(-most, error))
     total *= max(1.0, abs(gain[X] * error / total) / _STEP, abs(gain[K] * error / total) / _STEP)
