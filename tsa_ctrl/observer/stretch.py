@@ -41,9 +41,9 @@ SURELY = 2.0
 NEARLY = 0.99  # 1, of a bound, that counts as reached
 STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
-# 1, of what the motor's own inertia takes, by which what is foretold may be off while it does: torque and speed are
-# those of a moment each; with 0.3 a hand that trembles, which shows nothing but turns, teaches a friction that is wrong
-INERTIA_DOUBT = 1.0
+# s between torque and angles, by which what is foretold may be off while the stretch changes: half of a current loop's.
+# A hand that trembles shows nothing but turns, and without it they teach a stiffness that is wrong
+TIME_DOUBT = 0.3e-3
 COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
 # times the variance of a stretch measured, as what the tendons' model has not is alike for a while: with 100 lost
 # pretension gives the joint 50 mJ before it is seen, with 20 a stiffness that is off costs 3.4 % of a held torque
@@ -99,7 +99,6 @@ class StretchObserver:
         self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]), self._line.centre)
         self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
         per_torque = r_j / r_m
-        self._own = 0.5 * INERTIA_DOUBT / r_m / model.tendon_stiffness
         self._noise = (per_torque * TORQUE_NOISE) ** 2
         self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
         self._per_torque = per_torque
@@ -126,7 +125,7 @@ class StretchObserver:
         self.state = StretchState.UNSLID
         self.torque = self.low = self.high = math.nan
         self._last = math.nan  # m, the joint's way
-        self._omega = math.nan
+        self._omega = self._stretch = math.nan
 
     def _begin(self, stretch: float) -> None:
         """Tensions level along each tendon, by the stretch (m) that there is."""
@@ -222,7 +221,7 @@ class StretchObserver:
             return
         elapsed, self._gap = self._period + self._gap, 0.0
         if self._last != self._last:
-            self._last, self._omega = way, omega_m
+            self._last, self._omega, self._stretch = way, omega_m, stretch
             self._begin(stretch)
             return
         taken = self._inertia * (omega_m - self._omega) / elapsed
@@ -235,9 +234,9 @@ class StretchObserver:
             difference,
             stretch - self._origin,
             way - self._last,
-            (self._own * taken) ** 2,
+            (TIME_DOUBT * (stretch - self._stretch) / elapsed) ** 2,
         )
-        self._last, self._omega = way, omega_m
+        self._last, self._omega, self._stretch = way, omega_m, stretch
         if code != tendons.OK:
             self._lose()
             self.state = StretchState.SLACK

@@ -276,7 +276,7 @@ def observe(
     """One cycle of all pairs, which differ by `MORE`: predict the stretch, learn from the one measured.
 
     `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
-    has turned since; `doubt`: m^2, of what is foretold, beside NOISE. Nothing is learned before SLID, as it is not known
+    has turned since; `doubt`: m^2, of what is foretold, beside NOISE. Nothing is learned before SLID, as nothing says
     how the tendons lay. Returns T4 - T2 (N), its standard deviation as far as the tendons decide it (N), and a code.
     """
     n = pairs.shape[3] - 1
