@@ -22,6 +22,7 @@ from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bare import why_not as beside
 from tsa_ctrl.control.bending import BendingSettings
+from tsa_ctrl.control.by_tension import why_not as no_tension
 from tsa_ctrl.control.choice import chosen
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
@@ -256,23 +257,24 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f"{file.controller.rate:g} Hz; raise it"
         )
     _check_serial(where, axis)
-    estimator, bending = axis.estimator, axis.bending
-    by_serial = any(sensor.quantity == "tau_j" for sensor in axis.serial)
-    if estimator.kind == "sensor" and axis.torque_sensor is None and not by_serial:
+    estimator, bending, measured = axis.estimator, axis.bending, {sensor.quantity for sensor in axis.serial}
+    if estimator.kind == "sensor" and axis.torque_sensor is None and "tau_j" not in measured:
         raise UsageError(
             f'{where}: estimator.kind "sensor" without [axis.torque_sensor] or a serial sensor of tau_j; give one, '
             "or another kind"
         )
+    if estimator.kind == "tension" and (reason := no_tension(estimator.attribute, measured)):
+        raise UsageError(f'{where}: estimator.kind "tension" {reason}')
     if estimator.kind == "stretch":
         _check_stretch(where, axis, model)
-    if estimator.kind in ("sensor", "motor") and estimator.use and (reason := beside(model)):
+    if estimator.kind in ("sensor", "motor", "tension") and estimator.use and (reason := beside(model)):
         raise UsageError(f'{where}: estimator.kind "{estimator.kind}" with use = true: {reason}, or write use = false')
     if (estimator.kind == "map") != (bending.source != "fixed"):
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
             'kind "map" needs the source "command", "joints" or "sensor", and no other kind uses them'
         )
-    if (bending.source == "sensor") != any(sensor.quantity == "theta" for sensor in axis.serial):
+    if (bending.source == "sensor") != ("theta" in measured):
         raise UsageError(
             f'{where}: bending.source "sensor" and an [[axis.serial]] of theta belong together; give both or neither'
         )

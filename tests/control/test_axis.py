@@ -175,6 +175,7 @@ class Calls(list[tuple[Any, ...]]):
 
 def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """What was sent, and what was measured."""
+    axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0})
     calls = Calls(axis, monkeypatch)
     monkeypatch.setattr(type(axis.law), "turns_with_joint", True)
     axis.follow(2.0)
@@ -185,7 +186,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     assert calls == [
         ("law", 0.44),
         ("plausibility", 2.0, 0.44, (0.31, 0.32, 0.33), 0.41, 0.34, pytest.approx(expected, rel=1e-12)),
-        ("estimator", (1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32)),
+        ("estimator", (1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32, 21.0, 22.0)),
         ("guard", 0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0, True),
     ]
     assert axis.terms.theta == 1.5

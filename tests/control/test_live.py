@@ -8,17 +8,24 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon.machine import Machine
+from tests.daemon.machine import WITH_CELLS, Machine
 from tsa_ctrl.control.live import Parameter, Tuner, parameters_of
 
-KINDS = ("fixed", "sensor", "map", "motor", "stretch")
+KINDS = ("fixed", "sensor", "map", "motor", "stretch", "tension")
+
+
+NEEDS = {"map": [('# source = "fixed"  ', 'source = "command"  ')], "tension": [WITH_CELLS]}
+
+
+def machine_of(folder: Path, kind: str) -> Machine:
+    """With an estimator of a kind, and what that needs."""
+    return Machine(folder, ('# kind = "stretch"  ', f'kind = "{kind}"  '), *NEEDS.get(kind, []))
 
 
 @pytest.fixture(params=KINDS)
 def parameters(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Parameter, ...]]:
     """Those of an axis with each kind of estimator."""
-    bending = [('# source = "fixed"  ', 'source = "command"  ')] if request.param == "map" else []
-    machine = Machine(tmp_path, ('# kind = "stretch"  ', f'kind = "{request.param}"  '), *bending)
+    machine = machine_of(tmp_path, request.param)
     yield parameters_of(machine.axis)
     machine.close()
 
@@ -104,6 +111,7 @@ OF_KIND = {
     "map": {"bending_angle": (0.0, 100.0, 2.0)},
     "motor": USED,
     "stretch": USED,
+    "tension": USED,
 }
 
 
@@ -113,8 +121,7 @@ def bounds(parameters: tuple[Parameter, ...]) -> dict[str, tuple[float | None, f
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> None:
-    bending = [('# source = "fixed"  ', 'source = "command"  ')] if kind == "map" else []
-    machine = Machine(tmp_path, ('# kind = "stretch"  ', f'kind = "{kind}"  '), *bending)
+    machine = machine_of(tmp_path, kind)
     found = bounds(parameters_of(machine.axis))
     expected = ALWAYS | OF_KIND[kind]
     assert list(found) == list(expected)

@@ -33,6 +33,9 @@ WALK = {  # statusword after a controlword, by state
 }
 MOST_CYCLES = 20_000
 CONSTANT = ('kind = "sine"  ', 'kind = "constant"\noffset = 0.5  ')
+HERE = "# Sensors on serial lines that send"  # where the example speaks of them
+CELLS = "".join(f'[[axis.serial]]\nquantity = "{name}"\nport = "/dev/{name}"\n\n' for name in ("t1", "t3"))
+WITH_CELLS = (HERE, CELLS + HERE)
 BARE = ("# compensation = 0.95", "compensation = 0.0")  # a motor gets r_M/r_J of it, whatever the friction
 TICK = 2e-5  # s that the clock moves with each look at it
 

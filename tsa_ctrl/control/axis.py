@@ -11,6 +11,7 @@ from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound
+from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.delivered import delivered_of
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Sample, toward
 from tsa_ctrl.control.instruments import Instruments
@@ -193,7 +194,18 @@ class ControlAxis:
             if wrong is not None:
                 self.supervisor.trip(wrong, now)
         self.estimator.update(
-            Sample(terms.sigma, terms.omega_j, theta, image.tau_m, instruments.tau_j, image.fresh, terms.q_j, image.q_m)
+            Sample(
+                terms.sigma,
+                terms.omega_j,
+                theta,
+                image.tau_m,
+                instruments.tau_j,
+                image.fresh,
+                terms.q_j,
+                image.q_m,
+                instruments.t1,
+                instruments.t3,
+            )
         )
         self.adapt()
         self._watch()
@@ -268,7 +280,7 @@ class ControlAxis:
         if not self.delivered.known:
             return bound.unseen
         estimated = estimator.use and estimator.state is EstimateState.ESTIMATED
-        return estimator.sure if estimated and not isinstance(estimator, ConfigurationMap) else bound.seen
+        return estimator.sure if estimated and not isinstance(estimator, ConfigurationMap | ByTension) else bound.seen
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

@@ -34,6 +34,8 @@ _FORGET = 0.5  # s over which the residual is averaged
 class ByStretch:
     """The outputs hold while the observer tells nothing; invalid, they fall to the model file's and never rise."""
 
+    why = ""
+
     def __init__(
         self,
         model: TendonSheath,

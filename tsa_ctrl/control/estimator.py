@@ -1,9 +1,9 @@
 """Friction angle x and pretension T_p while the loop runs.
 
-Five kinds: "fixed" (the model file's), "map" (x = mu Theta and T_p by (3.52), (3.56) from a bending angle that is
-measured or commanded), "sensor" and "motor" (recursive, see `recursive`), "stretch" (by two encoders, see
-`by_stretch`). Every kind has the same three outputs, is reset by every disable, and moves no parameter faster than its
-rate.
+Six kinds: "fixed" (the model file's), "map" (x = mu Theta and T_p by (3.52), (3.56) from a bending angle, measured or
+commanded), "sensor" and "motor" (recursive, see `recursive`), "stretch" (by two encoders, see `by_stretch`),
+"tension" (by two load cells, see `by_tension`). Every kind has the same three outputs, is reset by every disable, and
+moves no parameter faster than its rate.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     """[axis.estimator]."""
 
     # None: "stretch", in use, where two encoders and the model allow it, else "fixed" (`choice`)
-    kind: Literal["fixed", "map", "sensor", "motor", "stretch"] | None = None
+    kind: Literal["fixed", "map", "sensor", "motor", "stretch", "tension"] | None = None
     # Whether the law uses the estimate; it is logged in any case ("map" is always used). None: only where kind is, too
     use: bool | None = None
     attribute: Attribution = Attribution.BENDING  # what is taken to change: "friction", "pretension" or "bending"
@@ -62,6 +62,8 @@ class Sample(NamedTuple):
     admit: bool  # false while the drive is off or a value is stale
     q_j: float = math.nan  # rad
     q_m: float = math.nan  # rad
+    t1: float = math.nan  # N, of tendon a at the motor
+    t3: float = math.nan  # N, of tendon b
 
 
 class Estimator(Protocol):
@@ -72,6 +74,7 @@ class Estimator(Protocol):
     state: EstimateState
     use: bool  # whether the law may use the two
     sure: float  # 1, of the half loop estimated, that is there at least
+    why: str  # what a person must know of a state INVALID; empty where the state says it
 
     @property
     def found(self) -> float:
@@ -88,6 +91,7 @@ class Fixed:
     state = EstimateState.FIXED
     use = False
     sure = 1.0
+    why = ""
     found = math.nan
 
     def __init__(self, model: TendonSheath) -> None:
@@ -110,6 +114,7 @@ class ConfigurationMap:
 
     use = True
     sure = 1.0
+    why = ""
     found = math.nan
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:

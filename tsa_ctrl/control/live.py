@@ -11,6 +11,7 @@ from typing import Any
 
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.by_stretch import ByStretch
+from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.direction import LEAST_ZONE
 from tsa_ctrl.control.estimator import Fixed, toward
 from tsa_ctrl.control.recursive import Recursive
@@ -46,7 +47,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     angle, pretension = 2.0 * model.friction_angle, 2.0 * model.pretension  # no more than twice the model file's
     angles = (0.0, angle) if fixed else _NONE
     tensions = (0.0, pretension) if fixed else _NONE
-    use = (0.0, 1.0) if isinstance(estimator, Recursive | ByStretch) else _NONE
+    use = (0.0, 1.0) if isinstance(estimator, Recursive | ByStretch | ByTension) else _NONE
     bends = (0.0, 100.0) if axis.bending.settable else _NONE
     damps = (0.0, law.plan.damping) if law.plan.damping > 0.0 else _NONE
     p, inf = Parameter, math.inf

@@ -32,6 +32,7 @@ class Recursive:
     """The estimator kinds "sensor" and "motor"; while invalid the outputs return to the model file's."""
 
     sure = 1.0
+    why = ""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         self.use = bool(settings.use)
@@ -79,7 +80,7 @@ class Recursive:
 
     def update(self, seen: Sample) -> None:
         """One cycle's data."""
-        sigma, omega_j, _, tau_m, tau_j, admit, q_j, q_m = seen
+        sigma, omega_j, _, tau_m, tau_j, admit, q_j, q_m, *_ = seen
         bare = self._bare
         if bare is not None:
             bare.measure(sigma, omega_j, q_j, q_m)

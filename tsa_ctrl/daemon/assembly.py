@@ -10,10 +10,12 @@ import msgspec
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
+from tsa_ctrl.control.attribution import Attribution
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound, bound_of
 from tsa_ctrl.control.by_stretch import ByStretch
+from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.choice import shape_share
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
@@ -174,10 +176,11 @@ def has_torque_sensor(settings: AxisSettings) -> bool:
 def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, why_fixed: str) -> Bound:
     """How much of the friction this axis may compensate; `why_fixed`: why no estimate is the default's."""
     estimator = settings.estimator
+    follows = estimator.kind != "tension" or estimator.attribute is Attribution.BENDING
     bound = bound_of(
         model,
         bending_range=settings.bending.range,
-        bending_known=estimator.kind == "map" or (estimator.kind != "fixed" and bool(estimator.use)),
+        bending_known=estimator.kind == "map" or (estimator.kind != "fixed" and bool(estimator.use) and follows),
         sees=has_torque_sensor(settings) or joint_torque.stretch is not None,
         compensation=settings.law.compensation,
     )
@@ -211,6 +214,8 @@ def estimator_of(settings: AxisSettings, model: TendonSheath, joint_torque: Join
         return Fixed(model)
     if chosen.kind == "map":
         return ConfigurationMap(model, chosen, period)
+    if chosen.kind == "tension":
+        return ByTension(model, chosen, period)
     if chosen.kind == "stretch":
         assert joint_torque.stretch is not None  # the configuration was checked
         # A joint torque sensor sees what the joint is given, whatever the shape is; the stretch itself does not.

@@ -23,6 +23,7 @@ class Remarks:
         self._slack = [False] * len(axes)
         self._contradicted = [False] * len(axes)
         self._less = [False] * len(axes)
+        self._why = [""] * len(axes)
 
     def begin(self) -> None:
         """Before the first cycle."""
@@ -50,6 +51,12 @@ class Remarks:
                 self._contradicted[index] = known.contradicted
                 self._events.add(t, axis.name, _contradiction(known.contradicted, known.difference))
             estimator = axis.estimator
+            if bool(estimator.why) is not bool(self._why[index]):
+                wrong = f"friction and pretension are not estimated: {estimator.why}"
+                self._events.add(
+                    t, axis.name, wrong if estimator.why else "friction and pretension are estimated again"
+                )
+                self._why[index] = estimator.why
             found = estimator.found if estimator.use else math.nan
             if found < LESS and not self._less[index]:
                 self._less[index] = True

@@ -65,7 +65,7 @@ def stretch_line(model: TendonSheath) -> StretchLine:
         ratio = centre / (1.0 - centre)
         share = 2.0 / (1.0 - centre)
     else:
-        alpha, beta = _elongations(model, x), _elongations(model, -x)
+        alpha, beta = elongations(model, x), elongations(model, -x)
         grown, decayed = math.exp(x) / alpha, math.exp(-x) / beta
         ratio = (grown - decayed) / (1.0 / beta - 1.0 / alpha)
         share = decayed + grown + ratio * (1.0 / beta + 1.0 / alpha)
@@ -82,7 +82,7 @@ def compliances(model: TendonSheath) -> tuple[float, float]:
     if x < _SMALL:
         centre = compliance_centre(model)
         return 0.5 * softness * centre, 0.5 * softness * (1.0 - centre)
-    alpha, beta = _elongations(model, x), _elongations(model, -x)
+    alpha, beta = elongations(model, x), elongations(model, -x)
     grown, decayed = math.exp(x) / alpha, math.exp(-x) / beta
     motor, joint = grown - decayed, 1.0 / beta - 1.0 / alpha
     whole = (grown + decayed) * joint + motor * (1.0 / alpha + 1.0 / beta)
@@ -122,8 +122,8 @@ def compliance_centre(model: TendonSheath) -> float:
     return 1.0 - joint_side_compliance(model) * model.tendon_stiffness
 
 
-def _elongations(model: TendonSheath, rho: float) -> float:
-    """alpha at rho, with the series spring, over the length of tendon and spring."""
+def elongations(model: TendonSheath, rho: float) -> float:
+    """alpha at rho = sigma x, beta at -sigma x, with the series spring, over the length of tendon and spring."""
     series = model.series_length / model.unstrained_length
     spring = series * (math.exp(rho) if model.series_at_joint else 1.0)
     return (profile_of(model).mean_exponential(SCALARS, rho) + spring) / (1.0 + series)

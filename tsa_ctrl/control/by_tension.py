@@ -1,0 +1,171 @@
+"""Pretension from the tendons' tensions at the motor: the estimator kind "tension", by load cells t1 and t3.
+
+While both tendons slide one way their lengths add up, (3.31)-(3.41), whatever the torques are:
+
+    T_p0 = (T1 alpha + T3 beta) / 2,     alpha, beta at sigma x, over the length of tendon and spring
+
+x enters with the bends between motor and joint alone, and with another sign one way and the other, so the mean of both
+counts (and of the lesser one no more than `ROOM` beyond it: what is compensated too much moves the joint). Tensions say
+nothing of the friction coefficient. It stays, and what changed is the tensioner ("pretension": x stays) or the sheath's
+bending ("bending": Theta by (3.56), x = mu Theta).
+
+The two cells check each other against the motor's torque, T3 - T1 = tau_M/r_M: one that stands still, drifts or has a
+wrong gain makes the estimate invalid, and the outputs fall to the model file's and never rise. Both that drift alike
+are seen at the bounds alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+
+from tsa_ctrl.control.attribution import Attribution
+from tsa_ctrl.control.bare import Bare
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, toward
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.stretch import elongations
+
+SLIDING = 0.999  # 1, |sigma| above which the tendons surely slide
+BOTH_WAYS = 0.1  # s of admitted motion, within memory, that each way needs
+ROOM = 0.05  # 1, beyond the lesser of both ways: what the friction angle of the file may be off makes no more
+DOWN = 5.0  # times `rate`, at which a parameter falls
+MEAN = 0.125  # of `memory`, over which a way's tensions are averaged: cells have noise, not 4 s of it
+BALANCE = 0.1  # 1, of the pretension, RMS of T3 - T1 - tau_M/r_M: a cell that is off by it moves T_p by half of it
+BALANCED_FOR = 0.5  # s over which that is averaged
+AGREES = 0.5  # of that limit, below which cells that contradicted count again
+ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
+
+
+class ByTension:
+    """The outputs hold while nothing is admitted; `why` says what is wrong while it is invalid."""
+
+    sure = 1.0
+
+    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
+        """`period` in s."""
+        self.use = bool(settings.use)
+        self._model = model
+        self._bare = Bare(model, period) if model.effects else None
+        self._bends = settings.attribute is Attribution.BENDING
+        self._bounds = (1.0 / (1.0 + settings.bounds), 1.0 + settings.bounds)
+        self._period = period
+        self._settle, self._least_speed = settings.settle, settings.least_speed
+        self._nominal = (model.friction_angle, model.pretension)
+        self._half_loop = sliding(model).half_loop
+        self._steps = (settings.rate * model.friction_angle * period, settings.rate * model.pretension * period)
+        x = model.friction_angle
+        self._lengths = (elongations(model, x), elongations(model, -x))
+        self._per_radius = 1.0 / model.motor_pulley_radius
+        self._mean = period / (MEAN * settings.memory)
+        self._forget = period / BALANCED_FOR
+        self._worst = (BALANCE * model.pretension) ** 2
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the model file's values; nothing is known."""
+        self.friction_angle, self.pretension = self._target = self._nominal
+        self.state = EstimateState.UNESTIMATED
+        self.why = ""
+        self.residual = 0.0  # N^2, of the balance
+        self._shown = [math.nan, math.nan]  # N, one way and the other
+        self._seen = [0.0, 0.0]  # s of it
+        self._since = self._gap = 0.0
+        self._way = -1
+        if self._bare is not None:
+            self._bare.reset()
+
+    @property
+    def found(self) -> float:
+        """1, half loop over the model file's; nan while it is not estimated."""
+        if self.state is not EstimateState.ESTIMATED:
+            return math.nan
+        return sliding(self._model, 1.0, *self._target).half_loop / self._half_loop
+
+    def update(self, seen: Sample) -> None:
+        """One cycle's data."""
+        bare, tau_m = self._bare, seen.tau_m
+        if bare is not None:
+            bare.measure(seen.sigma, seen.omega_j, seen.q_j, seen.q_m)
+            tau_m = bare.motor(tau_m)
+        if math.isfinite(seen.t1 + seen.t3):
+            self._gap = 0.0
+            if seen.admit and math.isfinite(tau_m):
+                self._take(seen, tau_m)
+        else:
+            self._gap += self._period
+            if self._gap > ABSENT:
+                missing = [name for name in ("t1", "t3") if not math.isfinite(getattr(seen, name))]
+                self._refuse(f"no value of {' and '.join(missing)}; look at the load cell's line")
+        angle, tension = self._target
+        for_angle, for_tension = self._steps
+        self.friction_angle = _toward(self.friction_angle, angle, for_angle)
+        self.pretension = _toward(self.pretension, tension, for_tension)
+
+    def _take(self, seen: Sample, tau_m: float) -> None:
+        """Both cells say something, and so does the motor."""
+        unbalanced = seen.t3 - seen.t1 - self._per_radius * tau_m
+        self.residual += self._forget * (unbalanced * unbalanced - self.residual)
+        if not self.residual <= self._worst:
+            self._refuse(
+                f"T3 - T1 differs from the motor's torque by {math.sqrt(self.residual):.2g} N, allowed are "
+                f"{math.sqrt(self._worst):.2g}; check zero and gain of both load cells"
+            )
+            return
+        if self.why and self.residual > AGREES * self._worst:
+            return
+        way = 1 if seen.sigma > SLIDING and seen.omega_j > self._least_speed else -1
+        if seen.sigma < -SLIDING and seen.omega_j < -self._least_speed:
+            way = 0
+        self._since = self._since + self._period if way == self._way else 0.0
+        self._way = way
+        if way < 0 or self._since <= self._settle:
+            return
+        longer, shorter = self._lengths if way else self._lengths[::-1]
+        tension = 0.5 * (seen.t1 * longer + seen.t3 * shorter)
+        known = self._shown[way]
+        self._shown[way] = tension if known != known else known + self._mean * (tension - known)
+        self._seen[way] += self._period
+        if min(self._seen) > BOTH_WAYS:
+            self._judge(min(0.5 * sum(self._shown), (1.0 + ROOM) * min(self._shown)))
+
+    def _judge(self, tension: float) -> None:
+        """What a pretension (N) makes of both parameters, inside the bounds."""
+        model, (low, high) = self._model, self._bounds
+        angle, nominal = self._nominal
+        if self._bends:
+            theta = model.bending_angle + (tension - nominal) / model.pretension_slope
+            factor, angle = theta / model.bending_angle, model.friction_coefficient * theta
+            what = f"the sheath bent {factor:.2f} times as much"
+        else:
+            factor = tension / nominal
+            what = f"{factor:.2f} times the pretension"
+        if not low < factor < high:
+            self._refuse(
+                f"the load cells show {tension:.3g} N of pretension, {what} as the model file has, allowed are "
+                f"{low:.2f} to {high:.2f} (estimator.bounds); look at tensioner and cells, or calibrate anew"
+            )
+            return
+        self.state, self.why, self._target = EstimateState.ESTIMATED, "", (angle, tension)
+
+    def _refuse(self, why: str) -> None:
+        """Not used any longer, and no more than was used last: it cannot be said which of them is wrong."""
+        if self.state is not EstimateState.INVALID:
+            self.state, self.why = EstimateState.INVALID, why
+            used = sliding(self._model, 1.0, self.friction_angle, self.pretension).half_loop
+            self._target = self._nominal if used > self._half_loop else (self.friction_angle, self.pretension)
+        self._shown, self._seen = [math.nan, math.nan], [0.0, 0.0]
+
+
+def why_not(attribute: Attribution, measured: Collection[str]) -> str:
+    """What stands against it, with the cure; `measured`: quantities that have a sensor. Empty where nothing does."""
+    missing = [name for name in ("t1", "t3") if name not in measured]
+    if missing:
+        return f"without a serial sensor of {' and '.join(missing)}; it takes both t1 and t3: give it, or another kind"
+    if attribute is Attribution.FRICTION:
+        return 'with attribute "friction", which tensions do not show; give "pretension" or "bending"'
+    return ""
+
+
+def _toward(value: float, target: float, step: float) -> float:
+    return toward(value, target, DOWN * step if target < value else step)
