@@ -26,6 +26,8 @@ pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STARTED = 120.0  # s; the first start on a machine compiles
 PATIENCE = 60.0  # s
+TRIES = 4
+MOST_LATE = 0.15  # of the cycles; with a third of them skipped or late 60 to 170 mN*m are off: then it is run again
 PATIENT = (  # a shared machine may hold a process up for some time
     ("rate = 1000.0", "rate = 250.0"),
     ("# [bus.supervision]", "[bus.supervision]"),
@@ -135,12 +137,15 @@ def columns(summary: dict[str, Any], *names: str) -> list[np.ndarray]:
 def test_delivers_the_wanted_torque(rig: Rig) -> None:
     """With nominal parameters off by some per cent, the joint torque error is a fifth of that without compensation."""
     rig.plant()
-    summary, err, code = ended(rig.run("--seconds", "6"))
-    assert code == 0, err
-    assert not summary["unconfirmed"]
-    cycles = summary["cycles"]
-    assert cycles["planned"] == cycles["sent"] + cycles["skipped"]
-    assert summary["log_records"] == {"written": cycles["sent"], "lost": 0}
+    for _ in range(TRIES):
+        summary, err, code = ended(rig.run("--seconds", "6"))
+        assert code == 0, err
+        assert not summary["unconfirmed"]
+        cycles = summary["cycles"]
+        assert cycles["planned"] == cycles["sent"] + cycles["skipped"]
+        assert summary["log_records"] == {"written": cycles["sent"], "lost": 0}
+        if cycles["skipped"] + cycles["late"] < MOST_LATE * cycles["planned"]:
+            break
     t, wanted, delivered, direction = columns(summary, "t", "tau_j_des", "tau_j", "sigma")
     during = (t > 2.0) & (t < 5.5)
     error = delivered[during] - wanted[during]
