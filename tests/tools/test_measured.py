@@ -37,6 +37,7 @@ def row(effect: str, size: float, *claims: tuple[str, ...]) -> Row:
         ((("torque_offset",), ("gravity_load",)), "found"),
         ((("torque_offset",), ("joint_stiffness", "gravity_load")), "in a group"),
         ((("torque_offset",), ("torque_ripple",)), "wrong"),
+        ((("torque_offset",), ("gravity_load",), ("torque_ripple",)), "found, and another name"),
     ],
 )
 def test_what_comes_in_addition_to_what_the_untouched_logs_say(claims: tuple[tuple[str, ...], ...], told: str) -> None:

@@ -35,6 +35,7 @@ SETS = {  # the trials of the cable drive at one frequency: all 25 take minutes 
     "davinci": ("*_0.3Hz.csv.gz", "actuator.toml"),
 }
 HALVES = "half against half"
+AND_ANOTHER = ", and another name"
 FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
 
@@ -94,10 +95,11 @@ def answer(row: Row, untouched: Row) -> str:
         return "refused"
     before = names_of(untouched["report"])
     new = [claim for claim in claims_of(row["report"]) if not claim & before]
+    more = AND_ANOTHER if any(row["effect"] not in claim for claim in new) else ""
     if any(claim == {row["effect"]} for claim in new):
-        return "found"
+        return f"found{more}"
     if any(row["effect"] in claim for claim in claims_of(row["report"])):
-        return "in a group"
+        return f"in a group{more}"
     return "wrong" if new else "nothing"
 
 
@@ -139,11 +141,11 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
             told = f"adds {'; '.join(new)}" if new else "adds nothing"
             lines.append((name, HALVES, told, *("" for _ in sizes)))
     blank = ("",) * (len(sizes) - 1)
-    seen = sum(told in ("found", "in a group") for told in above)
+    seen = sum(told.removesuffix(AND_ANOTHER) in ("found", "in a group") for told in above)
     lines.append(("all", "above its limit", "named, alone or in a group", f"{seen} of {len(above)}", *blank))
-    quiet = sum(told != "wrong" for told in below)
+    quiet = sum(told != "wrong" and not told.endswith(AND_ANOTHER) for told in below)
     lines.append(("all", "below its limit", "no other name", f"{quiet} of {len(below)}", *blank))
-    wrong = sum(told == "wrong" for told in above)
+    wrong = sum(told == "wrong" or told.endswith(AND_ANOTHER) for told in above)
     lines.append(("all", "above its limit", "another name", f"{wrong} of {len(above)}", *blank))
     inside = [held for row in by.values() if row["effect"] in HIDDEN and (held := holds(row)) is not None]
     lines.append(("all", "its number told", "interval holds it", f"{sum(inside)} of {len(inside)}", *blank))
