@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.course import find_course
+from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import block_labels, solve
 from tsa_ctrl.identify.calibrate.tendon_log import TendonLog, foretold, taken, varied
 from tsa_ctrl.identify.dataset import Dataset
@@ -240,6 +241,9 @@ def _result(
         axial_stiffness_uncertainty=uncertainty,
         bending_centre_uncertainty=half[1] if sensor else model.bending_centre_uncertainty,
     )
+    tension = remark(model, reached(log.tau_m for log in logs))
+    if tension:
+        notes.append(tension)
     return StretchFit(
         axial_stiffness=Quantity(stiffness, stiffness * math.exp(-half[0]), stiffness * math.exp(half[0]), "N"),
         centre=place,
