@@ -51,6 +51,7 @@ TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must see its m
     "tsa_ctrl/bus/live/hearing.py": ("tests/bus/live/test_hearing.py",),
     "tsa_ctrl/safety/apart.py": ("tests/safety/test_apart.py", "tests/safety/test_plausibility.py"),
     "tsa_ctrl/bus/live/axis.py": ("tests/bus/live/test_axis.py", "tests/bus/live/test_rig.py"),
+    "tsa_ctrl/bus/live/rig.py": ("tests/bus/live/test_rig_bounds.py", "tests/bus/live/test_rig.py"),
     "tsa_ctrl/control/direction.py": ("tests/control/test_direction.py",),
     "tsa_ctrl/control/setpoint.py": ("tests/control/test_setpoint.py",),
     "tsa_ctrl/ipc/mailbox.py": ("tests/daemon/test_mailbox.py",),
