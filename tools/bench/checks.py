@@ -34,6 +34,7 @@ FAULTS = {  # by what a person calls it: the plant's fault
     "tendons fray, all within 2 s": "fraying value=0.5",
     "tendons fray, half within 5 s": "fraying value=0.1",
 }
+TRIPPED = "tripped by the controller: "
 NONE = 0.02  # N*m, that a drive reports of no torque
 
 
@@ -89,7 +90,7 @@ def main() -> int:
             if arguments.json:
                 print(json.dumps(rows[-1]), flush=True)
         words = next((row["words"] for row in rows if row["words"]), "nothing")
-        table.add_row(name, *map(cell, rows), words.split(":")[0][:60])
+        table.add_row(name, *map(cell, rows), words.removeprefix(TRIPPED).split(":")[0])
     if not arguments.json:
-        Console(width=150).print(table)
+        Console(width=250).print(table)
     return 0

@@ -29,6 +29,7 @@ COMMANDS: Mapping[str, str] = {
     "runaway-missed": "tools/run campaign/runaway --rows FILE --which",
     "two-encoders": "tools/run bench/two_encoders --by-row --draws 1",
     "supervision": "tools/run bench/supervision",
+    "checks": "tools/run bench/checks",
     "mutation": "tools/run campaign/mutate MODULE",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",
 }
