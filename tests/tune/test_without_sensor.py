@@ -14,11 +14,15 @@ from tsa_ctrl.model.parameters import load_tendon_sheath
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("load", ["imposed", "limb"])
 def test_the_half_loop_and_the_stiffness_are_found_and_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], load: str
 ) -> None:
-    """15 % more friction, 12 % less pretension, 10 % softer tendons than the file says."""
-    rig.write(tmp_path, VIRTUAL, RATE, "distributed")
+    """15 % more friction, 12 % less pretension, 10 % softer tendons than the file says.
+
+    A limb creeps between its strokes: regressed on where it moves, the half loop came out 8 % too low.
+    """
+    rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": load}})
     rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
     half_loop = rig.true_half_loop(truth)
