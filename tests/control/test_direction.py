@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, Direction, DirectionSettings
+from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, TREMOR, Direction, DirectionSettings
 from tsa_ctrl.control.motion import Motion
 
 PERIOD = 1e-3
@@ -375,3 +375,30 @@ def test_a_turn_that_no_joint_made_follows_none_and_an_old_one_not_any_longer() 
         told.append(joint.direction.follows)
     assert told[210]
     assert not any(told[260:])
+
+
+def test_a_turn_follows_the_joint_from_a_tremors_time_after_the_last_and_for_as_long() -> None:
+    """In cycles of half that time, so that it is met to the last bit."""
+    motion = Told()
+    direction = Direction(DirectionSettings(), motion, 0.0, TO_M, RADIUS, 0.5 * TREMOR)
+    told = []
+    for speed in (1.0, 1.0, -1.0, -1.0, -1.0, 1.0, -1.0):
+        motion.velocity = speed
+        direction.update(math.nan, 0.0)
+        told.append(direction.follows)
+    assert told == [True, True, True, True, False, True, False]
+    direction.reset()
+    assert not direction.follows
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(way: float) -> None:
+    by = By()
+    by(way, 0.0)
+    assert by.direction.follows
+    assert by(0.0, way * 8.0 * TURN) == way  # further the same way
+    assert by.direction.follows
+    assert by(0.0, 0.0) == -way
+    assert not by.direction.follows
+    assert by(way, 0.0) == way  # 1 ms after that
+    assert not by.direction.follows
