@@ -45,3 +45,17 @@ def test_what_the_stretch_needs_is_said(tmp_path: Path, capsys: pytest.CaptureFi
     said = capsys.readouterr().err
     assert "has no joint torque sensor" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.slow
+def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Alone it runs to and fro too fast for its friction to show; moved from outside (above) it is tuned."""
+    rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": "free"}})
+    rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
+    before = (tmp_path / rig.MODEL).read_bytes()
+    assert tune(tmp_path, "--yes", "--json", "--seconds", "8", "--verify-seconds", "4") == 2
+    said = capsys.readouterr().err
+    assert "steady" in said
+    assert "take it by hand" in said
+    assert said.count("\n") == 1
+    assert (tmp_path / rig.MODEL).read_bytes() == before

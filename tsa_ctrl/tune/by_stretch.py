@@ -30,6 +30,14 @@ def why_not_told(model: TendonSheath, has_encoder: bool) -> str:
     return why_not(model)
 
 
+def moved_by_hand(torque: float) -> str:
+    """What to do where a joint that only its own torque moves shows too little; `torque`: N*m, the most of it."""
+    return (
+        "without a joint torque sensor the joint must slide steadily both ways: take it by hand, move it slowly to and "
+        f"fro all the while, against up to {torque:.2g} N*m, and start again, or give logs of such motion by --from-log"
+    )
+
+
 def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
     """Stiffness, friction angle and pretension; the form of the transmission stays. Raises UsageError."""
     bare = [without_torque(log) for log in logs]

@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
-from tsa_ctrl.tune.by_stretch import estimate_by_stretch
+from tsa_ctrl.tune.by_stretch import estimate_by_stretch, moved_by_hand
 from tsa_ctrl.tune.controller_file import MOTOR
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
 from tsa_ctrl.tune.excitation import (
@@ -126,7 +127,7 @@ class Procedure:
         logs = excited.learnable()
         if mechanics.swing is not None:
             logs = tuple(pulling(log, mechanics.swing.inertia.value) for log in logs)
-        found = stiff(learn(logs, self._model, self._settings), mechanics)
+        found = stiff(self._learn(logs), mechanics)
         law = self._law_of(found, mechanics)
         factor = self._settings.compensation
         tried, reason = bearable(factor, self._model, found)
@@ -142,6 +143,14 @@ class Procedure:
             after=self._play("after", new, factor, motion, None if law is None else law.values),  # its own factor
         )
         return Outcome(self._model, found, logs, designed, verification, text, law)
+
+    def _learn(self, logs: Sequence[Dataset]) -> Estimate:
+        try:
+            return learn(logs, self._model, self._settings)
+        except UsageError as error:
+            if not self._settings.by_stretch:
+                raise
+            raise UsageError(f"{error}; {moved_by_hand(self._bounds.torque)}") from None
 
     def _shake(self, slow: Waveform) -> Mechanics:
         """What a little shaking shows of the motor on its tendons; a rig that cannot be shaken is tuned without."""
