@@ -177,7 +177,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
     """What was sent, and what was measured."""
     axis.instruments.connect({"t1": lambda now: 21.0, "t3": lambda now: 22.0})
     calls = Calls(axis, monkeypatch)
-    monkeypatch.setattr(type(axis.law), "turns_with_joint", True)
+    monkeypatch.setattr(type(axis.direction), "follows", True)
     axis.follow(2.0)
     x, radii = axis.model.friction_angle, (axis.model.motor_pulley_radius, axis.model.joint_pulley_radius)
     at_joint = 2.0 * axis.model.pretension * radii[1] * math.tanh(x)

@@ -25,7 +25,7 @@ from tsa_ctrl.virtual.simulation import Run
 
 SECONDS = 4.0  # two periods of the set-point
 FADED_IN = 0.3  # s
-GRID = 1e-3  # s
+TIMES = np.arange(FADED_IN, SECONDS - 0.1, 1e-3)  # s since the enable, at which torques are compared
 TRIES = 4  # of a machine so busy that the nodes do not answer at the start
 PATIENT: dict[str, Any] = {
     "drive": {"rpdo_timeout": 1.0, "host_timeout": 2.0, "heartbeat_timeout": 4.0},
@@ -110,10 +110,9 @@ def woken_as(log: dict[str, FloatArray], paths: tuple[Path, Path], rate: float) 
 
 
 def torque_since_enable(truth: Any) -> FloatArray:
-    """Delivered torque (N*m) on a grid of times since the enable."""
+    """Delivered torque (N*m) at `TIMES`."""
     begin = int(np.argmax(truth["enabled"] > 0.0))
-    grid = np.arange(FADED_IN, SECONDS - 0.1, GRID)
-    return np.interp(grid, truth["t"] - truth["t"][begin], truth["tau_j"])
+    return np.interp(TIMES, truth["t"] - truth["t"][begin], truth["tau_j"])
 
 
 def in_time(log: dict[str, FloatArray], rate: float) -> float:

@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tests.virtual.real_time import FADED_IN, GRID, LOADS, SECONDS, files, in_real_time, in_time, woken_as
+from tests.virtual.real_time import LOADS, SECONDS, TIMES, files, in_real_time, in_time, torque_since_enable, woken_as
 from tools import command
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.virtual.simulation import simulate_loop
@@ -29,11 +29,8 @@ AMPLITUDE, FREQUENCY = 1.0, 0.5  # N*m, Hz of the set-point in `files`
 
 def error(truth: Any) -> float:
     """RMS of delivered less wanted torque, mN*m, from the end of the fade-in to the stop."""
-    begin = int(np.argmax(truth["enabled"] > 0.0))
-    since = truth["t"] - truth["t"][begin]
-    grid = np.arange(FADED_IN, SECONDS - 0.1, GRID)
-    wanted = AMPLITUDE * np.sin(2.0 * np.pi * FREQUENCY * grid)
-    return 1e3 * float(np.sqrt(np.mean(np.square(np.interp(grid, since, truth["tau_j"]) - wanted))))
+    wanted = AMPLITUDE * np.sin(2.0 * np.pi * FREQUENCY * TIMES)
+    return 1e3 * float(np.sqrt(np.mean(np.square(torque_since_enable(truth) - wanted))))
 
 
 def main() -> int:

@@ -267,7 +267,7 @@ class ControlAxis:
             terms.tau_m_cmd - law.ideal,
             law.ideal,
             law.swing(image.omega_m),
-            law.turns_with_joint,
+            self.direction.follows,
         )
         law.damping.share = guard.damping
         bound = self._bounded()

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable
 
 from tsa_ctrl.control.attribution import Split
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, toward
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, sooner_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import stretch_line
@@ -26,7 +26,6 @@ from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 CERTAIN = 0.1  # 1, standard deviation of ln x below which it counts as estimated, as that of a half loop elsewhere
 BOTH_WAYS = 0.1  # s that the tendon went one way, after which what is estimated is what that way shows
 ROOM = 0.05  # 1, beyond the lesser of both: what a compensation of 0.95 leaves; without, 40 % more is followed late
-DOWN = 5.0  # times `rate`, at which a parameter falls: what is compensated too much moves the joint in the meantime
 _EVERY = 64  # cycles between two looks: parameters move slowly, and the split of a bent sheath costs
 _FORGET = 0.5  # s over which the residual is averaged
 
@@ -90,8 +89,8 @@ class ByStretch:
                 self._judge()
         angle, tension = self._target
         for_angle, for_tension = self._steps
-        self.friction_angle = _toward(self.friction_angle, angle, for_angle)
-        self.pretension = _toward(self.pretension, tension, for_tension)
+        self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
+        self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _judge(self) -> None:
         """A state holds until certain data say otherwise."""
@@ -116,7 +115,3 @@ class ByStretch:
         """The model file's values, but no more than was used last: it cannot be said which of them is wrong."""
         used = sliding(self._model, 1.0, self.friction_angle, self.pretension).half_loop
         return self._nominal if used > self._split.nominal else (self.friction_angle, self.pretension)
-
-
-def _toward(value: float, target: float, step: float) -> float:
-    return toward(value, target, DOWN * step if target < value else step)

@@ -21,7 +21,7 @@ from collections.abc import Collection
 
 from tsa_ctrl.control.attribution import Attribution
 from tsa_ctrl.control.bare import Bare
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, toward
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, sooner_down
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import elongations
@@ -29,7 +29,6 @@ from tsa_ctrl.model.stretch import elongations
 SLIDING = 0.999  # 1, |sigma| above which the tendons surely slide
 BOTH_WAYS = 0.1  # s of admitted motion, within memory, that each way needs
 ROOM = 0.05  # 1, beyond the lesser of both ways: what the friction angle of the file may be off makes no more
-DOWN = 5.0  # times `rate`, at which a parameter falls
 MEAN = 0.125  # of `memory`, over which a way's tensions are averaged: cells have noise, not 4 s of it
 BALANCE = 0.1  # 1, of the pretension, RMS of T3 - T1 - tau_M/r_M: a cell that is off by it moves T_p by half of it
 BALANCED_FOR = 0.5  # s over which that is averaged
@@ -99,8 +98,8 @@ class ByTension:
                 self._refuse(f"no value of {' and '.join(missing)}; look at the load cell's line")
         angle, tension = self._target
         for_angle, for_tension = self._steps
-        self.friction_angle = _toward(self.friction_angle, angle, for_angle)
-        self.pretension = _toward(self.pretension, tension, for_tension)
+        self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
+        self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _take(self, seen: Sample, tau_m: float) -> None:
         """Both cells say something, and so does the motor."""
@@ -165,7 +164,3 @@ def why_not(attribute: Attribution, measured: Collection[str]) -> str:
     if attribute is Attribution.FRICTION:
         return 'with attribute "friction", which tensions do not show; give "pretension" or "bending"'
     return ""
-
-
-def _toward(value: float, target: float, step: float) -> float:
-    return toward(value, target, DOWN * step if target < value else step)

@@ -20,6 +20,8 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 Seconds = Annotated[float, Meta(gt=0.0, le=3600.0)]
 
+DOWN = 5.0  # steps at which a parameter falls: what is compensated too much moves the joint in the meantime
+
 
 class EstimateState(Enum):
     """Values are the log's codes."""
@@ -153,3 +155,8 @@ def toward(value: float, target: float, step: float) -> float:
     if change > step:
         return value + step
     return value - step if change < -step else target
+
+
+def sooner_down(value: float, target: float, step: float) -> float:
+    """The same, but a value that falls may do so by `DOWN` steps."""
+    return toward(value, target, DOWN * step if target < value else step)

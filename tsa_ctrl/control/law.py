@@ -284,11 +284,6 @@ class Law:
             return 0.0
         return 0.5 * self.plan.inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
 
-    @property
-    def turns_with_joint(self) -> bool:
-        """Whether the term turns now, or has just done so, as a joint did that may be moved by a hand."""
-        return self.direction.follows
-
     def applied(self, tau_m: float) -> None:
         """Tell the law what was sent; a term that was cut slews on from what was left of it, and so is the stretch."""
         left = tau_m - self.ideal - self.planned
