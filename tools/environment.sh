@@ -5,6 +5,7 @@
 root=$(cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd)
 export PATH=$root/.venv/bin:$PATH
 export NUMBA_CACHE_DIR=${NUMBA_CACHE_DIR:-${TSA_CACHE:-$root/.cache}/numba}
+unset PYTHONDONTWRITEBYTECODE # set in many containers; each of hundreds of starts would compile numpy and scipy anew, 4 s
 
 die() { # MESSAGE
     printf '%s: %s\n' "$tool" "$1" >&2
