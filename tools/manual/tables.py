@@ -25,6 +25,7 @@ FILE = Path(__file__).with_name("tables.json")
 COMMANDS: Mapping[str, str] = {
     "coverage": "tools/run bench/calibrate --logs 7000",
     "stretch": "tools/run measured/stretch",
+    "stretch-rigs": "tools/run bench/stretch --rigs 30 --seed 2",
     "blind": "tools/run bench/diagnose --short --seed 8000",
     "runaway": "tools/run campaign/runaway --rows FILE",
     "runaway-missed": "tools/run campaign/runaway --rows FILE --which",
@@ -82,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     asked = parser.parse_args(arguments)
     if asked.name is None:
         for name, line in COMMANDS.items():
-            print(f"{name:10s} {line}")
+            print(f"{name:14s} {line}")
         return 0
     if asked.name not in COMMANDS:
         raise UsageError(f"no table '{asked.name}'; known are {', '.join(COMMANDS)}")
