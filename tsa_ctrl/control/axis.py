@@ -11,9 +11,8 @@ from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound
-from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.delivered import delivered_of
-from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Sample, toward
+from tsa_ctrl.control.estimator import EstimateState, Estimator, Sample, toward
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
@@ -275,12 +274,12 @@ class ControlAxis:
             law.bound = toward(law.bound, bound, BOUND_RATE * self._period)
 
     def _bounded(self) -> float:
-        """1, most of the friction that may be compensated now; with an estimate in use it is known as it is."""
+        """1, most of the friction that may be compensated now; by an estimate of it in use, else by the file."""
         estimator, bound = self.estimator, self.bound
         if not self.delivered.known:
             return bound.unseen
-        estimated = estimator.use and estimator.state is EstimateState.ESTIMATED
-        return estimator.sure if estimated and not isinstance(estimator, ConfigurationMap | ByTension) else bound.seen
+        sure = estimator.sure if estimator.use and estimator.state is EstimateState.ESTIMATED else None
+        return bound.seen if sure is None else sure
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

@@ -75,8 +75,11 @@ class Estimator(Protocol):
     pretension: float  # N
     state: EstimateState
     use: bool  # whether the law may use the two
-    sure: float  # 1, of the half loop estimated, that is there at least
     why: str  # what a person must know of a state INVALID; empty where the state says it
+
+    @property
+    def sure(self) -> float | None:
+        """1, of the half loop estimated, that is there at least; None: friction is not measured, the file's holds."""
 
     @property
     def found(self) -> float:
@@ -92,7 +95,7 @@ class Fixed:
 
     state = EstimateState.FIXED
     use = False
-    sure = 1.0
+    sure = None
     why = ""
     found = math.nan
 
@@ -115,7 +118,7 @@ class ConfigurationMap:
     """
 
     use = True
-    sure = 1.0
+    sure = None
     why = ""
     found = math.nan
 
