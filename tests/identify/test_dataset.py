@@ -7,8 +7,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from tests.log.logs import HEADER, motion, records
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log, load_logs, matches
+from tsa_ctrl.log.convert import convert
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.model.parameters import RigidDrive, load_model
@@ -51,7 +50,7 @@ def as_csv(path: Path, table: Columns) -> Path:
 def test_every_kind_of_file_gives_the_same_columns(tmp_path: Path) -> None:
     table = columns()
     as_csv(tmp_path / "a.csv", table)
-    pq.write_table(pa.table(table), tmp_path / "a.parquet")
+    convert(tmp_path / "a.csv", tmp_path / "a.parquet")
     log = McapFile(tmp_path / "a.mcap", ONE)
     log.write([records(N, **{name: values for name, values in table.items() if name != "t"})])
     log.finish()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import duckdb
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -79,7 +79,14 @@ def test_a_state_is_written_as_its_name(log: Path, tmp_path: Path) -> None:
     convert(f"{log}:hip", tmp_path / "x.csv")
     convert(f"{log}:hip", tmp_path / "x.parquet")
     assert (tmp_path / "x.csv").read_text().splitlines()[1] == "0.0,0.0,1.0,0,operation_enabled"
-    assert pq.read_table(tmp_path / "x.parquet").column("state")[0].as_py() == "operation_enabled"
+    found = duckdb.connect().execute(f"SELECT state, typeof(tau_m) FROM '{tmp_path / 'x.parquet'}' LIMIT 1").fetchone()
+    assert found == ("operation_enabled", "DOUBLE")
+
+
+def test_a_value_that_is_not_there_is_null_in_parquet(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("t,tau_m\n0,\n1,2\n")
+    convert(tmp_path / "x.csv", tmp_path / "x.parquet")
+    assert duckdb.connect().execute(f"SELECT tau_m FROM '{tmp_path / 'x.parquet'}'").fetchall() == [(None,), (2.0,)]
 
 
 def test_a_code_without_a_name_stays_a_number(tmp_path: Path) -> None:

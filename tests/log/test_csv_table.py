@@ -80,7 +80,11 @@ def test_compressed_files_read_the_same(tmp_path: Path) -> None:
         (b"t;tau_m\n0,5;1,5\n", "found '0,5' where a number is needed (a decimal comma"),
         (b"t,tau_m\n0,1\n\n2,3\n", "row 2 (line 3) is empty"),
         (b"# x\nt,tau_m\n0,1\n1,oops\n", "column tau_m, row 2 (line 4): found 'oops'"),
-        (b"t,tau_m\n0,1_000\n", "found '1_000'"),
+        (b"t,tau_m\n0,0x10\n", "found '0x10'"),
+        (b"t,tau_m\n0,1d\n", "found '1d'"),
+        (b't,tau_m\n0,"1\n', "row 1 (line 2) has a quote that is not closed"),
+        (b"t,tau_m\n0,1\n \n2,3\n", "row 2 (line 3) is empty"),
+        (b"t,tau_m\n\n2,3\n", "row 1 (line 2) is empty"),
     ],
 )
 def test_what_is_no_table_of_numbers_is_one_line(tmp_path: Path, content: bytes, said: str) -> None:
@@ -163,7 +167,9 @@ def test_every_number_reads_back_as_float_does(
         np.testing.assert_array_equal(columns[name], table[:, i])
 
 
-@pytest.mark.parametrize("entry", ["9007199254740993", "2.2250738585072011e-308", "1e400", "+.5", "1.", "nan", "-0.0"])
+@pytest.mark.parametrize(
+    "entry", ["9007199254740993", "2.2250738585072011e-308", "1e400", "+.5", "1.", "nan", "-0.0", "1_000"]
+)
 def test_odd_numbers_read_as_float_reads_them(tmp_path: Path, entry: str) -> None:
     """Halfway between two doubles, subnormal, too large, without digits on one side of the point."""
     columns, _, _ = read_csv(written(tmp_path, f"t,tau_m\n0,{entry}\n"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.csv_out import Codes, CsvFile, coded, in_blocks
+from tsa_ctrl.log.duck import connected, quoted, said
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
 
@@ -134,25 +136,39 @@ def _open(path: Path, part: Path, source: _Source) -> _Sink:
 
 
 class _Parquet:
-    """One row group per block; codes as text."""
+    """Gathers the blocks in a database beside the file, so that a log may be larger than memory; codes as text."""
 
     def __init__(self, path: Path, source: _Source) -> None:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        self._pa: Any = pa
+        self._path = path
         self._source = source
-        fields = [(name, pa.string() if name in source.codes else pa.float64()) for name in source.names]
-        self._writer: Any = pq.ParquetWriter(path, pa.schema(fields))
+        self._ending = contextlib.ExitStack()
+        folder = self._ending.enter_context(tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-"))
+        self._connection = self._ending.enter_context(connected(Path(folder) / "rows.duckdb"))
+        kinds = (f"{quoted(name)} {'VARCHAR' if name in source.codes else 'DOUBLE'}" for name in source.names)
+        self._execute(f"CREATE TABLE rows ({', '.join(kinds)})")
+        chosen = (f'"{i}"' if self._is_code(i) else f"nullif(\"{i}\", 'nan')" for i in range(len(source.names)))
+        self._take = f"INSERT INTO rows SELECT {', '.join(chosen)} FROM block"
 
     def write(self, block: NDArray[np.float64]) -> None:
-        arrays = [self._array(name, block[:, i]) for i, name in enumerate(self._source.names)]
-        self._writer.write_table(self._pa.Table.from_arrays(arrays, schema=self._writer.schema))
-
-    def _array(self, name: str, values: NDArray[np.float64]) -> Any:
-        if name in self._source.codes:
-            return self._pa.array(coded(values, self._source.codes[name]))
-        return self._pa.array(np.ascontiguousarray(values), from_pandas=True)
+        self._connection.register("block", {str(i): self._column(i, values) for i, values in enumerate(block.T)})
+        self._execute(self._take)
 
     def close(self) -> None:
-        self._writer.close()
+        with self._ending:
+            self._execute("COPY rows TO $file (FORMAT parquet, COMPRESSION zstd)", {"file": str(self._path)})
+
+    def _is_code(self, place: int) -> bool:
+        return self._source.names[place] in self._source.codes
+
+    def _column(self, place: int, values: NDArray[np.float64]) -> NDArray[Any]:
+        if self._is_code(place):
+            return np.array(coded(values, self._source.codes[self._source.names[place]]), dtype=object)
+        return np.ascontiguousarray(values)
+
+    def _execute(self, query: str, parameters: dict[str, str] | None = None) -> None:
+        import duckdb
+
+        try:
+            self._connection.execute(query, parameters)
+        except duckdb.Error as error:  # a disk that is full, above all
+            raise OSError(said(error)) from None

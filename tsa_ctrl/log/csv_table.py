@@ -1,23 +1,24 @@
 """CSV files of any size to columns of doubles, with errors that name the place.
 
 Comma, semicolon and tab part the fields; a byte-order mark, Windows line ends, quotes, spaces and `#` lines above the
-header are accepted. A decimal comma is not: a number must read the same everywhere. pyarrow parts the lines and reads
+header are accepted. A decimal comma is not: a number must read the same everywhere. DuckDB parts the lines and reads
 the numbers (each as `float()` would); here is what it accepts and a log may not have, and the place of what it refuses.
 
-It is pyarrow by measurement, 400,000 rows of 10 numbers: 0.48 s of one processor; pandas 0.24, polars 0.2, numpy's
-loadtxt 1.3, the csv module and float() 3.0, a reader of our own in numba 0.33 and 0.8 s more at its first use. pandas
-and polars take a row that is too short, numpy no empty field; pyarrow refuses both kinds and says where.
+It is DuckDB by measurement, 400,000 rows of 10 numbers: 0.55 s of one processor; pyarrow 0.48 (and 100 MB more on
+disk), pandas 0.24, polars 0.2, numpy's loadtxt 1.3, the csv module and float() 3.0, a reader of our own in numba 0.33
+and 0.8 s more at its first use. pandas and polars take a row that is too short, numpy no empty field; DuckDB refuses
+both kinds and says where.
 """
 
 from __future__ import annotations
 
 import contextlib
 import gzip
-import os
 import re
-import sys
+import tempfile
 import zlib
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -26,14 +27,20 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.columns import SIGNAL_NAMES
-from tsa_ctrl.log.unpacked import CountedStream, Unpacked
+from tsa_ctrl.log.duck import connected, doubles, opened, said
+from tsa_ctrl.log.unpacked import Unpacked
 
 HEAD = 1 << 16  # bytes in which the header is looked for
+BLOCK = 1 << 20  # bytes in which blank lines are looked for: no more of the file than that is in memory for it
+LONGEST = 2 << 20  # bytes of a line: 100,000 numbers of 17 digits
 DELIMITERS = ",;\t"
-_NO_NUMBER = re.compile(r"In CSV column #(\d+): Row #(\d+): .* invalid value '(.*)'$", re.DOTALL)  # as pyarrow says it
-
-# pyarrow's own allocator takes an arena of 1 GB at its first byte, all of it present in a daemon that locks its memory
-os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+LOOKED_AT = 1000  # first rows in which a column that is no signal must hold numbers only, to be read at all
+_BLANK = re.compile(rb"\n[ \t\r]*(?=\n)")
+_LINE = re.compile(r"CSV Error on Line: (\d+)")  # as DuckDB says it
+_LENGTH = re.compile(r"^Expected Number of Columns: \d+ Found: (\d+)$", re.MULTILINE)
+_NO_NUMBER = re.compile(
+    r'^Error when converting column "(\d+)"\. Could not convert string "(.*?)" to ', re.M | re.DOTALL
+)
 
 Columns = dict[str, NDArray[np.float64]]
 
@@ -47,108 +54,166 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
     try:
         with _open(path) as stream:
             head = stream.read(HEAD)
-        names, delimiter, above = _header(path, head)
-        with _open(path) as stream:
-            counted = CountedStream(stream, Unpacked(path)) if isinstance(stream, gzip.GzipFile) else stream
-            return _read(path, counted, names, delimiter, above, wanted)
+            names, delimiter, above = _header(path, head)
+            end = _end(path, stream, head, above)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
+    kept = [place for place, name in enumerate(names) if wanted is None or name in wanted]  # names may be empty
+    numeric = [place for place in kept if wanted is not None or names[place] in SIGNAL_NAMES]
+    with _up_to(path, end) as file:
+        columns = _Source(path, file, names, delimiter, above).read(kept, numeric) if kept else {}
+    return columns, [name for name in names if name not in columns], above
 
 
 def _open(path: Path) -> BinaryIO | gzip.GzipFile:
     return gzip.GzipFile(path, "rb") if path.suffix.lower() == ".gz" else path.open("rb")
 
 
-def _read(
-    path: Path,
-    stream: BinaryIO | CountedStream,
-    names: list[str],
-    delimiter: str,
-    above: int,
-    wanted: Collection[str] | None,
-) -> tuple[Columns, list[str], int]:
-    import pyarrow as pa
-    from pyarrow import csv
+def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) -> int | None:
+    """Bytes before blank lines at the file's end in which there are spaces, that DuckDB takes for rows; None: no such.
 
-    kept = [place for place, name in enumerate(names) if wanted is None or name in wanted]  # names may be empty
-    if not kept:  # to pyarrow no column is all of them
-        return {}, names, above
-    numeric = [str(place) for place in kept if wanted is not None or names[place] in SIGNAL_NAMES]
-    refused: list[str] = []
+    `head` is what has been read of `stream`. Raises UsageError for a blank line before a row, over which DuckDB would
+    go without a word, and for a compressed file that unpacks to more than a log can hold.
+    """
+    counted = Unpacked(path) if isinstance(stream, gzip.GzipFile) else None
 
-    def wrong_length(row: Any) -> str:
-        if not row.text.strip():
-            return "skip"
-        hint = " (a decimal comma: only the point is allowed)" if row.actual_columns >= 2 * len(names) - 1 else ""
-        place = f"row {row.number - above} (line {row.number})"
-        found = f"{place} has {row.actual_columns} fields where the header has {len(names)}{hint}"
-        refused.append(f"{path}: {found}; correct or remove it")
-        return "error"
+    def following() -> bytes:
+        block = stream.read(BLOCK)
+        if counted:
+            counted.take(len(block))
+        return block
 
-    try:
-        with _undecodable(path):
-            table: Any = csv.read_csv(
-                stream,
-                csv.ReadOptions(use_threads=False, skip_rows=above, column_names=[str(i) for i in range(len(names))]),
-                csv.ParseOptions(delimiter=delimiter, ignore_empty_lines=False, invalid_row_handler=wrong_length),
-                csv.ConvertOptions(
-                    column_types=dict.fromkeys(numeric, pa.float64()),
-                    null_values=[""],
-                    include_columns=[str(place) for place in kept],
-                ),
-            )
-    except pa.ArrowInvalid as error:
-        raise UsageError(refused[0] if refused else _no_number(path, str(error), names, above)) from None
-    rows = _last(path, table, above)
-    columns: Columns = {}
-    for place, column in zip(kept, table.columns, strict=True):
-        if pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_null(column.type):
-            values = column.slice(0, rows).cast(pa.float64(), safe=False).to_numpy()
-            columns[names[place]] = np.require(values, requirements="W")
-    return columns, [name for name in names if name not in columns], above
+    if counted:
+        counted.take(len(head))
+    first = b"".join(head.split(b"\n", above)[above:])
+    buffer, start, rows = b"\n" + first, len(head) - len(first) - 1, 0  # of the buffer: where it starts, rows before it
+    while True:
+        block = following()
+        found = _BLANK.search(buffer if block else buffer + b"\n")
+        if found or not block:
+            break
+        last = buffer.rindex(b"\n")
+        if len(buffer) - last > LONGEST:
+            raise UsageError(f"{path}: a line is longer than {LONGEST >> 20} MiB; this is no table of numbers")
+        rows, start = rows + buffer.count(b"\n", 0, last), start + last
+        buffer = buffer[last:] + block
+    if found is None:
+        return None
+    row = rows + buffer.count(b"\n", 0, found.start()) + 1
+    blank, spaces = buffer[found.start() :], False
+    while blank:
+        if blank.strip():
+            raise UsageError(_empty(path, row, above))
+        spaces = spaces or bool(blank.strip(b"\r\n"))
+        blank, block = block, block and following()
+    return start + found.start() + 1 if spaces else None
 
 
 @contextlib.contextmanager
-def _undecodable(path: Path) -> Iterator[None]:
-    """Raises UsageError for a row that pyarrow cannot show as text: it tells nobody but the standard error."""
-    hidden: list[sys.UnraisableHookArgs] = []
-    before, sys.unraisablehook = sys.unraisablehook, hidden.append
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
-        if hidden:
-            raise UsageError(f"{path}: a row with too few or too many fields is not UTF-8 text; save the file as UTF-8")
+def _up_to(path: Path, end: int | None) -> Iterator[Path]:
+    """The file, or where `end` is given a copy of so many bytes of what is in it."""
+    if end is None:
+        yield path
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "head.csv"
+        with _open(path) as source, copy.open("wb") as target:
+            while end and (block := source.read(min(end, BLOCK))):
+                end -= target.write(block)
+        yield copy
 
 
-def _last(path: Path, table: Any, above: int) -> int:
-    """Number of rows without the empty ones at the end; raises UsageError for an empty one before others."""
-    rows: int = table.num_rows
-    if not table.num_columns or not all(column.null_count for column in table.columns):
-        return rows
-    empty = np.logical_and.reduce([column.is_null().to_numpy() for column in table.columns])
-    if not empty.any():
-        return rows
-    first = int(np.argmax(empty))
-    if not empty[first:].all():
-        raise UsageError(
-            f"{path}: row {first + 1} (line {first + 1 + above}) is empty; a log has no holes: remove the line or cut "
-            "the file there"
-        )
-    return first
+@dataclass(frozen=True)
+class _Source:
+    """A table that DuckDB can read: `file` holds what `path`, the name for messages, does."""
+
+    path: Path
+    file: Path
+    names: list[str]
+    delimiter: str
+    above: int
+
+    def read(self, kept: list[int], numeric: list[int]) -> Columns:
+        """The columns at the places `kept`, of which those in `numeric` must be numbers; others may be left out."""
+        import duckdb
+
+        try:
+            with connected() as connection, opened(self.file) as name:
+                table = self._table(name, numeric)
+                more = [place for place in kept if place not in numeric]
+                if more:
+                    looks = ", ".join(f'bool_and("{place}" IS NULL OR {_cast(place)} IS NOT NULL)' for place in more)
+                    row = connection.execute(f"SELECT {looks} FROM (FROM {table} LIMIT {LOOKED_AT})").fetchone() or ()
+                    more = [place for place, number in zip(more, row, strict=True) if number is not False]
+                chosen = [f'"{place}"' for place in numeric]
+                chosen += [f'{_cast(place)} AS "{place}"' for place in more]
+                chosen += [f'"{place}" IS NOT NULL AND {_cast(place)} IS NULL AS "text {place}"' for place in more]
+                if not chosen:
+                    return {}
+                found = connection.execute(f"SELECT {', '.join(chosen)} FROM {table}").fetchnumpy()
+        except duckdb.Error as error:
+            raise UsageError(self._refused(error)) from None
+        places = [place for place in kept if str(place) in found and not np.any(found.get(f"text {place}", False))]
+        rows = self._rows([found[str(place)] for place in places])
+        return {self.names[place]: doubles(found.pop(str(place)))[:rows] for place in places}
+
+    def _table(self, name: str, numeric: list[int]) -> str:
+        """The table function; its columns are named by their places."""
+        kinds = (f"'{place}': '{'DOUBLE' if place in numeric else 'VARCHAR'}'" for place in range(len(self.names)))
+        options = {
+            "auto_detect": "false",
+            "header": "false",
+            "skip": self.above,
+            "delim": f"'{self.delimiter}'",
+            "quote": "'\"'",
+            "escape": "'\"'",
+            "nullstr": "''",
+            "compression": "'gzip'" if self.file.suffix.lower() == ".gz" else "'none'",
+            "max_line_size": LONGEST,
+            "columns": f"{{{', '.join(kinds)}}}",
+        }
+        return f"read_csv('{name}', {', '.join(f'{key} = {value}' for key, value in options.items())})"
+
+    def _rows(self, columns: list[Any]) -> int:
+        """Number of rows without those at the end that have no entry; raises UsageError for one before others."""
+        rows = len(columns[0]) if columns else 0
+        if not all(isinstance(column, np.ma.MaskedArray) for column in columns):
+            return rows
+        empty = np.logical_and.reduce([np.ma.getmaskarray(column) for column in columns])
+        if not empty.any():
+            return rows
+        first = int(np.argmax(empty))
+        if not empty[first:].all():
+            raise UsageError(_empty(self.path, first + 1, self.above))
+        return first
+
+    def _refused(self, error: Exception) -> str:
+        text = str(error)
+        line = _LINE.search(text)
+        if line is None:
+            return f"{self.path}: is no table of numbers ({said(error)}); write it again"
+        row = f"row {int(line[1]) - self.above} (line {line[1]})"
+        if length := _LENGTH.search(text):
+            hint = " (a decimal comma: only the point is allowed)" if int(length[1]) >= 2 * len(self.names) - 1 else ""
+            found = f"{row} has {length[1]} fields where the header has {len(self.names)}{hint}"
+            return f"{self.path}: {found}; correct or remove it"
+        if entry := _NO_NUMBER.search(text):
+            hint = " (a decimal comma: only the point is allowed)" if "," in entry[2] and _is_number(entry[2]) else ""
+            found = f"found {entry[2][:40]!r} where a number is needed{hint}"
+            return f"{self.path}: column {self.names[int(entry[1])]}, {row}: {found}; correct it"
+        if "not utf-8" in text:
+            return f"{self.path}: {row} is not UTF-8 text; save the file as UTF-8"
+        found = "has a quote that is not closed" if "unterminated quote" in text else "is no row of a table"
+        return f"{self.path}: {row} {found}; correct or remove it"
 
 
-def _no_number(path: Path, said: str, names: list[str], above: int) -> str:
-    found = _NO_NUMBER.match(said)
-    if found is None:
-        return f"{path}: is no table of numbers ({' '.join(said.split())}); write it again"
-    column, line, entry = names[int(found[1])], int(found[2]), found[3]
-    hint = " (a decimal comma: only the point is allowed)" if "," in entry and _is_number(entry) else ""
-    return (
-        f"{path}: column {column}, row {line - above} (line {line}): found {entry[:40]!r} where a number is needed"
-        f"{hint}; correct it"
-    )
+def _cast(place: int) -> str:
+    return f'TRY_CAST("{place}" AS DOUBLE)'
+
+
+def _empty(path: Path, row: int, above: int) -> str:
+    return f"{path}: row {row} (line {row + above}) is empty; a log has no holes: remove the line or cut the file there"
 
 
 def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.csv_table import read_csv
+from tsa_ctrl.log.duck import connected, doubles, opened, quoted, said
+
+_NUMERIC = re.compile(r"U?(TINY|SMALL|BIG|HUGE)?INT(EGER)?\b|FLOAT|DOUBLE|DECIMAL")  # as DuckDB names types
 
 ENDINGS = (".csv", ".csv.gz", ".parquet", ".mcap")
 
@@ -121,33 +125,38 @@ def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> T
 
 
 def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    import duckdb
 
     try:
-        with pq.ParquetFile(path) as file:
-            schema = file.schema_arrow
-            names = list(schema.names)
+        with connected() as connection, opened(path) as file:
+            elements = connection.execute(
+                f"SELECT name, coalesce(num_children, 0), duckdb_type FROM parquet_schema('{file}')"
+            ).fetchall()
+            kinds = [(name, kind or "nested") for name, kind in _top_level(elements)]
+            names = [name for name, _ in kinds]
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice is not None:
                 raise UsageError(f"{path}: column {twice} stands twice; rename or remove one")
-            numeric = [name for name in names if _is_numeric(pa, schema.field(name).type)]
-            kept = [name for name in numeric if wanted is None or name in wanted]
-            for name in names:
+            numeric = [name for name, kind in kinds if _NUMERIC.match(kind)]
+            for name, kind in kinds:
                 if wanted is not None and name in wanted and name not in numeric:
-                    raise UsageError(f"{path}: column {name} is {schema.field(name).type}, not a number; convert it")
-            columns = {name: _read_column(file, name) for name in kept}
-    except (pa.ArrowException, OSError) as error:
-        raise UsageError(f"{path}: is no readable Parquet file ({error}); write it again") from None
+                    raise UsageError(f"{path}: column {name} is {kind}, not a number; convert it")
+            columns = {}
+            for name in numeric:
+                if wanted is None or name in wanted:  # read apart, so that only one is in memory twice
+                    query = f"SELECT CAST({quoted(name)} AS DOUBLE) AS x FROM read_parquet('{file}')"
+                    columns[name] = doubles(connection.execute(query).fetchnumpy()["x"])
+    except duckdb.Error as error:
+        raise UsageError(f"{path}: is no readable Parquet file ({said(error)}); write it again") from None
     recorded = {"cycle", "state"} <= set(names)
     return Table(str(path), columns, tuple(n for n in names if n not in columns), recorded=recorded)
 
 
-def _is_numeric(pa: Any, kind: Any) -> bool:
-    return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind))
-
-
-def _read_column(file: Any, name: str) -> NDArray[np.float64]:
-    """One column as doubles, nulls as nan; read apart, so that only one is in memory twice."""
-    column = file.read(columns=[name]).column(0).cast("float64", safe=False)
-    return np.array(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+def _top_level(elements: list[tuple[str, int, str | None]]) -> list[tuple[str, str | None]]:
+    """Columns of a Parquet schema, which lists each element before its children: (name, number of them, type)."""
+    columns, deeper = [], 0
+    for name, children, kind in elements[1:]:
+        if deeper == 0:
+            columns.append((name, kind))
+        deeper = max(deeper - 1, 0) + children
+    return columns
