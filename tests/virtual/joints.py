@@ -6,7 +6,7 @@ counts whole periods between a measurement and the torque that acts.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.result import Simulation
-from tsa_ctrl.virtual.script import Change
+from tsa_ctrl.virtual.script import Change, Fault
 
 PERIOD = 1e-3  # s
 LAG = 0.5e-3  # s, of the drive's torque loop
@@ -52,11 +52,10 @@ CASES: dict[str, Case] = {
 }
 
 
-def play(
+def files(
     folder: Path,
     load: str,
     setpoint: Mapping[str, Any],
-    seconds: float,
     *,
     delay: int = 1,
     inertia: float = 1e-4,
@@ -65,10 +64,8 @@ def play(
     curvature: Any = "uniform",
     axis: Mapping[str, Any] | None = None,
     plant: Mapping[str, Any] | None = None,
-    changes: tuple[Change, ...] = (),
-    **more: Any,
-) -> Simulation:
-    """Run it; `inertia` is the motor's, which the controller knows if `known`; `axis`, `plant` change the files."""
+) -> tuple[Path, Path]:
+    """Controller and plant; `inertia` is the motor's, which the controller knows if `known`; `axis`, `plant` change."""
     save_model(NOMINAL, folder / "nominal.toml")
     save_model(NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": curvature}}), folder / "true.toml")
     gait().write_setpoint(folder / "setpoint.csv")
@@ -115,7 +112,23 @@ def play(
     paths = folder / "controller.toml", folder / "plant.toml"
     for path, tables in zip(paths, (controller, machine), strict=True):
         path.write_text(tomlkit.dumps(tables), encoding="utf-8")
-    return simulate_loop(*paths, seconds, changes=changes, **more)
+    return paths
+
+
+def play(
+    folder: Path,
+    load: str,
+    setpoint: Mapping[str, Any],
+    seconds: float,
+    *,
+    changes: tuple[Change, ...] = (),
+    faults: Sequence[Fault | str] = (),
+    seed: int | None = None,
+    **more: Any,
+) -> Simulation:
+    """Run what `files` writes."""
+    paths = files(folder, load, setpoint, **more)
+    return simulate_loop(*paths, seconds, changes=changes, faults=faults, seed=seed)
 
 
 def play_case(folder: Path, name: str, **more: Any) -> Simulation:

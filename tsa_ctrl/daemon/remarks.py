@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.events import Events
 
 LESS, AS_SAID = 0.93, 0.97  # of the model file's half loop: told below the one, told again only after the other
@@ -52,10 +53,10 @@ class Remarks:
                 self._events.add(t, axis.name, _contradiction(known.contradicted, known.difference))
             estimator = axis.estimator
             if bool(estimator.why) is not bool(self._why[index]):
-                wrong = f"friction and pretension are not estimated: {estimator.why}"
-                self._events.add(
-                    t, axis.name, wrong if estimator.why else "friction and pretension are estimated again"
-                )
+                if estimator.why:
+                    self._events.add(t, axis.name, f"friction and pretension are not estimated: {estimator.why}")
+                elif estimator.state is EstimateState.ESTIMATED:  # else it was reset, by a disable
+                    self._events.add(t, axis.name, "friction and pretension are estimated again")
                 self._why[index] = estimator.why
             found = estimator.found if estimator.use else math.nan
             if found < LESS and not self._less[index]:

@@ -90,7 +90,7 @@ def _garbage_left() -> Iterator[None]:
 
 
 class Run:
-    """The parts of one run, put together as the daemon and `tsa plant` do: `machine`, `rig` and `loop` among them."""
+    """The parts of one run, put together as the daemon and `tsa plant` do: `machine`, `rig`, `axes` and `loop`."""
 
     def __init__(
         self,
@@ -112,14 +112,14 @@ class Run:
         self.machine.recorder = self._truth
         self._records = Records(len(file.axes), None if out is None else Path(out), log_header(configuration))
         self.rig = Rig(self._wire.host, file.bus, file.axes, configuration.profiles)
-        self._axes = control_axes(configuration, self.rig)
-        self._tuners = tuners_of(self._axes, configuration.period)
+        self.axes = control_axes(configuration, self.rig)
+        self._tuners = tuners_of(self.axes, configuration.period)
         self._mailbox = Mailbox(len(file.axes), len(self._tuners[0].parameters))
         events = Events()
-        telemetry = Telemetry(self.rig, self._axes, self._tuners, self._mailbox, self._records.ring, None, events)
+        telemetry = Telemetry(self.rig, self.axes, self._tuners, self._mailbox, self._records.ring, None, events)
         self.loop = Loop(
             self.rig,
-            self._axes,
+            self.axes,
             self._tuners,
             self._mailbox,
             telemetry,
@@ -131,8 +131,8 @@ class Run:
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
         script = beginnings(self.machine, faults)
-        settings = commands([axis.name for axis in self._axes], self._tuners, changes)
-        operation = Operation(self._configuration, self.rig, self._axes, self.loop)
+        settings = commands([axis.name for axis in self.axes], self._tuners, changes)
+        operation = Operation(self._configuration, self.rig, self.axes, self.loop)
         self.machine.start()
         self._every(EVERY, self._records.drain)
         self._every(EVERY, lambda now: tick(min(1.0, now / (self._seconds + 1.0))))
