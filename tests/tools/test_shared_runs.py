@@ -1,4 +1,4 @@
-"""Two runs of pytest that share their tests, as tools/test does on two vcans: each test is run, and once."""
+"""Two runs of pytest that share their tests, as tools/test does on two vcans, and two workers of one run."""
 
 from __future__ import annotations
 
@@ -28,6 +28,13 @@ def test_a_test_is_claimed_once(tmp_path: Path) -> None:
     assert claimed(tmp_path, "tests/x.py::y[1]")
     assert not claimed(tmp_path, "tests/x.py::y[1]")
     assert claimed(tmp_path, "tests/x.py::y[2]")
+
+
+@pytest.mark.xdist_group("one worker")
+def test_a_group_of_tests_has_one_worker(request: pytest.FixtureRequest) -> None:
+    """pytest-xdist deals by names, to which it adds the group: without it each worker makes a module's fixtures."""
+    grouped = bool(getattr(request.config.option, "loadgroup", False))
+    assert request.node.nodeid.endswith("@one worker") == grouped
 
 
 @pytest.mark.slow
