@@ -103,6 +103,14 @@ MEASURES: tuple[Measure, ...] = (
         )
     ),
     Measure(
+        "first-size",
+        "the environment after that, on disk",
+        ("{root}/tools/run", "package/check", "--python", "python3.11"),
+        _found(r"environment after it all .*\b(\d+)\s+bare"),
+        "MB",
+        deterministic=True,
+    ),
+    Measure(
         "virtual-speed",
         "virtual time of `tsa simulate-loop` with the example files, over real time",
         (TSA, "simulate-loop", "{config}/controller.toml", "{config}/plant.toml", "--seconds", "20", "--json"),

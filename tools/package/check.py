@@ -79,6 +79,7 @@ def tried(python: str, wheel: Path) -> list[tuple[str, int, float, str]]:
         ):
             for words in TRIED:
                 step(f"tsa {' '.join(words)}", ["bare/bin/tsa", *words])
+            step("environment after it all", ["du", "-sm", "bare"])
     return rows
 
 
