@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import Enum, IntEnum
+from functools import lru_cache
 
 FAULT_RESET = 0x80  # controlword bit 7, on its rising edge
 
 
-class PowerState(Enum):
+class PowerState(IntEnum):
     """Drive states with the bits 0-3, 5 and 6 of the statusword."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
@@ -52,6 +53,7 @@ TRANSITIONS: dict[tuple[PowerState, Command], tuple[int, PowerState]] = {
 }
 
 
+@lru_cache(maxsize=256)  # a controlword comes again each cycle
 def command_of(controlword: int) -> Command | None:
     """The command in a controlword; None when the bits make none (a fault reset, for example)."""
     for command in Command:

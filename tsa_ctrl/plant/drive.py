@@ -90,6 +90,7 @@ class Drive:
         self._own_cycle = 0
         self._unit_code = unit_code(settings)  # of a drive that does not have 0x60A9
         self._modes = mode_numbers(settings)
+        self._scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / persona.torque_digits
         self._next_step = 0.0  # s, when a slow drive takes the next step
         self._waiting: int | None = None  # a controlword that it has not obeyed yet
         self.before_change: Callable[[float], None] = lambda now: None
@@ -119,10 +120,14 @@ class Drive:
     def written(self, controlword: bool) -> None:
         """Process data came for this axis, a controlword among them or not."""
         if controlword:
-            self._control(self.values[0x6040, 0])
+            self._take(self.values[0x6040, 0])
         self._obey()
 
     def _control(self, controlword: int) -> None:
+        self._take(controlword)
+        self._obey()
+
+    def _take(self, controlword: int) -> None:
         if self.settings.safe_torque_off or self.faults.torque_off:
             return
         if self.settings.step_time > 0.0 and command_of(controlword) in _UPWARDS and self._must_wait(controlword):
@@ -137,7 +142,6 @@ class Drive:
             self._next_step = self.node.now + self.settings.step_time
             if after is PowerState.OPERATION_ENABLED and self.settings.warns_when_enabled:
                 self.node.emergency(self.settings.warns_when_enabled, _ERROR_REGISTER_PROFILE)
-        self._obey()
 
     def _must_wait(self, controlword: int) -> bool:
         self._waiting = controlword if self.node.now < self._next_step else None
@@ -211,8 +215,7 @@ class Drive:
             wanted, limit = values[0x6071, 0], self._clamp()
             target = max(-limit, min(limit, wanted))
             self.limited = target != wanted
-        scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / self.persona.torque_digits
-        scale *= self._turned(_TORQUE_TURNED)
+        scale = self._scale if not values.get((0x607E, 0), 0) & _TORQUE_TURNED else -self._scale
         wanted_command = (
             target * scale * self.faults.torque_sign * self.faults.torque_gain,
             enabled,
@@ -221,10 +224,6 @@ class Drive:
         if wanted_command != (command.torque, command.enabled, command.max_speed):
             self.before_change(self.node.now)
             command.torque, command.enabled, command.max_speed = wanted_command
-
-    def _turned(self, bit: int) -> int:
-        """-1 where 0x607E has this bit."""
-        return -1 if self.values.get((0x607E, 0), 0) & bit else 1
 
     def _clamp(self) -> int:
         """Largest torque in digits of 0x6071."""
@@ -257,7 +256,7 @@ class Drive:
 
     def statusword(self) -> int:
         settings = self.settings
-        word = self.machine.state.value | _REMOTE | settings.statusword_bits
+        word = self.machine.state | _REMOTE | settings.statusword_bits
         if not (settings.safe_torque_off or self.faults.torque_off or self.faults.dead_stage):
             word |= _VOLTAGE_ENABLED
         if self.limited or self.readings.speed_limited:
@@ -276,14 +275,14 @@ class Drive:
                 return
             self._own_cycle = cycle
         values, settings, readings = self.values, self.settings, self.readings
-        gear = settings.gear_ratio
+        gear, polarity = settings.gear_ratio, values.get((0x607E, 0), 0)
         digits = (
             self.persona.torque_digits * settings.torque_sign * self.faults.torque_sign / (settings.rated_torque * gear)
         ) / self.faults.torque_gain
-        digits *= self._turned(_TORQUE_TURNED)
+        digits *= _turned(polarity & _TORQUE_TURNED)
         sign = settings.position_sign * self.faults.turned
-        turns = sign * self._turned(_POSITION_TURNED) * gear / (2.0 * math.pi)
-        velocity = sign * self._turned(_VELOCITY_TURNED) * gear * readings.motor_speed / self._velocity_digit()
+        turns = sign * _turned(polarity & _POSITION_TURNED) * gear / (2.0 * math.pi)
+        velocity = sign * _turned(polarity & _VELOCITY_TURNED) * gear * readings.motor_speed / self._velocity_digit()
         torque = readings.motor_torque
         if settings.torque_noise > 0.0:
             torque += self._noise.gauss(0.0, settings.torque_noise)
@@ -300,6 +299,11 @@ class Drive:
         enabled = self.machine.state is PowerState.OPERATION_ENABLED
         shown = enabled if when == "enabled" else operational or when == "written"
         return self.values[0x6060, 0] if shown else 0
+
+
+def _turned(bit: int) -> int:
+    """The sign that this bit of 0x607E makes."""
+    return -1 if bit else 1
 
 
 def _bounded(value: int, bound: int) -> int:

@@ -157,8 +157,8 @@ class Machine:
         """When something happens here although no frame comes, s of the clock."""
         due = self._next_tick
         for outlet in self._outlets:
-            if outlet.waiting:
-                due = min(due, outlet.waiting[0][0])
+            if outlet.waiting and outlet.waiting[0][0] < due:
+                due = outlet.waiting[0][0]
         return due
 
     def step(self, frame: Frame | None, now: float) -> None:
@@ -294,7 +294,7 @@ class Machine:
         if recorder is None or not recorder.due(self.axes[0].axis.time):
             return
         for place, unit in enumerate(self.axes):
-            state = unit.drive.machine.state.value
+            state = int(unit.drive.machine.state)
             recorder.row((now, unit.axis.time, place, self.faults.active, state, *unit.axis.truth()))
         recorder.flush(now)
 

@@ -73,6 +73,8 @@ class Node:
             Rpdo(self.dictionary, number, default, self._changed, self.quirks.delay_periods)
             for number, default in rpdos
         ]
+        self._by_sync: tuple[Tpdo, ...] = ()  # those that are sent on a SYNC, and the others
+        self._by_event: tuple[Tpdo, ...] = ()
         self._complete = True
         self._changed()
 
@@ -192,6 +194,9 @@ class Node:
     def _changed(self) -> None:
         if not self._complete:
             return
+        valid = [tpdo for tpdo in self.tpdos if tpdo.valid]
+        self._by_sync = tuple(tpdo for tpdo in valid if tpdo.synchronous)
+        self._by_event = tuple(tpdo for tpdo in valid if not tpdo.synchronous)
         self.routes = {} if self.lss is None else {REQUEST: self.lss.receive}
         if not self._unnamed:
             self.routes[0x000] = self._nmt
@@ -262,7 +267,7 @@ class Node:
         if self.quirks.rpdo_timer_on_sync:
             self._look_at_rpdos(now)
         self.sample()
-        for tpdo in self.tpdos:
+        for tpdo in self._by_sync:
             if tpdo.due_on_sync():
                 self._transmit(tpdo, now)
 
@@ -303,10 +308,9 @@ class Node:
                 self.communication_error(EmcyCode.RPDO_TIMEOUT)
 
     def _send_events(self, now: float) -> None:
-        events = [tpdo for tpdo in self.tpdos if tpdo.valid and not tpdo.synchronous]
-        if events:
+        if self._by_event:
             self.sample()
-            for tpdo in events:
+            for tpdo in self._by_event:
                 if tpdo.due_on_event(now):
                     self._transmit(tpdo, now)
 

@@ -161,8 +161,7 @@ class Tpdo(Pdo):
         super().__init__(dictionary, number, Direction.TPDO, default, changed)
 
     def pack(self) -> bytes:
-        values = self._dictionary.values
-        return self.packing.pack(*[values[key] for key in self.keys])
+        return self.packing.pack(*map(self._dictionary.values.__getitem__, self.keys))
 
     def due_on_sync(self) -> bool:
         """Count one SYNC; whether the PDO is sent on it. Type 0 is sent when its data have changed."""

@@ -49,7 +49,7 @@ class SyncPort:
 
     def hear(self, data: bytes, now: float) -> Heard:
         """One SYNC: with a counter it has a byte, without one it may have none."""
-        if bool(self._values.get((0x1019, 0), 0)) != (len(data) == 1):
+        if (self._values.get((0x1019, 0), 0) != 0) != (len(data) == 1):
             return Heard.WRONG_LENGTH
         self._last = now
         return Heard.GOOD
@@ -62,22 +62,24 @@ class SyncPort:
     def overdue(self, now: float) -> bool:
         """Whether a SYNC is missed; told once."""
         period = self._values.get((0x1006, 0), 0) * 1e-6
-        if self._produces or period <= 0.0 or self._last is None or now - self._last <= _LATE * period:
+        if period <= 0.0 or self._last is None or now - self._last <= _LATE * period or self._produces:
             return False
         self._last = None
         return True
 
     def made(self, now: float) -> bool:
         """Whether this node is to send a SYNC now."""
+        if now < self._due or not self._produces:
+            return False
         period = self._values.get((0x1006, 0), 0) * 1e-6
-        if not self._produces or period <= 0.0 or now < self._due:
+        if period <= 0.0:
             return False
         self._due = max(self._due + period, now)
         return True
 
     @property
     def _produces(self) -> bool:
-        return bool(self._values.get((0x1005, 0), 0) & PRODUCES)
+        return self._values.get((0x1005, 0), 0) & PRODUCES != 0
 
     def _write_identifier(self, value: int) -> None:
         if value & ~(PRODUCES | 0x7FF) or is_restricted(value & 0x7FF):

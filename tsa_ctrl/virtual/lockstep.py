@@ -93,13 +93,18 @@ class Wire:
         nodes = self._nodes
         assert nodes is not None
         while True:
-            due = nodes.due
-            script = self._script[0][0] if self._script else math.inf
-            time = min(self._arrives, due, script)
+            time = nodes.due
+            if self._arrives < time:
+                time = self._arrives
+            scheduled = bool(self._script) and self._script[0][0] <= time
+            if scheduled:
+                time = self._script[0][0]
             if time > until:
                 break
-            self.now = now = max(self.now, time)
-            if script <= time:
+            if time > self.now:
+                self.now = time
+            now = self.now
+            if scheduled:
                 heapq.heappop(self._script)[2](now)
             elif self._frame is not None and self._arrives <= time:
                 self._deliver(nodes, now)
@@ -107,7 +112,8 @@ class Wire:
                 nodes.step(None, now)
             if wanted is not None and wanted():
                 return
-        self.now = max(self.now, until)
+        if until > self.now:
+            self.now = until
 
     def _begin(self, can_id: int, data: bytes, sender: End) -> None:
         self._frame = (can_id, data, sender)
