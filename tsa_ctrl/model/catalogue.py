@@ -21,6 +21,8 @@ CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
 )
 
+PARAMETER_ERROR = "parameter_error"  # no effect: the name of the rival that recalibration alone is
+
 
 def of_the_stretch(names: Collection[str]) -> tuple[list[str], list[str]]:
     """Of the effects that only the tendons' stretch shows: those among `names`, and the others."""

@@ -6,7 +6,7 @@ import pytest
 
 from tsa_ctrl.identify.diagnosis.report.experiment import _parting_most
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
-from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence
+from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, spoken
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.effects.specification import Motion
 from tsa_ctrl.model.parameters import RigidDrive
@@ -54,6 +54,10 @@ def test_a_long_reason_goes_on_in_a_second_sentence() -> None:
     assert len(first.split()) <= 35
     assert second.startswith("The motion")
     assert insufficient_sentence("is it swapped?") == "These logs cannot tell: is it swapped?"
+
+
+def test_that_parameters_are_no_rival_does_not_say_that_they_are_right() -> None:
+    assert spoken("parameter_error") == "wrong parameters alone"
 
 
 def test_one_motion_parts_most_pairs() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.model.catalogue import CATALOGUE
+from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 
 MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
@@ -17,8 +17,8 @@ SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
 def spoken(name: str) -> str:
-    """An effect's name as words."""
-    return name.replace("_", " ")
+    """An effect's name as words; the parameters may be wrong, too, where they are not all that is."""
+    return "wrong parameters alone" if name == PARAMETER_ERROR else name.replace("_", " ")
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

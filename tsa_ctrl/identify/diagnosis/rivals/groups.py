@@ -24,12 +24,11 @@ from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless, meaningless_by_error
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
-from tsa_ctrl.model.catalogue import twins_of
+from tsa_ctrl.model.catalogue import PARAMETER_ERROR, twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
 
-PARAMETER_ERROR = "parameter_error"
 # Times the deviation in white noise that blocks may show: as much as an interval may be widened (refit.WIDEST)
 MOST_SPREAD = 3.0
 INPUT_TOLERANCE = 0.02  # of what the cause explains: inputs and filters are no better known than that
