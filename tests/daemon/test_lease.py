@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.daemon.serving import QUARTERS, description
+from tests.daemon.serving import PATIENCE, QUARTERS, description
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.listener import listen
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
@@ -34,6 +34,7 @@ class Talk:
     def __init__(self, desk: Desk) -> None:
         self._desk = desk
         self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.settimeout(PATIENCE)  # of a server that accepts nobody
         self.socket.connect(desk.path)
         self.socket.setblocking(False)
         desk.steps()
@@ -70,8 +71,14 @@ class Desk:
             listen(self.path, None), self.mailbox, description(Path(self.path), ["knee", "hip"]), lambda: self.now
         )
         self.server._command, self.server._watch = {COMMAND}, {WATCH}
+        self._select = self.server._selector.select
+        monkeypatch.setattr(self.server._selector, "select", self._look)
         monkeypatch.setattr("tsa_ctrl.ipc.server.peer_of", lambda connection: self.peer)
         self._talks: list[Talk] = []
+
+    def _look(self, timeout: float) -> list[Any]:
+        assert timeout < 1.0, "it would wait, and our time stands still"
+        return self._select(timeout)
 
     def client(self, *groups: int, process: int = 4711) -> Talk:
         """Of the user who started the daemon; or of a stranger in these groups."""

@@ -316,7 +316,7 @@ def test_unknown_group_is_one_line_and_leaves_no_socket(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-@pytest.mark.parametrize("line", [b"[" * 2000, b'{"verb":' * 500, b"[" * 2000 + b"]" * 2000])
+@pytest.mark.parametrize("line", [b"[" * 2000, b'{"verb":' * 500, b"[" * 2000 + b"]" * 2000, b'{"x":' + b"[" * 4000])
 def test_nesting_of_any_depth_is_refused_and_the_server_goes_on(serving: Serving, line: bytes) -> None:
     """The decoder's recursion ends in an answer, not in the process that `tsa stop` needs."""
     with socket.socket(socket.AF_UNIX) as raw:

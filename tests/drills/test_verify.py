@@ -268,6 +268,22 @@ def test_a_motor_that_pulls_the_wrong_way_is_found_by_its_first_torque(
     assert "the motor's torque the wrong way round" in error
 
 
+@pytest.mark.vcan
+@pytest.mark.hil
+@pytest.mark.slow
+def test_a_motor_that_gives_twice_what_it_says_is_found_by_its_first_torque(
+    folder: Path, vcan: str, plants: list[Rig]
+) -> None:
+    """By the joint torque sensor, with as much torque as friction does not keep."""
+    with (folder / "plant.toml").open("a", encoding="utf-8") as file:
+        file.write('\n[[axis.fault]]\nname = "torque_gain"\nat = 0.0\nvalue = 2.0\n')
+    edit(folder, "controller.toml", ("# torque = 0.1  ", "torque = 0.8  "))
+    plants.append(Rig(folder, vcan))
+    found, code, error = plants[0].verify()
+    assert (code, found) == (1, {})
+    assert "the joint torque sensor follows the motor's torque by" in error
+
+
 def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configuration:
     """Files of two axes with a drive alone, of equal drives but for what is told of each simulated one."""
     times = {"rpdo_timeout": 0.15, "host_timeout": 0.3, "heartbeat_timeout": 0.5}

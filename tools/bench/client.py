@@ -24,7 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -84,14 +84,18 @@ def main() -> int:
         found = {"schema": 1, "rate": rate, "client_rate": options.client_rate, "cycle": cycle}
         print(json.dumps({**found, "latency": [vars(each) for each in figures]}))
     else:
-        print(f"{bus.name}, loop {rate:g} Hz, client {options.client_rate:g} Hz; in periods; cycle {cycle:.2f}")
-        for each in figures:
-            beside = f"beside {each.floods} that flood" if each.floods else "alone"
-            print(
-                f"{beside:20} p50 {each.p50:.2f}   p99 {each.p99:.2f}   worst {each.worst:.2f}   "
-                f"({each.changes} changes)"
-            )
+        print(f"{bus.name}, loop {rate:g} Hz, client {options.client_rate:g} Hz, cycle {cycle:.2f}; in periods:")
+        print("\n".join(table(figures)))
     return 0 if figures[0].p99 <= 1.0 + cycle else 1
+
+
+def table(figures: Sequence[Figures]) -> list[str]:
+    """A line for each, below a head."""
+    lines = [f"{'beside':22}{'p50':>8}{'p99':>8}{'worst':>8}{'changes':>9}"]
+    for each in figures:
+        words = f"{each.floods} that flood{'s' if each.floods == 1 else ''}" if each.floods else "nobody"
+        lines.append(f"{words:22}{each.p50:8.2f}{each.p99:8.2f}{each.worst:8.2f}{each.changes:9}")
+    return lines
 
 
 def measure(

@@ -1,0 +1,570 @@
+"""The law term by term: each of its parts is told, so that what comes out is known to the last digit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import msgspec
+import pytest
+
+from tests.control.laws import plan
+from tests.control.sliding import actuator
+from tests.control.test_law import Friction
+from tsa_ctrl.control import law as module
+from tsa_ctrl.control.damping import Damping
+from tsa_ctrl.control.direction import Direction, DirectionSettings
+from tsa_ctrl.control.front import Front
+from tsa_ctrl.control.law import Law, LawSettings
+from tsa_ctrl.control.motion import Motion
+from tsa_ctrl.control.slip import Slip
+from tsa_ctrl.control.turn import Turn
+
+PERIOD = 1e-3
+RADII = (0.02, 0.025)  # m
+RATIO = 0.8
+FRONT = Front(((0.0, 0.0), (1.0, 1.0)))  # evenly bent: s_c 0.5
+PLAN = replace(plan(actuator()), delay=0.004, stiffness=25.0, front=FRONT, notes=("a plan's",))
+
+
+class Told(Motion):
+    """A motion that is said, and keeps what it was given."""
+
+    def __init__(self) -> None:
+        self.angle = self.velocity = self.acceleration = self.noise = 0.0
+        self.memory = 0.005
+        self.given: list[tuple[float, bool]] = []
+
+    def update(self, angle: float, fresh: bool = True) -> None:
+        self.given.append((angle, fresh))
+
+
+class Way(Direction):
+    """A direction that is said."""
+
+    def __init__(self, motion: Motion) -> None:
+        super().__init__(DirectionSettings(), motion, 0.0, 1.0, RADII[1], PERIOD)
+        self.asked: list[tuple[float, float]] = []
+        self.forgot = 0
+        self.next = 0.0
+
+    def update(self, ahead: float, rate: float) -> float:
+        self.asked.append((ahead, rate))
+        self.sigma = self.next
+        return self.sigma
+
+    def forget(self) -> None:
+        self.forgot = getattr(self, "forgot", 0) + 1
+
+
+class Turned(Turn):
+    """A turn that is said."""
+
+    def __init__(self) -> None:
+        super().__init__(PLAN.front, 0.01, PERIOD)
+        self.is_turning = False
+        self.asked: list[tuple[float, float]] = []
+
+    @property
+    def turning(self) -> bool:
+        return self.is_turning
+
+    def update(self, sigma: float, age: float = 0.0) -> None:
+        self.asked.append((sigma, age))
+
+
+class Fronts(Slip):
+    """Slip fronts that are said."""
+
+    def __init__(self) -> None:
+        self.is_active = False
+        self.scale = 1.0
+        self.short = 0.0
+        self.asked: list[tuple[float, ...]] = []
+        self.resets = 0
+
+    @property
+    def active(self) -> bool:
+        return self.is_active
+
+    def reset(self) -> None:
+        self.resets += 1
+
+    def begin(self, old: float, tau_j: float, x: float, pretension: float) -> None:
+        self.asked.append((old, tau_j, x, pretension))
+
+    def shortfall(self, tau_j: float, x: float, pretension: float, moving: bool) -> float:
+        self.asked.append((tau_j, x, pretension, moving))
+        return self.short
+
+
+class Damper(Damping):
+    """A damping that is said."""
+
+    def __init__(self, gives: float = 0.0) -> None:
+        super().__init__(0.0, 0.0, 0.0, 1.25, PERIOD)
+        self.gives = gives
+        self.asked: list[tuple[float, ...]] = []
+        self.resets = self.passed = 0
+
+    def update(self, planned: float, q_m: float, omega_m: float, q_j: float, omega_j: float) -> float:
+        self.asked.append((planned, q_m, omega_m, q_j, omega_j))
+        return self.gives
+
+    def reset(self) -> None:
+        super().reset()
+        self.resets = getattr(self, "resets", 0) + 1
+
+    def pass_over(self) -> None:
+        self.passed += 1
+
+
+class Inverse(Friction):
+    """Constant friction, and what it was asked."""
+
+    def __init__(self, size: float = 0.5) -> None:
+        super().__init__(size)
+        self.asked: list[tuple[float, ...]] = []
+        self.limit = 5.0
+        self.sets: list[tuple[float | None, float | None]] = []
+        self.notes = ("an inverse's",)
+
+    def update(
+        self,
+        tau_j_des: float,
+        sigma: float,
+        omega_j: float,
+        q_j: float = math.nan,
+        q_m: float = math.nan,
+        temperature: float = math.nan,
+        theta: float = math.nan,
+        t: float = math.nan,
+    ) -> float:
+        self.asked.append((tau_j_des, sigma, omega_j, q_j, q_m, t))
+        return tau_j_des * RATIO + self.size * sigma
+
+    def domain_limit(self) -> float:
+        return self.limit
+
+    def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None:
+        self.sets.append((friction_angle, pretension))
+
+
+class Parts:
+    """A law whose every part is told."""
+
+    def __init__(self, encoder: bool | None = True, size: float = 0.5, **settings: Any) -> None:
+        own = {name: settings.pop(name) for name in ("inertia", "damping") if name in settings}
+        chosen = LawSettings(**{"fade_in": 0.0, "settle": 0.0, "compensation": 1.0, **settings})
+        self.motion = Told()
+        self.way = Way(self.motion)
+        self.inverse = Inverse(size)
+        more = {} if encoder is None else {"has_encoder": encoder}
+        planned = replace(PLAN, **{"inertia": 0.0, "damping": 0.0, **own})
+        self.law = Law(self.inverse, RADII, chosen, planned, self.motion, self.way, PERIOD, **more)
+        self.law.turn = self.turn = Turned()
+        self.law.damping = self.damper = Damper()
+        self.law._slip = self.fronts = Fronts()
+
+    def ask(self, wanted: float = 0.0, q_m: float = 0.0, omega_m: float = 0.0, back_off: float = 1.0) -> float:
+        return self.law.update(wanted, q_m, omega_m, 0.25, back_off)
+
+
+def settled(parts: Parts, cycles: int, rate: float = 0.0, silent: bool = False) -> float:
+    """The term after so many cycles."""
+    for _ in range(cycles):
+        parts.ask(0.5)
+        parts.law.follow(rate, silent)
+    parts.ask(0.5)
+    return parts.law.friction_term
+
+
+def test_settings_their_defaults_and_bounds() -> None:
+    given = LawSettings()
+    assert (given.compensation, given.fade_in, given.slew, given.settle) == (0.95, 1.0, 10_000.0, 0.03)
+    assert (given.motor_inertia, given.delay, given.turn, given.lead, given.ringing, given.damping) == (None,) * 6
+    bounds: dict[str, tuple[float | None, float, float]] = {  # least, the first that is refused below, most
+        "compensation": (0.0, -1e-9, 1.2), "fade_in": (0.0, -1e-9, 60.0), "slew": (None, 0.0, 10_000.0),
+        "settle": (0.0, -1e-9, 0.5), "motor_inertia": (None, 0.0, 1.0), "delay": (None, 0.0, 0.2),
+        "turn": (None, 0.0, 0.2), "lead": (0.0, -1e-9, 0.03), "ringing": (None, 0.0, 2000.0),
+        "damping": (0.0, -1e-9, 100.0),
+    }  # fmt: skip
+    for name, (least, below, most) in bounds.items():
+        for good in (1e-9 if least is None else least, most):
+            msgspec.convert({name: good}, LawSettings)
+        for bad in (below, most * 1.001):
+            with pytest.raises(msgspec.ValidationError):
+                msgspec.convert({name: bad}, LawSettings)
+
+
+def test_a_new_law_has_given_nothing() -> None:
+    parts = Parts(compensation=0.75, slew=125.0)
+    law = parts.law
+    assert (law.ideal, law.friction_term, law.planned, law.cut) == (0.0, 0.0, 0.0, 0)
+    assert (law.beyond, law.near_slack, law.bound) == (False, False, math.inf)
+    assert (law.compensation, law.slew, law.plan.delay) == (0.75, 125.0, 0.004)
+    assert law.notes == ("a plan's", "an inverse's")
+    assert (law.half_loop, law.domain, law.pretension, law.sigma) == (0.5, 5.0, 45.0, 0.0)
+    assert parts.inverse.resets == 1
+    assert parts.way.forgot >= 1
+    parts.motion.velocity = 0.75
+    parts.turn.force = -0.25
+    assert (law.velocity, law.sigma) == (0.75, -0.25)
+    made = Law(parts.inverse, RADII, LawSettings(), PLAN, parts.motion, parts.way, PERIOD)
+    assert (made.turn.duration, made.damping.gain) == (PLAN.turn, PLAN.damping)
+
+
+def test_turn_and_damping_are_made_as_planned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the slip fronts, with m and s as they are."""
+    seen: dict[str, tuple[object, ...]] = {}
+
+    def keep(name: str, real: type) -> Any:
+        def make(*given: object) -> Any:
+            seen[name] = given
+            return real(*given)
+
+        return make
+
+    for name, real in (("Turn", Turn), ("Damping", Damping), ("Slip", Slip)):
+        monkeypatch.setattr(module, name, keep(name, real))
+    motion = Told()
+    Law(Inverse(), RADII, LawSettings(), PLAN, motion, Way(motion), PERIOD)
+    assert seen["Turn"] == (PLAN.front, PLAN.turn, PERIOD)
+    assert seen["Damping"] == (PLAN.damping, PLAN.ringing, PLAN.delay, 1.25, PERIOD)
+    assert seen["Slip"] == (PLAN.front, 0.02, 0.025, PERIOD)
+
+
+def test_the_inverse_is_asked_for_the_joint_when_the_torque_acts() -> None:
+    parts = Parts()
+    parts.motion.velocity, parts.motion.acceleration, parts.motion.angle = 0.5, 20.0, 0.3
+    parts.turn.force = 0.25
+    assert parts.ask(1.5, 0.7) == pytest.approx(1.5 * RATIO + 0.125)
+    assert parts.inverse.asked[-1] == pytest.approx((1.5, 0.25, 0.5 + 0.004 * 20.0, 0.3, 0.7, 0.25))
+    assert parts.law.ideal == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(("bound", "share"), [(math.inf, 0.75), (0.75, 0.75), (0.5, 0.5)])
+def test_the_share_is_bounded_faded_and_backed_off(bound: float, share: float) -> None:
+    parts = Parts(compensation=0.75)
+    parts.law.bound = bound
+    parts.turn.force = 1.0
+    parts.ask(0.4)
+    assert parts.law.friction_term == pytest.approx(0.5 * share)
+    parts.ask(0.4, back_off=-0.5)
+    assert parts.law.friction_term == pytest.approx(-0.25 * share)
+
+
+def test_the_fade_in_takes_its_time_and_no_more() -> None:
+    parts = Parts(fade_in=0.004)
+    parts.turn.force = 1.0
+    found = []
+    for _ in range(6):
+        parts.ask()
+        found.append(parts.law.friction_term)
+    assert found == pytest.approx([0.125, 0.25, 0.375, 0.5, 0.5, 0.5])
+    odd = Parts(fade_in=0.0035)
+    odd.turn.force = 1.0
+    for _ in range(8):
+        odd.ask()
+    assert odd.law.friction_term == 0.5
+    longer = Parts(fade_in=10.0)
+    longer.turn.force = 1.0
+    longer.ask()
+    assert longer.law.friction_term == pytest.approx(0.5e-4)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_term_slews_both_ways(way: float) -> None:
+    parts = Parts(slew=100.0)
+    parts.turn.force = way
+    found = []
+    for _ in range(7):
+        parts.ask(0.5)
+        found.append(parts.law.friction_term)
+    assert found == pytest.approx([way * 0.1 * n for n in (1, 2, 3, 4, 5, 5, 5)])
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_ideal_and_term_stay_within_the_domain(way: float) -> None:
+    parts = Parts()
+    parts.inverse.limit = 1.25
+    parts.turn.force = way
+    assert parts.ask(way * 0.9375) == way * 1.25  # 0.75 and 0.5: at the limit
+    assert (parts.law.beyond, parts.law.cut) == (False, 0)
+    assert parts.ask(way * 0.95) == way * 1.25
+    assert parts.ask(way * 4.0) == way * 1.25
+    assert (parts.law.beyond, parts.law.cut) == (True, 2)
+    parts.inverse.limit = math.nan
+    assert parts.ask(way * 4.0) == pytest.approx(way * 3.7)
+    assert (parts.law.beyond, parts.law.cut) == (False, 2)
+    parts.law.beyond = True
+    parts.law.reset()
+    assert (parts.law.beyond, parts.law.cut) == (False, 2)
+
+
+@pytest.mark.parametrize("sigma", [1.0, -1.0])
+def test_a_front_on_its_way_takes_from_the_turned_part_what_it_falls_short_of(sigma: float) -> None:
+    parts = Parts()
+    parts.turn.force, parts.way.sigma, parts.way.rest = 0.5, sigma, 0.0
+    parts.fronts.is_active, parts.fronts.short = True, 0.125
+    parts.ask(0.4)
+    progress = 0.75 if sigma > 0.0 else 0.25
+    assert parts.law.friction_term == pytest.approx(0.25 - progress * 0.125)
+    assert parts.fronts.asked == [(0.4, 0.26, 45.0, True)]
+    parts.fronts.is_active = False
+    parts.ask(0.4)
+    assert parts.law.friction_term == pytest.approx(0.25)
+
+
+def test_the_motor_is_moved_by_what_the_tendons_stretch() -> None:
+    """1/25 rad per N*m; half of the loop's 0.5 N*m with half of the bends before it."""
+    parts = Parts(inertia=2e-4)
+    parts.motion.acceleration = 16.0
+    parts.turn.force = parts.turn.stretch = 0.5
+    parts.turn.bend = 3e4
+    turned = 0.5 * 0.5 / 25.0
+    planned = 2e-4 * (turned * 3e4 + 16.0 / RATIO)
+    assert parts.ask(1.0) == pytest.approx(0.8 + 0.25 + planned)
+    assert parts.law.planned == pytest.approx(planned)
+    assert parts.law._stretch == pytest.approx(0.8 / 25.0 + 0.5 * turned)
+    parts.fronts.is_active, parts.fronts.scale = True, 0.25
+    parts.ask(1.0, back_off=0.5)
+    planned = 2e-4 * (0.125 * turned * 3e4 + 16.0 / RATIO)
+    assert parts.law.planned == pytest.approx(planned)
+    assert parts.law._stretch == pytest.approx(0.8 / 25.0 + 0.125 * 0.5 * turned)
+    assert parts.damper.asked == []
+
+
+def test_without_an_inertia_nothing_is_planned_and_nothing_damped() -> None:
+    parts = Parts(damping=0.5)
+    parts.motion.acceleration = 16.0
+    parts.ask(1.0)
+    assert (parts.law.planned, parts.damper.asked) == (0.0, [])
+
+
+def test_what_differs_from_the_plan_is_damped() -> None:
+    parts = Parts(inertia=2e-4, damping=0.5)
+    parts.motion.angle, parts.motion.velocity = 0.3, 0.75
+    parts.damper.gives = 0.0625
+    assert parts.ask(1.0, 0.7, 0.9) == pytest.approx(0.8 + 0.0625)
+    assert parts.law.planned == 0.0625
+    assert parts.damper.asked == [pytest.approx((0.8 / 25.0, 0.7, 0.9, 0.3, 0.75))]
+
+
+def test_a_reset_forgets_all_but_the_joints_motion() -> None:
+    parts = Parts(fade_in=0.01, settle=0.5, inertia=2e-4)
+    parts.turn.force = parts.turn.stretch = 1.0
+    parts.motion.acceleration = 1.0
+    settled(parts, 700)
+    settled(parts, 200, silent=True)
+    forgot, resets, fronts, damped = parts.way.forgot, parts.inverse.resets, parts.fronts.resets, parts.damper.resets
+    parts.law.reset()
+    assert (parts.law.ideal, parts.law.friction_term, parts.law.planned, parts.law._stretch) == (0.0,) * 4
+    assert (parts.way.forgot, parts.inverse.resets) == (forgot + 1, resets + 1)
+    assert (parts.fronts.resets, parts.damper.resets) == (fronts + 1, damped + 1)
+    parts.ask(0.5)
+    assert parts.law.friction_term == pytest.approx(0.05)  # a tenth of the fade-in; nothing settled, nobody silent
+    parts.inverse.size = 0.25
+    parts.law.reset()
+    assert parts.law.half_loop == 0.25
+
+
+def test_other_parameters_count_at_once() -> None:
+    parts = Parts()
+    parts.inverse.size = 0.75
+    assert parts.law.half_loop == 0.5
+    parts.law.set_parameters(0.3, 40.0)
+    assert parts.inverse.sets == [(0.3, 40.0)]
+    assert parts.law.half_loop == 0.75
+
+
+def test_the_half_loop_is_looked_at_every_64_cycles() -> None:
+    parts = Parts()
+    for _ in range(2):
+        parts.inverse.size += 0.125
+        parts.inverse.pretension *= 0.5
+        for _ in range(63):
+            parts.law.follow(0.0)
+        assert parts.law.half_loop == parts.inverse.size - 0.125
+        parts.law.follow(0.0)
+        assert parts.law.half_loop == parts.inverse.size
+    assert parts.law.near_slack  # a quarter of what it was
+
+
+@pytest.mark.parametrize(("share", "near"), [(0.3, False), (0.29, True), (0.31, False)])
+def test_three_tenths_of_the_pretension_are_near_slack(share: float, near: bool) -> None:
+    parts = Parts()
+    parts.inverse.pretension = 45.0 * share if share != 0.3 else 0.3 * 45.0
+    for _ in range(64):
+        parts.law.follow(0.0)
+    assert parts.law.near_slack is near
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_what_settles_a_joint(way: float) -> None:
+    """A constant set-point and hardly a motion; after n periods the share is 1 - (1 - 1/300)^n, and goes as fast as
+    that by 5/300."""
+    for velocity, rate, rests in (
+        (0.499, 0.0199, True), (0.5, 0.0, False), (0.501, 0.0, False), (0.0, 0.02, False), (0.0, 0.0201, False),
+    ):  # fmt: skip
+        parts = Parts(settle=0.5)
+        parts.turn.force = 1.0
+        parts.motion.velocity = way * velocity
+        share = 1.0 - (1.0 - 1.0 / 300.0) ** 100 if rests else 0.0
+        assert settled(parts, 100, way * rate) == pytest.approx(0.5 * (1.0 - 0.5 * share))
+        parts.motion.velocity = 2.0
+        share *= (1.0 - 5.0 / 300.0) ** 20
+        assert settled(parts, 20) == pytest.approx(0.5 * (1.0 - 0.5 * share))
+
+
+def test_settling_goes_at_once_where_a_period_is_long() -> None:
+    parts = Parts(settle=0.5)
+    parts.turn.force = 1.0
+    parts.law._period = 0.1
+    parts.law.follow(0.0)
+    parts.law.follow(1.0)
+    parts.law._period = PERIOD
+    parts.ask()
+    assert parts.law.friction_term == 0.5
+
+
+def test_what_nobody_wants_goes_within_the_settling_and_comes_back_five_times_as_fast() -> None:
+    parts = Parts()
+    parts.turn.force = 1.0
+    assert settled(parts, 75, silent=True) == pytest.approx(0.375)
+    assert settled(parts, 400, silent=True) == 0.0
+    assert settled(parts, 30) == pytest.approx(0.25)
+    assert settled(parts, 100) == 0.5
+
+
+def test_a_motor_swings_against_its_joint_while_the_term_turns() -> None:
+    parts = Parts(inertia=2e-4)
+    parts.motion.velocity = 0.8
+    assert parts.law.swing(3.0) == 0.0
+    parts.turn.is_turning = True
+    assert parts.law.swing(3.0) == pytest.approx(0.5 * 2e-4 * 4.0)
+    without = Parts(encoder=False, inertia=2e-4)
+    without.turn.is_turning = True
+    assert without.law.swing(3.0) == 0.0
+    default = Parts(encoder=None, inertia=2e-4)
+    default.turn.is_turning = True
+    assert default.law.swing(3.0) > 0.0
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_what_is_left_of_a_command_that_was_cut(way: float) -> None:
+    """Applied N*m; the term, and the share of the stretch, that are left of 0.8 and 0.5 N*m and 0.0625 planned."""
+    for applied, term, share in (
+        (1.3625, 0.5, 1.0), (1.4, 0.5, 1.0), (1.2625, 0.4, 1.2 / 1.3), (0.8625, 0.0, 0.8 / 1.3),
+        (0.5, 0.0, 0.4375 / 1.3), (0.0625, 0.0, 0.0), (-1.0, 0.0, 0.0),
+    ):  # fmt: skip
+        parts = Parts(inertia=2e-4, damping=0.5)
+        parts.damper.gives = way * 0.0625
+        parts.turn.force = way
+        assert parts.ask(way) == pytest.approx(way * 1.3625)
+        parts.law.applied(way * applied)
+        assert parts.law.friction_term == pytest.approx(way * term)
+        assert parts.law._stretch == pytest.approx(way * share * 0.8 / 25.0)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_term_against_the_ideal_part_shrinks_by_what_the_limiter_added(way: float) -> None:
+    """0.8 less 0.5 N*m: less of both is less of the whole, more of the whole less of the term."""
+    parts = Parts()
+    parts.turn.force = -way
+    assert parts.ask(way) == pytest.approx(way * 0.3)
+    parts.law.applied(way * 0.25)
+    assert parts.law.friction_term == pytest.approx(-way * 0.5)
+    assert parts.law._stretch == pytest.approx(way * 0.8 / 25.0 * 0.25 / 0.3)
+    parts.ask(way)
+    parts.law.applied(way * 0.45)
+    assert parts.law.friction_term == pytest.approx(-way * 0.35)
+    assert parts.law._stretch == pytest.approx(way * 0.8 / 25.0)
+
+
+def test_without_a_term_nothing_is_taken_of_it() -> None:
+    parts = Parts()
+    parts.ask(1.0)
+    for applied in (0.5, 0.9, 0.8):
+        parts.law.applied(applied)
+        assert parts.law.friction_term == 0.0
+    nothing = Parts()
+    nothing.ask()
+    for applied in (0.25, -0.25):
+        nothing.law.applied(applied)
+        assert (nothing.law.friction_term, nothing.law._stretch) == (0.0, 0.0)
+
+
+def test_the_joint_is_followed_by_its_encoder() -> None:
+    parts = Parts()
+    parts.way.next, parts.way.age = 1.0, 0.25
+    parts.law.observe(0.3, 0.7, True, 1.5, 2.5)
+    parts.law.observe(0.4, 0.8, False, 1.25, 3.5)
+    assert parts.motion.given == [(0.3, True), (0.4, False)]
+    assert parts.way.asked == [(1.5, 2.5), (1.25, 3.5)]
+    assert parts.turn.asked == [(1.0, 0.25), (1.0, 0.25)]
+
+
+@pytest.mark.parametrize(
+    ("rest", "turning", "ahead", "begins"),
+    [(0.11, False, 0.5, True), (0.1, False, 0.5, False), (0.11, True, 0.5, False), (0.11, False, math.nan, False)],
+)
+def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
+    rest: float, turning: bool, ahead: float, begins: bool
+) -> None:
+    """For more than 0.1 s, with no turn on its way and a torque wanted; a turn ends those that were there."""
+    parts = Parts()
+    parts.way.sigma, parts.way.next, parts.way.rest = -1.0, 1.0, rest
+    parts.turn.is_turning = turning
+    parts.law.observe(0.3, 0.7, True, ahead, 0.0)
+    assert parts.fronts.resets == 1
+    assert parts.fronts.asked == ([(-1.0, 0.5, 0.26, 45.0)] if begins else [])
+    parts.law.observe(0.3, 0.7, True, ahead, 0.0)  # no turn
+    assert (parts.fronts.resets, len(parts.fronts.asked)) == (1, begins)
+
+
+def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn() -> None:
+    """Less the stretch, geared; for two memories (10 ms) after a turn it says nothing."""
+    parts = Parts(encoder=False, inertia=2e-4)
+    parts.ask(1.0)
+    parts.way.next, parts.way.age = 1.0, 0.25
+    parts.law.observe(math.nan, 0.7, True, 1.5, 2.5)
+    ((angle, fresh),) = parts.motion.given
+    assert fresh
+    assert angle == pytest.approx(RATIO * (0.7 - 0.8 / 25.0))
+    assert (parts.way.asked, parts.turn.asked) == ([(1.5, 2.5)], [(1.0, 0.25)])
+    parts.turn.is_turning = True
+    parts.law.observe(math.nan, 0.7, False, 1.5, 2.5)
+    assert parts.motion.given[1][1] is False
+    parts.turn.is_turning = False
+    parts.way.next = -1.0
+    asked = []
+    for _ in range(12):
+        parts.law.observe(math.nan, 0.7, True, 1.5, 2.5)
+        asked.append(len(parts.way.asked))
+    assert asked[8:11] in ([1, 2, 3], [1, 1, 2], [2, 3, 4])  # ten periods of 1 ms, as near as they add up
+    assert parts.turn.asked[1:10] == [(1.0, 0.0)] * 9  # goes on as it was
+
+
+def test_a_motor_without_a_joint_encoder_says_something_again_when_its_time_is_just_over() -> None:
+    parts = Parts(encoder=False)
+    parts.motion.memory = PERIOD
+    parts.turn.is_turning = True
+    parts.law.observe(math.nan, 0.7, True, 0.5, 0.0)
+    parts.turn.is_turning = False
+    asked = []
+    for _ in range(3):
+        parts.law.observe(math.nan, 0.7, True, 0.5, 0.0)
+        asked.append(len(parts.way.asked))
+    assert asked == [0, 1, 2]
+
+
+def test_periods_without_a_cycle_go_on_as_expected_fifty_at_most() -> None:
+    for gone, told in ((3, 3), (50, 50), (51, 50)):
+        parts = Parts()
+        parts.way.sigma = -1.0
+        parts.law.pass_over(gone)
+        assert len(parts.motion.given) == parts.damper.passed == told
+        assert all(math.isnan(angle) and not fresh for angle, fresh in parts.motion.given)
+        assert parts.turn.asked == [(-1.0, 0.0)] * told
