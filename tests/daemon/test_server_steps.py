@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import json
 import os
@@ -10,6 +11,7 @@ import runpy
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -174,6 +176,25 @@ def test_sixteen_clients_and_no_more(desk: Desk) -> None:
     assert clients[-1].told()[0]["error"] == "16 clients are connected already; try again later"
     assert clients[-1].socket.recv(1) == b""
     assert len(ours(desk)) == CLIENTS
+
+
+def test_who_is_refused_is_closed(desk: Desk) -> None:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        desk.client(99)
+        gc.collect()
+    assert told == []
+
+
+def test_each_has_one_request_in_turn(desk: Desk) -> None:
+    first, second = desk.client(), desk.client()
+    first.socket.sendall(b'{"verb":"measure"}\n' * 2)
+    second.say(verb="measure")
+    waiting = []
+    for _ in range(3):
+        desk.server.step(0.0)
+        waiting.append([len(client.lines) for client in ours(desk)])
+    assert waiting == [[1, 1], [1, 0], [0, 0]]
 
 
 def test_others_wait_for_twice_what_one_of_them_took(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
