@@ -1,12 +1,14 @@
 """Every joint, wherever its sheath bends: error of the delivered torque by how much the controller knows.
 
 Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
+       [--rows FILE] [--brief]
 The real loop on the plant with distributed tendons, in virtual time: the same command prints the same figures. Laws:
 none (compensation 0), (3.55) with the nominal file, what `tsa tune` and `tsa tune --extended` make of that file on an
 imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
 the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
 With --limits: what limits none, (3.55) and the true parameters on an imposed joint, by taking one thing away in the
-plant, for the same shapes, delay and inertia.
+plant, for the same shapes, delay and inertia. --rows FILE: what is in the file is not run again, and the table is of it
+and of what was added; --brief: one row for each shape and joint, "RMS, 99 %, peak; jerk" of each law in it.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import json
 import math
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
+from tools.bench.results import Results, Row
 from tools.bench.torque_error import Measures, measure
 from tsa_ctrl.control.margin import LAG
 from tsa_ctrl.demo import rig
@@ -42,7 +45,7 @@ LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
 ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
 TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
-WIDTH = 110  # characters of a table
+WIDTH = 150  # characters of a table
 TAKEN_AWAY: dict[str, dict[str, dict[str, Any]]] = {
     "nothing": {},
     "noise of torque and sensor": {"drive": {"torque_noise": 0.0}, "torque_sensor": {"noise": 0.0}},
@@ -107,24 +110,68 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
     return measure(result.axes[0], end, end + TO_REST)
 
 
-def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """One row for each joint, shape and law."""
+def rows(arguments: argparse.Namespace) -> Iterator[Row]:
+    """One row for each joint, shape and law; where tuning fails, one for the shape and the law."""
     drive = {"delay_periods": arguments.delay - 1}
+    kept = Results(arguments.rows, lambda row: (row["shape"], row["joint"], row["law"]))
     for shape in arguments.shapes:
         axis = {"tendon": {"curvature": shape}, "motor": {"inertia": arguments.inertia}, "drive": drive}
+        missing = {law for law in arguments.laws for joint in arguments.joints if (shape, joint, law) not in kept}
         with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
             folder = Path(name)
             save_model(true_model(shape), folder / "true.toml")
-            wanted = [law for law in ("tuned", "extended") if law in arguments.laws]
-            failed = {law: tune(folder, law, axis, arguments.rate) for law in wanted}
+            failed = {law: tune(folder, law, axis, arguments.rate) for law in ("tuned", "extended") if law in missing}
             for law, reason in failed.items():
                 if reason:
                     yield {"shape": shape, "law": law, "failed": reason}
             for joint in arguments.joints:
                 for law in arguments.laws:
-                    if not failed.get(law):
+                    if failed.get(law):
+                        continue
+                    if (shape, joint, law) not in kept:
                         found = play(folder, joint, axis, law, arguments.rate, arguments.cycles)
-                        yield {"shape": shape, "joint": joint, "law": law, **dataclasses.asdict(found)}
+                        kept.add({"shape": shape, "joint": joint, "law": law, **dataclasses.asdict(found)})
+                    yield kept[shape, joint, law]
+
+
+def whole(found: Sequence[Row]) -> Table:
+    """A row for each shape, joint and law."""
+    heads = ("shape", "joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
+    table = Table(*heads)
+    none = {(row["shape"], row["joint"]): row["rms"] for row in found if row["law"] == "none"}
+    for row in found:
+        without = none.get((row["shape"], row["joint"]))
+        reduction = "-" if without is None else f"{100.0 * (1.0 - row['rms'] / without):.1f} %"
+        errors = (f"{1e3 * row[key]:.1f}" for key in ("rms", "p99", "peak"))
+        table.add_row(row["shape"], row["joint"], row["law"], *errors, _jerk(row), _rest(row), reduction)
+    return table
+
+
+def brief(found: Sequence[Row]) -> Table:
+    """A row for each shape and joint: RMS, 99th percentile and peak in mN*m, then the jerk in N*m/s, of each law."""
+    laws = [law for law in LAWS if any(row["law"] == law for row in found)]
+    table = Table("shape", "joint", *laws, "at rest (rad/s)")
+    cells: dict[tuple[str, str], dict[str, Row]] = {}
+    for row in found:
+        cells.setdefault((row["shape"], row["joint"]), {})[row["law"]] = row
+    for (shape, joint), of in cells.items():
+        worst = max(of.values(), key=lambda row: float(row["resting_speed"]))
+        table.add_row(shape, joint, *(_brief(of.get(law)) for law in laws), _rest(worst))
+    return table
+
+
+def _brief(row: Row | None) -> str:
+    if row is None:
+        return "-"
+    return ", ".join(f"{1e3 * row[key]:.0f}" for key in ("rms", "p99", "peak")) + f"; {_jerk(row)}"
+
+
+def _jerk(row: Row) -> str:
+    return "-" if row["jerk"] is None else f"{row['jerk']:.2f}"
+
+
+def _rest(row: Row) -> str:
+    return "-" if row["joint"] in ("imposed", "held") else f"{row['resting_speed']:.3f}"
 
 
 def limits(arguments: argparse.Namespace) -> None:
@@ -155,36 +202,23 @@ def main() -> int:
     parser.add_argument("--inertia", type=float, default=1e-4, help="of the motor, kg*m^2 (default 1e-4)")
     parser.add_argument("--cycles", type=int, default=4, help="periods of the set-point (default 4)")
     parser.add_argument("--limits", action="store_true", help="what limits the compensation of an imposed joint")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of tables")
+    parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")
+    parser.add_argument("--brief", action="store_true", help="a row for each shape and joint")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
     if arguments.limits:
         arguments.laws = [law for law in arguments.laws if law not in ("tuned", "extended")]
         limits(arguments)
         return 0
-    heads = ("joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
-    tables: dict[str, Table] = {}
-    without: dict[tuple[str, str], float] = {}
     console = Console(width=WIDTH)
+    found = []
     for row in rows(arguments):
         if arguments.json:
             print(json.dumps(row), flush=True)
-            continue
-        shape = row["shape"]
-        if shape not in tables:
-            for table in list(tables.values())[-1:]:
-                console.print(table)
-            tables[shape] = Table(*heads, title=f"bending: {shape}", title_justify="left")
-        if "failed" in row:
-            console.print(f"{shape}, {row['law']}: {row['failed']}")
-            continue
-        if row["law"] == "none":
-            without[shape, row["joint"]] = row["rms"]
-        none = without.get((shape, row["joint"]))
-        reduction = "-" if none is None else f"{100.0 * (1.0 - row['rms'] / none):.1f} %"
-        errors = (f"{1e3 * row[key]:.1f}" for key in ("rms", "p99", "peak"))
-        jerk = "-" if row["jerk"] is None else f"{row['jerk']:.2f}"
-        rest = "-" if row["joint"] in ("imposed", "held") else f"{row['resting_speed']:.3f}"
-        tables[shape].add_row(row["joint"], row["law"], *errors, jerk, rest, reduction)
-    for table in list(tables.values())[-1:]:
-        console.print(table)
+        elif "failed" in row:
+            console.print(f"{row['shape']}, {row['law']}: {row['failed']}")
+        else:
+            found.append(row)
+    if not arguments.json:
+        console.print(brief(found) if arguments.brief else whole(found))
     return 0

@@ -30,6 +30,7 @@ COMMANDS: Mapping[str, str] = {
     "runaway": "tools/run campaign/runaway --rows FILE",
     "runaway-missed": "tools/run campaign/runaway --rows FILE --which",
     "two-encoders": "tools/run bench/two_encoders --by-row --draws 1",
+    "control": "tools/run bench/control --rows FILE --brief",
     "supervision": "tools/run bench/supervision",
     "checks": "tools/run bench/checks",
     "mutation": "tools/run campaign/mutate MODULE",
