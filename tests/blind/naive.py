@@ -251,6 +251,7 @@ def _features(
     if "q_j" in log.columns:
         out += [("gravity_load", np.sin(q)), ("gravity_load", np.cos(q)), ("joint_stiffness", q)]
         out += [("configuration_dependent_bending", sigma * q), ("configuration_dependent_bending", q * tau_m)]
+        out += [("pulley_eccentricity", np.sin(q) * base), ("pulley_eccentricity", np.cos(q) * base)]
         out += [("backlash", -base * (since < share * np.ptp(path))) for share in (0.01, 0.04)]
     if "q_m" in log.columns:
         for cycles in (2, 3, 4, 6, 7, 11, 12, 14, 18, 24):

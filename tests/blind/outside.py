@@ -175,8 +175,8 @@ def _frozen(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]
     return at
 
 
-def _eccentric(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
-    """A joint pulley off its centre: the lever arm changes with the angle."""
+def _oval(rng: np.random.Generator, bench: Bench) -> Callable[[float], Torque]:
+    """A joint pulley that is not round: the lever arm changes twice a turn."""
     phase = rng.uniform(0.0, 2.0 * np.pi)
 
     def at(strength: float) -> Torque:
@@ -227,7 +227,7 @@ STRANGERS: dict[str, Stranger] = {
     "sensor_dead_zone": Stranger("the torque sensor has a dead zone", _dead_zone, 0.1, 0.6, {}),
     "tension_beating": Stranger("the pretension beats", _beating, 0.1, 0.4, {"level": (0.2, 0.5)}),
     "frozen_samples": Stranger("torque telegrams get lost", _frozen, 1.0, 3.0, {}),
-    "eccentric_pulley": Stranger("the joint pulley is off centre", _eccentric, 0.05, 0.3, {"joint_angle": True}),
+    "oval_pulley": Stranger("the joint pulley is not round", _oval, 0.05, 0.3, {"joint_angle": True}),
     "zero_drift": Stranger("the torque sensor's zero walks", _zero_drift, 0.05, 0.4, {}),
     "bridge_asymmetry": Stranger("the torque sensor has two gains", _bridge, 0.05, 0.3, {}),
 }

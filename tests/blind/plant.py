@@ -74,6 +74,9 @@ def simulate(rig: Rig, scene: Scene, effects: Effects, motor_log_angle: bool = T
         tau = tau / (1.0 + sigma * k * np.sign(tau))
     if "backlash" in effects:
         tau = tau * memory.engaged(scene.q, scene.direction(), effects["backlash"]["gap"], scene.first)
+    if "pulley_eccentricity" in effects:
+        off = effects["pulley_eccentricity"]
+        tau = tau * (1.0 + off["relative_eccentricity"] * np.sin(scene.q + off.get("phase", 0.0)))
     tau = tau - joint_side(scene, effects)
     if "transport_delay" in effects:
         late = effects["transport_delay"]["delay"]

@@ -133,12 +133,14 @@ def _of_the_angle(thin: Thinned, one: Any, ones: Array) -> list[Imitation]:
     ]
     weights = one("gravity_load", amplitude=bench.scale), one("gravity_load", amplitude=bench.scale, phase=0.5 * np.pi)
     bending = one("configuration_dependent_bending", bending_per_joint_angle=0.05 * bench.rig.bending / bench.reach)
+    arms = [one("pulley_eccentricity", relative_eccentricity=0.1, phase=phase) for phase in (0.0, 0.5 * np.pi)]
     plays = [one("backlash", gap=share * bench.reach) for share in (0.006, 0.015, 0.04, 0.1)]
     return [
         Imitation("joint_stiffness", (spring, ones), positive=True),
         *(Imitation("joint_stiffness", (column,), positive=True) for column in far),
         Imitation("gravity_load", weights),
         Imitation("configuration_dependent_bending", (bending,)),
+        Imitation("pulley_eccentricity", tuple(arms)),
         *(Imitation("backlash", (play,), positive=True) for play in plays),
     ]
 

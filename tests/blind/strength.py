@@ -27,6 +27,7 @@ NAMES = (
     "elongation_coupling",
     "load_dependent_friction",
     "backlash",
+    "pulley_eccentricity",
     "viscous_friction",
     "direction_asymmetric_friction",
     "inertia",
@@ -106,6 +107,8 @@ def draw_strength(rng: np.random.Generator, name: str, bench: Bench) -> Strength
             return Strength(name, {}, "quadratic", sign * 0.2 * stiff, (0.45 if sign < 0 else 1.5) * sign * stiff)
         case "backlash":
             return Strength(name, {"gap": reach * _log_uniform(rng, 0.008, 0.1)})
+        case "pulley_eccentricity":
+            return Strength(name, {"phase": rng.uniform(-np.pi, np.pi)}, "relative_eccentricity", 0.05, 0.45)
         case "pretension_relaxation":
             seconds = max(run.scene.t[-1] for run in bench.runs)
             if rng.random() < 0.65:

@@ -55,6 +55,9 @@ INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
     "tendon_slack": st.just({}),
     "elongation_coupling": st.fixed_dictionaries({"curvature_profile": st.sampled_from([*NAMED, S_BENT])}),
     "load_dependent_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.5)}),
+    "pulley_eccentricity": st.fixed_dictionaries(
+        {"relative_eccentricity": numbers(0.0, 0.5), "phase": numbers(-3.0, 3.0)}
+    ),
     "viscous_friction": st.fixed_dictionaries({"coefficient": numbers(0.0, 0.3)}),
     "direction_asymmetric_friction": st.fixed_dictionaries({"viscous_difference": numbers(-0.2, 0.2)}),
     "inertia": st.fixed_dictionaries({"inertia": numbers(0.0, 0.05)}),

@@ -86,3 +86,22 @@ def test_the_stretch_tells_no_torque_beside_them(name: str) -> None:
     """Torque from a stretch that has something else in it would be wrong: refused, with what to do."""
     with pytest.raises(UsageError, match=f"effects.{name}.*(series_stiffness|remove it)"):
         stretch_line(ACTUATOR.with_effects({name: EFFECTS[name]}))
+
+
+def test_a_pulley_off_its_centre_winds_up_what_its_arm_says() -> None:
+    """The length beside r_J q_J, by summing up the lever arm over the angle; its torque is (3.55)'s times that arm."""
+    off = {"pulley_eccentricity": {"relative_eccentricity": 0.25, "phase": -0.6}}
+    q = np.linspace(-1.2, 0.9, 4001)
+    log = Signals(t=5e-3 * np.arange(q.size), tau_m=np.full(q.size, 0.3), omega_j=np.full(q.size, 0.1), q_j=q)
+    arm = predict(ACTUATOR.with_effects(off), log) / predict(ACTUATOR, log)
+    np.testing.assert_allclose(arm, 1.0 + 0.25 * np.sin(q - 0.6), atol=1e-12)
+    even = {"elongation_coupling": {"curvature_profile": "uniform"}}
+    beside = stretch(ACTUATOR.with_effects({**even, **off}), log) - stretch(ACTUATOR.with_effects(even), log)
+    wound = ACTUATOR.joint_pulley_radius * np.concatenate(([0.0], np.cumsum(0.5 * np.diff(q) * (arm[1:] + arm[:-1]))))
+    np.testing.assert_allclose(beside - beside[0], wound - ACTUATOR.joint_pulley_radius * (q - q[0]), atol=1e-9)
+
+
+def test_with_a_pulley_off_its_centre_the_stretch_tells_no_torque() -> None:
+    off = {"pulley_eccentricity": {"relative_eccentricity": 0.1}}
+    with pytest.raises(UsageError, match=r"\[effects.pulley_eccentricity\] winds up other lengths"):
+        stretch_line(ACTUATOR.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}, **off}))

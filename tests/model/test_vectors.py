@@ -119,6 +119,18 @@ CASES: tuple[tuple[dict[str, dict[str, Any]], tuple[float, ...]], ...] = (
         {"configuration_dependent_bending": {"bending_per_joint_angle": 0.6}},
         (0.576324012374, 2.020904761031, -1.37159756768, 0.072983180977, 2.738676582269, -3.404460945587),
     ),
+    (
+        {"pulley_eccentricity": {"relative_eccentricity": 0.2, "phase": 0.4}},
+        (0.791178476, 2.126856207158, -1.397347536369, -0.061669805212, 2.3619868216, -3.475279973076),
+    ),
+    (
+        {
+            "load_dependent_friction": {"coefficient": 0.1},
+            "pulley_eccentricity": {"relative_eccentricity": 0.2, "phase": 0.4},
+            "gravity_load": {"amplitude": 0.4, "phase": 0.2},
+        },
+        (0.52748294456, 2.171403348067, -1.744378589184, -0.247833674724, 2.339030962351, -3.669651976865),
+    ),
     ({"elongation_coupling": {"curvature_profile": "uniform"}}, (0.665, 1.835, -1.21, -0.04, 2.415, -3.585)),
     (
         {"elongation_coupling": {"curvature_profile": "motor_end"}},

@@ -59,6 +59,8 @@ class Bare:
             tau_j += effect.torque(SCALARS, state)
         if (custom := stack.custom_at("joint")) is not None:
             tau_j = custom.invert(tau_j, state)
+        if stack.lever is not None:
+            tau_j = stack.lever.invert(SCALARS, tau_j, state)
         return tau_j if stack.load is None else stack.load.invert(SCALARS, tau_j, state.sigma)
 
 

@@ -14,6 +14,7 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.effects.custom import Custom
 from tsa_ctrl.model.effects.friction import LoadDependentFriction, TensionDependentFriction
+from tsa_ctrl.model.effects.lever import PulleyEccentricity
 from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.effects.specification import Stage
@@ -85,6 +86,7 @@ class Stack:
     elongation: ElongationCoupling | None
     load: LoadDependentFriction | None
     backlash: Backlash | None
+    lever: PulleyEccentricity | None
     joint: tuple[JointEffect, ...]
     custom: Custom | None
     delay: TransportDelay | None
@@ -113,6 +115,7 @@ class Stack:
             elongation=present.one(ElongationCoupling),
             load=present.one(LoadDependentFriction),
             backlash=present.one(Backlash),
+            lever=present.one(PulleyEccentricity),
             joint=tuple(effect for effect in present.at(Stage.JOINT) if not isinstance(effect, Custom)),
             custom=present.one(Custom),
             delay=present.one(TransportDelay),

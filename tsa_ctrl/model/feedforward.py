@@ -118,6 +118,8 @@ class Feedforward:
             torque += joint_effect.torque(SCALARS, state)
         if (custom := stack.custom_at("joint")) is not None:
             torque = custom.invert(torque, state)
+        if stack.lever is not None:
+            torque = stack.lever.invert(SCALARS, torque, state)
         if stack.load is not None:
             torque = stack.load.invert(SCALARS, torque, state.sigma)
         transmission = self._transmission

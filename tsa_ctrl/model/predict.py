@@ -61,6 +61,8 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
         torque = _tendon_torque(model, stack, transmission, part, signals.tau_m[block], known)
         if played_out is not None:
             torque = np.where(played_out[block], 0.0, torque)
+        if stack.lever is not None:
+            torque = stack.lever.apply(ARRAYS, torque, part)
         tendons = torque
         for effect in stack.joint:
             torque = torque - effect.torque(ARRAYS, part)
@@ -117,6 +119,8 @@ def stretch(model: TendonSheath, signals: Signals) -> Array:
     ends = _ends(model, stack, signals, state)
     motor, joint = compliances(model)
     length = motor * ends[0] + joint * ends[1]
+    if stack.lever is not None:
+        length = length + stack.lever.lengthens(ARRAYS, model.joint_pulley_radius, state)
     for effect in stack.stretch:
         length = length + effect.lengthens(ARRAYS, ends, model.joint_pulley_radius, state)
     return length

@@ -95,6 +95,10 @@ def why_not(model: TendonSheath) -> str:
     if beside:
         cure = "give it as [tendon] series_stiffness" if beside[0] == "series_spring" else "mend it, and remove it here"
         return f"[effects.{beside[0]}] lies in the tendons' stretch, which then does not tell the joint torque; {cure}"
+    if "pulley_eccentricity" in model.effects:
+        return (
+            "[effects.pulley_eccentricity] winds up other lengths than r_J q_J, by which the tendons' stretch is taken"
+        )
     centre = compliance_centre(model)
     if centre <= MOST_CENTRE:
         return ""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import settle
 from tsa_ctrl.plant.chain_layout import build_chain
-from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values
+from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, wound
 from tsa_ctrl.plant.formula import steps_of
 from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
@@ -110,15 +110,16 @@ class Axis:
     def _rest(self, angle: float) -> None:
         """Everything at standstill, the tendons at their pretension, the motor where it balances them."""
         p = self.parameters[0]
+        on_pulley = float(wound(p, angle))
         for chain, side in zip(self._arrays.chains, (-1.0, 1.0), strict=True):
-            end = side * float(p["r_j"]) * angle
+            end = side * on_pulley
             settle(chain, end, end, float(p["pretension"]))
         _set(
             self.state,
             q_j=angle,
             q_lagged=angle,
-            q_m=angle * float(p["r_j"]) / float(p["r_m"]),
-            q_m_seen=angle * float(p["r_j"]) / float(p["r_m"]),
+            q_m=on_pulley / float(p["r_m"]),
+            q_m_seen=on_pulley / float(p["r_m"]),
             started=0.0 if self._start_at_once else -1.0,
             theta=float(p["theta"]),
             temperature=25.0,

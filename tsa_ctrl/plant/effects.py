@@ -53,6 +53,8 @@ EFFECT_FIELDS = [  # of the record of parameters
     ("load_friction", _F),
     ("backlash", _F),  # rad
     ("backlash_threshold", _F),  # rad: two encoder counts
+    ("eccentricity", _F),  # of the joint's pulley, over its radius
+    ("eccentricity_phase", _F),  # rad
     # effects on friction and pretension
     ("static_excess", _F),
     ("stribeck_velocity", _F),  # rad/s
@@ -119,6 +121,7 @@ _NAMES: dict[str, dict[str, str]] = {
     "sheath_asymmetry": {"relative_difference": "asymmetry"},
     "load_dependent_friction": {"coefficient": "load_friction"},
     "backlash": {"gap": "backlash"},
+    "pulley_eccentricity": {"relative_eccentricity": "eccentricity", "phase": "eccentricity_phase"},
     "viscous_friction": {"coefficient": "viscous"},
     "direction_asymmetric_friction": {"viscous_difference": "viscous_difference"},
     "inertia": {"inertia": "inertia"},
@@ -220,6 +223,24 @@ def lengths_beside(s: Any, p: Any, h: float) -> tuple[float, float]:
         s.play_side += (math.copysign(1.0, s.t4 - s.t2) - s.play_side) * (1.0 - math.exp(-h / CROSSING))
         behind += 0.5 * p.play * s.play_side
     return float(length), float(behind)
+
+
+@compiled
+def wound(p: Any, q_j: float) -> float:
+    """m of tendon on the joint's pulley at angle q_j, 0 at 0: the integral of `arm`."""
+    if p.eccentricity == 0.0:
+        return float(p.r_j * q_j)
+    turned = math.cos(p.eccentricity_phase) - math.cos(q_j + p.eccentricity_phase)
+    return float(p.r_j * (q_j + p.eccentricity * turned))
+
+
+@compiled
+def arm(p: Any, q_j: float) -> tuple[float, float]:
+    """m from the joint's axis to its tendons at angle q_j, and the derivative, m/rad."""
+    if p.eccentricity == 0.0:
+        return float(p.r_j), 0.0
+    angle = q_j + p.eccentricity_phase
+    return float(p.r_j * (1.0 + p.eccentricity * math.sin(angle))), float(p.r_j * p.eccentricity * math.cos(angle))
 
 
 @compiled

@@ -17,7 +17,7 @@ import math
 from typing import Any
 
 from tsa_ctrl.plant.compiled import compiled
-from tsa_ctrl.plant.effects import Presliding
+from tsa_ctrl.plant.effects import Presliding, arm, wound
 from tsa_ctrl.plant.state import NATURAL_ELEMENTS
 
 _ELASTIC, _MOTOR = int(Presliding.ELASTIC), int(Presliding.MOTOR)
@@ -56,13 +56,13 @@ def _distance(p: Any, i: int) -> float:
 @compiled
 def _direction(s: Any, p: Any, slip: Any, u: float, v: float) -> tuple[float, float, float]:
     """z at the end of the sub-step and its derivatives by the displacements u, v of motor and joint pulley."""
-    du, dv = u - p.r_m * s.q_m, v - p.r_j * s.q_j
+    du, dv = u - p.r_m * s.q_m, v - wound(p, s.q_j)
     if p.hysteresis == _ELASTIC:
         by_u, by_v = 1.0 - p.centre, p.centre
     elif p.hysteresis == _MOTOR:
         by_u, by_v = 1.0 / p.r_m, 0.0
     else:
-        by_u, by_v = 0.0, 1.0 / p.r_j
+        by_u, by_v = 0.0, 1.0 / arm(p, s.q_j)[0]
     moved = by_u * du + by_v * dv
     n = NATURAL_ELEMENTS if p.hysteresis == _ELASTIC else p.hysteresis_elements
     z = slope = 0.0
@@ -123,7 +123,8 @@ def commit_full(s: Any, p: Any, slip: Any, q_m: float, q_j: float, z: float) -> 
     """Make the friction's state that belongs to the solution the one that the next sub-step starts from."""
     s.z = z
     if p.hysteresis == _ELASTIC:
-        n, moved = NATURAL_ELEMENTS, (1.0 - p.centre) * p.r_m * (q_m - s.q_m) + p.centre * p.r_j * (q_j - s.q_j)
+        turned = wound(p, q_j) - wound(p, s.q_j)
+        n, moved = NATURAL_ELEMENTS, (1.0 - p.centre) * p.r_m * (q_m - s.q_m) + p.centre * turned
     else:
         n, moved = p.hysteresis_elements, q_m - s.q_m if p.hysteresis == _MOTOR else q_j - s.q_j
     for i in range(n):

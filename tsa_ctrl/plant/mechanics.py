@@ -23,11 +23,13 @@ from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
 from tsa_ctrl.plant.compiled import compiled
 from tsa_ctrl.plant.effects import (
     MICRO,
+    arm,
     friction_coefficient,
     joint_losses,
     pretension,
     tension_factor,
     track_backlash,
+    wound,
 )
 from tsa_ctrl.plant.formula import formula
 from tsa_ctrl.plant.full import commit_full, full_tensions
@@ -132,16 +134,18 @@ def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any)
         return
     inertia = (p.load_inertia + p.inertia) / (h * h)
     omega = (q_j - s.q_j) / h
-    tendon = p.r_j * (f[3] - f[1])
+    lever, by_angle = arm(p, q_j)
+    tendon = lever * (f[3] - f[1])
     share = _share(s, p, tendon)
     taken, slope_j = _load_torque(s, p, q_j, omega)
     taken += 0.0 if p.formula_at_motor else s.taken
     r[1] = inertia * (q_j - s.q_j - h * s.omega_j) + taken + joint_losses(p, q_j, omega, 0.0) - share * tendon
-    r[3] = p.r_m * p.r_j * (f[9] - f[5])
-    r[4] = -share * p.r_j * p.r_m * (f[10] - f[6])
+    r[3] = p.r_m * lever * (f[9] - f[5])
+    r[4] = -share * lever * p.r_m * (f[10] - f[6])
     damping = p.load_damping + s.hand_damping + p.viscous + math.copysign(p.viscous_difference, omega)
     r[5] = inertia + slope_j + damping / h
-    r[5] += p.gravity * math.cos(q_j + p.gravity_phase) + p.spring - share * p.r_j * p.r_j * (f[11] - f[7])
+    r[5] += p.gravity * math.cos(q_j + p.gravity_phase) + p.spring
+    r[5] -= share * (lever * lever * (f[11] - f[7]) + by_angle * (f[3] - f[1]))
 
 
 @compiled
@@ -154,7 +158,7 @@ def _solve(
     low, high = -np.inf, np.inf
     for iteration in range(_ITERATIONS):
         s.iterations += 1
-        u, v = p.r_m * q_m, p.r_j * q_j
+        u, v = p.r_m * q_m, wound(p, q_j)
         if p.distributed:
             settled = chain_tensions(p, total, arrays.chains, u, v, f)
         else:
@@ -213,7 +217,7 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
         s.tau_outside = p.push - s.hand_stiffness * (q_j - s.hand_angle) - s.hand_damping * (omega - s.hand_speed)
     s.z_j = min(1.0, max(-1.0, s.z_j + (q_j - s.q_j) / MICRO))
     s.q_j = q_j
-    s.tau_tendon = p.r_j * (s.t4 - s.t2)
+    s.tau_tendon = arm(p, q_j)[0] * (s.t4 - s.t2)
     if p.backlash > 0.0:
         track_backlash(s, p)
     arrives = _share(s, p, s.tau_tendon) * s.tau_tendon

@@ -55,6 +55,7 @@ def test_nothing_is_named_where_nothing_is_hidden(name: str, seed: int) -> None:
         ("load_dependent_friction", 9006),
         ("torque_offset", 9007),
         ("sheath_asymmetry", 9008),
+        ("pulley_eccentricity", 9302),
     ],
 )
 def test_a_hidden_effect_is_named(name: str, seed: int) -> None:

@@ -22,6 +22,7 @@ from tsa_ctrl.model.effects.joint import (
     TorqueOffset,
     ViscousFriction,
 )
+from tsa_ctrl.model.effects.lever import PulleyEccentricity
 from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
 from tsa_ctrl.model.effects.motor import MotorSideFriction, TorqueConstantError, TorqueRipple, VelocityLag
 from tsa_ctrl.model.effects.pretension import (
@@ -49,6 +50,7 @@ EFFECTS: tuple[type[Any], ...] = (
     ElongationCoupling,
     LoadDependentFriction,
     Backlash,
+    PulleyEccentricity,
     ViscousFriction,
     DirectionAsymmetricFriction,
     Inertia,

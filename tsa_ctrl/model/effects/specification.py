@@ -36,6 +36,7 @@ class Stage(Enum):
     TRANSMISSION = "transmission"
     LOAD = "load-dependent friction"
     BACKLASH = "backlash"
+    LEVER = "lever arm"
     JOINT = "joint side"
     DELAY = "delay of the measurement"
     STRETCH = "stretch of the tendons"

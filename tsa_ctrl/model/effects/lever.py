@@ -1,0 +1,77 @@
+"""The lever arm of the tendons at the joint: it changes with the angle where the pulley does not turn about its centre.
+
+Its centre walks around the axis, so that one tendon comes off further out than on average and the other further in, and
+by half a turn the other way: r_J(q) = r_J (1 + e sin(q_J + phi)) (Shigley's eccentric cam, small e). The length that is
+wound up follows, which the stretch r_M q_M - r_J q_J shows. Source: the catalogue of effects.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant
+from tsa_ctrl.model.effects.specification import (
+    Draw,
+    Motion,
+    Parameter,
+    Shown,
+    Specification,
+    Stage,
+    Twins,
+    non_negative,
+)
+from tsa_ctrl.model.effects.state import State
+from tsa_ctrl.model.functions import Array, F, Functions
+
+MOST = (
+    0.5  # 1, e at which the longest lever is three times the shortest: beyond, it is no pulley, and a file is mistaken
+)
+_SIDE = MOST / math.sqrt(2.0)  # of the square of cosine and sine within that circle
+
+
+def _arms(name: str, s: Scales) -> list[Variant]:
+    def parameters(u: Array) -> dict[str, Value]:
+        share = math.hypot(u[0], u[1])
+        return {"relative_eccentricity": share, "phase": math.atan2(u[1], u[0]) if share else 0.0}
+
+    coordinates = (Coordinate("cosine", -_SIDE, _SIDE, 1e-3), Coordinate("sine", -_SIDE, _SIDE, 1e-3))
+    return [Variant(name, coordinates, ((0.0, 0.0),), (0, 1), parameters)]
+
+
+@dataclass(frozen=True)
+class PulleyEccentricity:
+    """tau_J *= 1 + e sin(q_J + phi)."""
+
+    relative_eccentricity: Annotated[float, non_negative("1", high=MOST)]  # e
+    phase: Annotated[float, Parameter("rad")] = 0.0  # phi
+
+    specification: ClassVar = Specification(
+        name="pulley_eccentricity",
+        stage=Stage.LEVER,
+        summary="the lever arm at the joint changes with its angle: a pulley off its centre",
+        search=_arms,
+        twins=(
+            Twins(("torque_constant_error", "parameter_error", "configuration_dependent_bending"), (Motion.RANGE,)),
+            Twins(("gravity_load", "joint_stiffness"), (Motion.SIGNS,)),
+        ),
+        columns=(("q_j",),),
+        rigid_drive=False,
+        shown=Shown({"relative_eccentricity": 0.2, "phase": 0.3}, "angle", "τ_J ← τ_J (1 + e sin(q + φ))", short=True),
+        demo={"relative_eccentricity": Draw(0.2, 0.3), "phase": Draw(-1.0, 1.0)},
+    )
+
+    def arm(self, functions: Functions[F], q_j: F) -> F:
+        """Lever arm over that of the file, 1."""
+        return 1.0 + self.relative_eccentricity * functions.sin(q_j + self.phase)
+
+    def apply(self, functions: Functions[F], torque: F, state: State[F]) -> F:
+        return torque * self.arm(functions, state.q_j)
+
+    def invert(self, functions: Functions[F], tau_j: F, state: State[F]) -> F:
+        return tau_j / self.arm(functions, state.q_j)
+
+    def lengthens(self, functions: Functions[F], joint_radius: float, state: State[F]) -> F:
+        """What is wound up beside r_J q_J, m: the integral of the arm."""
+        return -joint_radius * self.relative_eccentricity * functions.sin(state.q_j + self.phase + 0.5 * math.pi)
