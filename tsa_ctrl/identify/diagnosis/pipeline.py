@@ -18,6 +18,7 @@ from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
 from tsa_ctrl.identify.diagnosis.parameters.formula import formula_of_what_is_left
 from tsa_ctrl.identify.diagnosis.parameters.held_out import held_out
+from tsa_ctrl.identify.diagnosis.parameters.instead import stand_in
 from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
 from tsa_ctrl.identify.diagnosis.parameters.proportion import in_proportion
 from tsa_ctrl.identify.diagnosis.parameters.refit import refit
@@ -87,12 +88,20 @@ def diagnose(
             selection = without_causes(selection, [worthless])
             groups = (*groups[:worthless], *groups[worthless + 1 :])
             errors = held_out(selection.problem, base, selection.fitted, data, share)
+        formula = formula_of_what_is_left(selection.problem, selection.fitted, data) if share > 0.0 else None
+        while share > 0.0:  # nor one in whose place a formula does better
+            index = stand_in(selection.problem, selection.fitted, groups, data, formula)
+            if index is None:
+                break
+            selection = without_causes(selection, [index])
+            groups = (*groups[:index], *groups[index + 1 :])
+            errors = held_out(selection.problem, base, selection.fitted, data, share)
+            formula = formula_of_what_is_left(selection.problem, selection.fitted, data)
         beside = by_stretch(selection, scales)
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted, share > 0.0))
         reported = in_proportion(data.frame, reported)
         refuse_unrelated(problem, data.held, errors, share)
         refuse_useless(problem, bool(selection.fitted.names), errors)
-        formula = formula_of_what_is_left(selection.problem, selection.fitted, data) if share > 0.0 else None
         if formula is not None:  # what follows a formula is no noise
             errors = dataclasses.replace(errors, noise_floor=min(errors.noise_floor, formula.rms[1]))
     except InsufficientError as refusal:

@@ -31,7 +31,7 @@ SIMPLER = {
 }
 STRANGE = (
     "no cause of the catalogue brings the simulation near the measured torque: are two columns swapped, a unit wrong, "
-    "or is one column of another log?"
+    "is one column of another log, or does a sensor saturate?"
 )
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.blind import case
+from tests.blind.score import mark
+from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.parameters.formula import _selected
-from tsa_ctrl.model.parameters import RigidDrive, load_model, save_model
+from tsa_ctrl.model.parameters import RigidDrive, load_model, model_from, save_model
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
@@ -79,6 +83,40 @@ def test_noise_has_no_formula() -> None:
     rng = np.random.default_rng(3)
     columns, noise = rng.normal(size=(4000, 60)), rng.normal(size=4000)
     folds, known = np.arange(4000) // 40 % 6, rng.normal(size=(4000, 2))
-    assert _selected(columns, noise, folds, known) == []
-    assert _selected(columns, noise + 5.0 * known[:, 1], folds, known) == []  # other numbers do it
-    assert _selected(columns, noise + columns[:, 7], folds, known) == [7]
+    single = [(i,) for i in range(60)]
+    assert _selected(columns, noise, folds, known, single) == []
+    assert _selected(columns, noise + 5.0 * known[:, 1], folds, known, single) == []  # other numbers do it
+    assert _selected(columns, noise + columns[:, 7], folds, known, single) == [7]
+
+
+def test_a_wave_enters_with_its_phase() -> None:
+    """Neither its sine nor its cosine is as much as a stray column that goes along with both."""
+    rng = np.random.default_rng(4)
+    angle = rng.uniform(-3.0, 3.0, 4000)
+    wave = np.sin(angle) + np.cos(angle)
+    columns = np.column_stack([np.sin(angle), np.cos(angle), wave + rng.normal(0.0, 0.6, 4000)])
+    folds, nothing = np.arange(4000) // 40 % 6, np.zeros((4000, 0))
+    residual = wave + rng.normal(0.0, 0.1, 4000)
+    assert _selected(columns, residual, folds, nothing, [(0,), (1,), (2,)])[0] == 2
+    assert _selected(columns, residual, folds, nothing, [(0, 1), (2,)]) == [0, 1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "seed", "starts"),
+    [
+        ("temperature_crosstalk", 9102, "a*(temperature - "),  # an offset beside it before
+        ("bridge_asymmetry", 9100, "a*abs(tau)"),  # sheaths that differ by -1.8 before
+        ("sensor_clipping", 9101, "a*tau**3"),
+        ("sheath_kink", 9101, "a*sigma*exp(-((q_j - "),
+    ],
+)
+def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: int, starts: str) -> None:
+    """Blind logs: no name stands alone in its place, and the formula takes most of what noise is not."""
+    hidden = case("outside", kind, seed, short=True)
+    logs = [Dataset.from_arrays(log.columns, log.name) for log in hidden.logs]
+    found = diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+    assert all(cause.alternatives for cause in found.causes)
+    assert found.formula is not None
+    assert found.formula.expression.startswith(starts)
+    assert mark(hidden, found.to_dict()).described

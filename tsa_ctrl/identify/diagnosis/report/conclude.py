@@ -10,6 +10,7 @@ import numpy as np
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import full_residuals
+from tsa_ctrl.identify.diagnosis.parameters.formula import LEAST_GAIN, Formula
 from tsa_ctrl.identify.diagnosis.parameters.proportion import SPLIT, at_bounds, parted
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, base_quantities, effect_quantities
 from tsa_ctrl.identify.diagnosis.report.details import Outcome, details
@@ -68,7 +69,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         model=_with_more(extended, beside.effects),
         at_bounds={} if worse else at_bounds(reported),
         stretch=None if beside.rms is None else StretchRms(*beside.rms),
-        formula=None if worse else outcome.formula,  # which stands beside recalibrated numbers
+        formula=_formula(outcome, worse),
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
     return dataclasses.replace(result, sentence=sentence(result))
@@ -95,6 +96,18 @@ def _simulated(outcome: Outcome, model: Model) -> float:
     """Error of the model as given over all samples of all logs, N*m: what `tsa simulate` prints, pooled."""
     squares = [np.square(residual) for residual in full_residuals(outcome.data.frame, model)]
     return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def _formula(outcome: Outcome, worse: bool) -> Formula | None:
+    """The formula, with recalibrated numbers beside it: where they are `worse` than given, of what is left as given.
+
+    None where the model as given leaves as little.
+    """
+    found, given = outcome.formula, outcome.errors.as_given
+    if found is None or not worse:
+        return found
+    gain = 1.0 - (found.rms[1] / given) ** 2
+    return dataclasses.replace(found, gain=gain, rms=(given, found.rms[1])) if gain > LEAST_GAIN else None
 
 
 def _by_stretch(found: StretchCause) -> Cause:
