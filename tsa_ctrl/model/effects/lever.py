@@ -28,7 +28,7 @@ from tsa_ctrl.model.functions import Array, F, Functions
 MOST = (
     0.5  # 1, e at which the longest lever is three times the shortest: beyond, it is no pulley, and a file is mistaken
 )
-_SIDE = MOST / math.sqrt(2.0)  # of the square of cosine and sine within that circle
+_SIDE = 0.35  # 1, of the square of cosine and sine within that circle, with room for the differences of a fit
 
 
 def _arms(name: str, s: Scales) -> list[Variant]:

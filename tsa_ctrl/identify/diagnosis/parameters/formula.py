@@ -203,11 +203,13 @@ def _tangents(problem: Problem, learned: Fit, point: Array, custom: Mapping[str,
     """
     columns = [np.zeros((len(predicted), 0))]
     for i in range(len(point)):
+        step = learned.hypothesis.steps[i]
+        step = step if point[i] + step <= learned.hypothesis.high[i] else -step  # beyond a bound there is no model
         there = point.copy()
-        there[i] += learned.hypothesis.steps[i]
+        there[i] += step
         model = learned.hypothesis.model(there)
         moved = problem.predicted(_with_custom(model, custom) if custom else model)
-        columns.append(((moved - predicted) / learned.hypothesis.steps[i])[:, None])
+        columns.append(((moved - predicted) / step)[:, None])
     return np.concatenate(columns, axis=1)
 
 
