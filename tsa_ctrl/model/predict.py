@@ -6,7 +6,6 @@ memory load compiled loops when first used.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
@@ -304,12 +303,21 @@ def _motor_state(model: RigidDrive, stack: Stack, signals: Signals) -> State[Arr
 
 def _part(state: State[Array], block: slice) -> State[Array]:
     """The state over one block; what is the same for the whole log is 0-dimensional and stays."""
-    values = {
-        field.name: getattr(state, field.name)[block] if getattr(state, field.name).ndim else getattr(state, field.name)
-        for field in dataclasses.fields(state)
-        if field.name != "start"
-    }
-    return State(start=state.start, **values)
+
+    def of(column: Array) -> Array:
+        return column[block] if column.ndim else column
+
+    return State(
+        t=of(state.t),
+        omega=of(state.omega),
+        acceleration=of(state.acceleration),
+        q_j=of(state.q_j),
+        q_m=of(state.q_m),
+        temperature=of(state.temperature),
+        theta=of(state.theta),
+        sigma=of(state.sigma),
+        start=state.start,
+    )
 
 
 def _column(column: Array | None) -> Array:
