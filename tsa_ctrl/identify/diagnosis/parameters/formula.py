@@ -46,7 +46,8 @@ CONSTANTS = "abcdef"  # two of each term
 COURSES = (("sin({0})", "cos({0})"), ("sin(2*{0})", "cos(2*{0})"), ("{0}",), ("{0}**2",))
 FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
-DEAD_ZONE = "tanh({:.3g}*tau)"  # by the RMS torque: a zero that is lost within a tenth to a third of it
+DEAD_ZONE = "tanh({:.3g}*tau)"
+# Per RMS torque: a zero lost within a third or a tenth of it; less is an offset of either sign, more a saturation
 DEAD_ZONES = (3.0, 10.0)
 # Friction at one place: a bump as wide as the way between two of so many places over the range of the angle
 PLACES, RUB = 9, "sigma*exp(-(({0} {1} {2:.4g})/{3:.3g})**2)"
