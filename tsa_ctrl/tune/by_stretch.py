@@ -1,7 +1,8 @@
-"""Tuning without a joint torque sensor: two encoders and the motor's torque tell the joint torque.
+"""Tuning by the tendons' stretch, which two encoders and the motor's torque show, with and without a torque sensor.
 
-Stiffness and friction come from the tendons' stretch, where the sheath bends from the file: without the sensor the two
-are not parted. The verifying runs are judged by the stretch, too.
+Without a joint torque sensor stiffness and friction come from the stretch, where the sheath bends from the file: the
+two are not parted then. The verifying runs are judged by the stretch, too. With a sensor the stretch knows where the
+tendons slide all along, which the joint's motion alone does not show.
 """
 
 from __future__ import annotations
@@ -10,13 +11,15 @@ import dataclasses
 import math
 from collections.abc import Sequence
 
-from tsa_ctrl.identify.calibrate.keep_split import bounds
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate.keep_split import bounds, keep_split
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch, told
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
-from tsa_ctrl.model.stretch import why_not
-from tsa_ctrl.tune.estimate import Estimate, estimate
+from tsa_ctrl.model.stretch import MOST_CENTRE, why_not
+from tsa_ctrl.tune.estimate import COUPLING, Estimate, estimate
 
 ROUNDS = 4  # of two parameters of which only the product shows: 1e-6 after three
 
@@ -71,6 +74,44 @@ def estimate_by_stretch(logs: Sequence[Dataset], model: TendonSheath) -> Estimat
         calibration=calibration,
         notes=(note, *fit.notes, *found.notes),
         parameters={**found.parameters, "axial_stiffness": fit.axial_stiffness},
+    )
+
+
+def beside_stretch(found: Estimate, logs: Sequence[Dataset], model: TendonSheath) -> Estimate:
+    """`found` by a joint torque sensor, with the stretch's half loop where it contradicts the regression's.
+
+    A limb that creeps between its strokes moves while its tendons slide only in part: regressed there, friction comes
+    out too small. The tendons led through the log know better. As it was where the stretch does not tell, where x and
+    T_p0 were parted, or where effects take torque, of which the stretch knows nothing.
+    """
+    if found.calibration.split or set(model.effects) - {COUPLING}:
+        return found
+    bare = model.with_effects({})
+    try:
+        fit = fit_stretch(logs, bare)
+    except UsageError:
+        return found
+    if fit.centre is None or fit.centre.value > MOST_CENTRE:
+        return found
+    x = fit.friction_angle
+    value, low, high = (sliding(bare, 1.0, angle).half_loop for angle in (x.value, x.low, x.high))
+    half = Quantity(value, low, high, "N*m")
+    regressed = found.calibration.half_loop_torque
+    if half.low <= regressed.value <= half.high:
+        return found
+    notes = [
+        f"the tendons' stretch shows a half loop of {half}, the torques where the joint moves {regressed}: the tendons "
+        "do not slide all along there; the stretch's is taken"
+    ]
+    angle, tension = keep_split(model, half, notes)
+    model = found.model.recalibrated(angle.value, tension.value)
+    return dataclasses.replace(
+        found,
+        model=model,
+        calibration=dataclasses.replace(
+            found.calibration, friction_angle=angle, pretension=tension, half_loop_torque=half, model=model
+        ),
+        notes=(*found.notes, *notes),
     )
 
 

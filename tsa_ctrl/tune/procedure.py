@@ -11,7 +11,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
-from tsa_ctrl.tune.by_stretch import estimate_by_stretch, moved_by_hand
+from tsa_ctrl.tune.by_stretch import beside_stretch, estimate_by_stretch, moved_by_hand
 from tsa_ctrl.tune.controller_file import MOTOR
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
 from tsa_ctrl.tune.excitation import (
@@ -206,7 +206,7 @@ def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> E
     """The new model from logs; raises UsageError when they do not show enough."""
     if settings.by_stretch:
         return estimate_by_stretch(logs, model)
-    found = estimate(logs, model, settings.certified_gain, settings.forms)
+    found = beside_stretch(estimate(logs, model, settings.certified_gain, settings.forms), logs, model)
     return extended(logs, model, found) if settings.extended else found
 
 

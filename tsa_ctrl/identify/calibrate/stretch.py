@@ -94,7 +94,8 @@ def fit_stretch(logs: Sequence[Dataset], model: TendonSheath) -> StretchFit:
     seen = [taken(log, model) for log in logs]
     count = len(seen)
     # ln k, s_c, ln x, J_M; then the zero of each log, and of its sensor
-    p = np.array([0.0, profile_of(model).centre, 0.0, 0.0, *(log.stretch[0] for log in seen), *np.zeros(count)])
+    centre = min(CENTRES[1], max(CENTRES[0], profile_of(model).centre))
+    p = np.array([0.0, centre, 0.0, 0.0, *(log.stretch[0] for log in seen), *np.zeros(count)])
     sensor = all(log.tau_j is not None for log in seen)
     half, rms = _search(seen, model, p, sensor, _names(logs))
     if sensor and "elongation_coupling" not in model.effects and p[1] <= MOST_CENTRE:
