@@ -15,6 +15,10 @@ class UsageError(TsaError):
     exit_code = 2
 
 
+class TooStillError(UsageError):
+    """A log in which the joint moves too little to show what is wanted; another motion would."""
+
+
 class StoppedError(TsaError):
     """Somebody asked for the end while something was waited for; the message is who, or what."""
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.tune import rig
 from tests.tune.test_in_virtual_time import RATE, SHORT, tune
 from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.errors import TooStillError, UsageError
+from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import load_tendon_sheath
+from tsa_ctrl.tune.by_stretch import estimate_by_stretch
 
 
 @pytest.mark.slow
@@ -59,3 +65,57 @@ def test_a_joint_that_nothing_loads_is_to_be_moved_by_hand(tmp_path: Path, capsy
     assert "take it by hand" in said
     assert said.count("\n") == 1
     assert (tmp_path / rig.MODEL).read_bytes() == before
+
+
+class Person(io.StringIO):
+    """At a terminal: takes the joint by hand when the first line is asked for, and says yes to the second."""
+
+    def __init__(self, plant: Path) -> None:
+        super().__init__()
+        self._plant = plant
+        self._answers = iter(("\n", "y\n"))
+
+    def isatty(self) -> bool:
+        return True
+
+    def readline(self, size: int | None = -1, /) -> str:
+        text = self._plant.read_text(encoding="utf-8")
+        self._plant.write_text(text.replace('load = "free"', 'load = "imposed"'), encoding="utf-8")
+        return next(self._answers)
+
+
+@pytest.mark.slow
+def test_a_person_who_is_asked_moves_the_joint_and_the_tuning_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One more excitation after Enter; the plant's joint is free before and moved from outside afterwards."""
+    rig.write(tmp_path, VIRTUAL, RATE, "distributed", {"joint": {"load": "free"}})
+    rig.without(tmp_path / rig.CONTROLLER, "torque_sensor")
+    truth = load_tendon_sheath(tmp_path / rig.MODEL)
+    monkeypatch.setattr("sys.stdin", Person(tmp_path / "plant.toml"))
+    assert tune(tmp_path, "--seconds", "8", "--verify-seconds", "4", "--out", str(tmp_path / "out")) == 0
+    said = capsys.readouterr()
+    assert "take it by hand" in said.err
+    assert "press Enter" in said.err
+    assert "start again" not in said.err
+    assert "written:" in said.out
+    written = load_tendon_sheath(tmp_path / rig.MODEL)
+    made = 2.0 * written.joint_pulley_radius * written.pretension * written.friction_angle
+    assert made == pytest.approx(rig.true_half_loop(truth), rel=0.06)
+
+
+def test_a_cure_is_said_only_of_what_it_cures(tmp_path: Path) -> None:
+    """Angles of which one turns the wrong way are not mended by moving the joint."""
+    t = np.arange(0.0, 4.0, 0.002)
+    q_j = np.sin(2.0 * np.pi * 0.5 * t)
+    model = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
+    columns = {
+        "t": t,
+        "q_j": q_j,
+        "q_m": -q_j,
+        "tau_m": 0.3 * np.sign(np.gradient(q_j)),
+        "omega_j": np.gradient(q_j, t),
+    }
+    with pytest.raises(UsageError, match="contradict each other") as caught:
+        estimate_by_stretch([Dataset.from_arrays(columns, "log")], model)
+    assert not isinstance(caught.value, TooStillError)

@@ -145,7 +145,7 @@ def _tune(
     from tsa_ctrl.tune import report
 
     with session.workspace(out, keep=not dry_run):
-        outcome = session.from_logs(logs, cutoff) if logs else _on_the_rig(session)
+        outcome = session.from_logs(logs, cutoff) if logs else _on_the_rig(session, not (yes or as_json))
         session.finish(outcome)
         if not as_json:
             report.show(outcome, session.difference(outcome), session.page)
@@ -162,11 +162,11 @@ def _tune(
             click.echo(f"{session.path} is as it was")
 
 
-def _on_the_rig(session: Session) -> Outcome:
+def _on_the_rig(session: Session, asks: bool) -> Outcome:
     from tsa_ctrl.cli.tuning import shown
 
-    with shown(session.axis.name, session.socket) as say:
-        return session.run(say)
+    with shown(session.axis.name, session.socket) as (say, ask):
+        return session.run(say, ask if asks and sys.stdin.isatty() else None)
 
 
 def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 
+import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -15,9 +16,10 @@ PATIENCE = 0.05  # s for an answer: it is asked between two looks at the run
 
 
 @contextlib.contextmanager
-def shown(axis: str, socket: str | None) -> Iterator[Callable[[str, float], None]]:
-    """A progress line on a terminal's standard error; yields what takes the phase and the share that is done.
+def shown(axis: str, socket: str | None) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
+    """A progress line on a terminal's standard error.
 
+    Yields what takes the phase and the share that is done, and what says a line to a person and waits for Enter.
     `socket`: of the daemons that the runs are; None where there are none, as in virtual time.
     """
     console = Console(stderr=True)
@@ -30,8 +32,13 @@ def shown(axis: str, socket: str | None) -> Iterator[Callable[[str, float], None
             words = "" if live is None else live.words()
             progress.update(task, description=what, completed=share, live=f"{words}Ctrl-C stops safely")
 
+        def ask(what: str) -> None:
+            progress.stop()
+            click.prompt(f"{what}; then press Enter", default="", show_default=False, prompt_suffix=" ", err=True)
+            progress.start()
+
         try:
-            yield say
+            yield say, ask
         finally:
             if live is not None:
                 live.close()

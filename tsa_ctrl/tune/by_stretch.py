@@ -37,7 +37,7 @@ def moved_by_hand(torque: float) -> str:
     """What to do where a joint that only its own torque moves shows too little; `torque`: N*m, the most of it."""
     return (
         "without a joint torque sensor the joint must slide steadily both ways: take it by hand, move it slowly to and "
-        f"fro all the while, against up to {torque:.2g} N*m, and start again, or give logs of such motion by --from-log"
+        f"fro all the while, against up to {torque:.2g} N*m"
     )
 
 

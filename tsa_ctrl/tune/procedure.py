@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import TooStillError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
@@ -35,6 +35,7 @@ STIFFNESS = "axial_stiffness"
 BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without what moves or damps the motor by itself
 LawOf = Callable[[Estimate, Mechanics], LawTuning | None]
 Progress = Callable[[str, float], None]  # what is being done, share of the whole that is done
+Ask = Callable[[str], None]  # says what a person is to do, and comes back when they are ready
 PHASES = ("probe", "shake", "excitation", "estimate", "without", "before", "after")
 
 
@@ -99,10 +100,12 @@ class Procedure:
         law_of: LawOf,
         folder: Path,
         say: Progress,
+        ask: Ask | None = None,
     ) -> None:
         """`path` is the axis' model file and `model` what it says; the new one is tried from `folder`.
 
-        `law_of`: what [axis.law] gets for an estimate and what was measured of the motor.
+        `law_of`: what [axis.law] gets for an estimate and what was measured of the motor; `ask`: None where nobody can
+        be asked to move the joint.
         """
         self._runner = runner
         self._path = path
@@ -112,6 +115,7 @@ class Procedure:
         self._law_of = law_of
         self._folder = folder
         self._say = say
+        self._ask = ask
         self._total = PROBE_SECONDS + SHAKE_SECONDS + settings.seconds + 3.0 * settings.verification_seconds
         self._done = 0.0
 
@@ -122,12 +126,8 @@ class Procedure:
         """
         designed = self._design()
         mechanics = self._shake(designed.shake)
-        excited = self._play("excitation", self._path, 0.0, designed.excitation, BARE)
-        self._say(phase("estimate"), self._done / self._total)
-        logs = excited.learnable()
-        if mechanics.swing is not None:
-            logs = tuple(pulling(log, mechanics.swing.inertia.value) for log in logs)
-        found = stiff(self._learn(logs), mechanics)
+        logs, learned = self._excite(designed.excitation, mechanics)
+        found = stiff(learned, mechanics)
         law = self._law_of(found, mechanics)
         factor = self._settings.compensation
         tried, reason = bearable(factor, self._model, found)
@@ -144,13 +144,31 @@ class Procedure:
         )
         return Outcome(self._model, found, logs, designed, verification, text, law)
 
-    def _learn(self, logs: Sequence[Dataset]) -> Estimate:
+    def _excite(self, wave: Waveform, mechanics: Mechanics) -> tuple[tuple[Dataset, ...], Estimate]:
+        """The logs and what they show; where a free joint shows too little, once more with a person who moves it."""
+        first = self._excitation("excitation", wave, mechanics)
         try:
-            return learn(logs, self._model, self._settings)
-        except UsageError as error:
+            return first, learn(first, self._model, self._settings)
+        except TooStillError as error:
             if not self._settings.by_stretch:
                 raise
-            raise UsageError(f"{error}; {moved_by_hand(self._bounds.torque)}") from None
+            cure = moved_by_hand(self._bounds.torque)
+            if self._ask is None:
+                more = "and start again, or give logs of such motion by --from-log"
+                raise TooStillError(f"{error}; {cure}, {more}") from None
+        self._ask(f"{cure}, until the runs have ended")
+        self._total += wave.seconds
+        second = self._excitation("excitation-moved", wave, mechanics)
+        try:
+            return (*first, *second), learn((*first, *second), self._model, self._settings)
+        except TooStillError:  # of the first, which may show nothing at all
+            return second, learn(second, self._model, self._settings)
+
+    def _excitation(self, name: str, wave: Waveform, mechanics: Mechanics) -> tuple[Dataset, ...]:
+        logs = self._play(name, self._path, 0.0, wave, BARE).learnable()
+        self._say(phase("estimate"), self._done / self._total)
+        swing = mechanics.swing
+        return logs if swing is None else tuple(pulling(log, swing.inertia.value) for log in logs)
 
     def _shake(self, slow: Waveform) -> Mechanics:
         """What a little shaking shows of the motor on its tendons; a rig that cannot be shaken is tuned without."""

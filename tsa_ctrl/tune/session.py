@@ -34,7 +34,7 @@ from tsa_ctrl.tune.excitation import (
 from tsa_ctrl.tune.mechanics import law_tuning
 from tsa_ctrl.tune.page import write_page
 from tsa_ctrl.tune.pictures import draw
-from tsa_ctrl.tune.procedure import PROBE_SECONDS, Outcome, Procedure, Progress, Settings, from_logs
+from tsa_ctrl.tune.procedure import PROBE_SECONDS, Ask, Outcome, Procedure, Progress, Settings, from_logs
 from tsa_ctrl.tune.run import Play, RigRunner
 
 
@@ -200,13 +200,14 @@ class Session:
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
 
-    def run(self, say: Progress) -> Outcome:
-        """The whole procedure on the rig; raises UsageError, BusError."""
+    def run(self, say: Progress, ask: Ask | None = None) -> Outcome:
+        """The whole procedure on the rig; `ask` where a person can move the joint. Raises UsageError, BusError."""
         self._check_ready()
         told = self._settings.by_stretch
         runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play(), told)
         law_of = functools.partial(law_tuning, self._configuration, self.axis)
-        return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, self._folder, say).run()
+        folder = self._folder
+        return Procedure(runner, self.path, self._model, self.bounds, self._settings, law_of, folder, say, ask).run()
 
     def _play(self) -> Play:
         if self._plant is None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import TooStillError
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -94,16 +94,16 @@ def _hold(direction: FloatArray) -> FloatArray:
 
 
 def require(admissions: list[Admission], tau_m: list[FloatArray], where: str) -> None:
-    """Refuse data that cannot identify the half loop and the slope; raises UsageError naming what is too little."""
+    """Refuse data that cannot identify the half loop and the slope; raises TooStillError naming what is too little."""
     forward = sum(a.seconds_forward for a in admissions)
     backward = sum(a.seconds_backward for a in admissions)
     if forward + backward == 0.0:
-        raise UsageError(
+        raise TooStillError(
             f"{where}: the joint hardly moves, so friction cannot be seen; record motion in both directions"
         )
     for name, seconds in (("forward", forward), ("backward", backward)):
         if seconds < MIN_SECONDS:
-            raise UsageError(
+            raise TooStillError(
                 f"{where}: only {seconds:.2f} s of steady {name} motion, at least {MIN_SECONDS:g} s are needed in each "
                 "direction; record longer or wider strokes both ways"
             )
@@ -115,7 +115,7 @@ def require(admissions: list[Admission], tau_m: list[FloatArray], where: str) ->
             if part.size:
                 spread.append(float(np.std(part)))
     if max(spread) < MIN_LOAD_TO_NOISE * float(np.median(noise)) or max(spread) == 0.0:
-        raise UsageError(
+        raise TooStillError(
             f"{where}: the motor torque varies by {max(spread):.2g} N*m within a direction of motion, hardly above its "
             f"noise of {float(np.median(noise)):.2g} N*m, so the slope cannot be seen; record with a load that varies"
         )

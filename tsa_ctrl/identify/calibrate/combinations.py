@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import TooStillError
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog, offsets, stack
 from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.quantity import Quantity
@@ -39,11 +39,11 @@ def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list
         y.append(_base_target(log, model))
     labels = np.concatenate([log.labels[log.mask] for log in logs])
     if np.unique(labels).size < MIN_BLOCKS:
-        raise UsageError("calibrate: too few stretches of steady motion for an honest interval; record longer logs")
+        raise TooStillError("calibrate: too few stretches of steady motion for an honest interval; record longer logs")
     try:
         return solve(stack(x, logs), stack(z, logs), stack(y, logs), labels)
     except np.linalg.LinAlgError:
-        raise UsageError(
+        raise TooStillError(
             "calibrate: load and direction do not vary independently; vary the load in both directions"
         ) from None
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify.calibrate.course import find_course
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import block_labels, solve
@@ -119,7 +119,7 @@ def _search(
         try:
             estimate = solve(rows, rows, rest, blocks)
         except np.linalg.LinAlgError:
-            raise UsageError(f"{names}: {_CURE}") from None
+            raise TooStillError(f"{names}: {_CURE}") from None
         change = np.clip(estimate.value, -most[free], most[free])
         p[free] += change
         p[1] = min(CENTRES[1], max(CENTRES[0], p[1]))
@@ -130,7 +130,7 @@ def _search(
         if place in half:
             half[place] = math.hypot(half[place], floor)
     if not half[0] < WIDEST[0] or not half.get(1, 0.0) < WIDEST[1]:
-        raise UsageError(f"{names}: {_CURE}")
+        raise TooStillError(f"{names}: {_CURE}")
     return half, rms
 
 
@@ -182,7 +182,7 @@ def _linear(
     for n, log in enumerate(logs):
         stretch, torque, known = _foretold(log, model, p)
         if float(np.count_nonzero(known)) * log.period < LEAST_SLID:
-            raise UsageError(
+            raise TooStillError(
                 f"{log.name}: the tendons did not slide all along in both directions; move the joint both ways, or "
                 "give a held joint more torque than the friction takes"
             )
