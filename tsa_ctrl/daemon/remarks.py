@@ -5,12 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from tsa_ctrl.bus.canopen.cia402 import INTERNAL_LIMIT, WARNING
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.events import Events
 
 LESS, AS_SAID = 0.93, 0.97  # of the model file's half loop: told below the one, told again only after the other
 AGAIN = 10.0  # s between two remarks of one kind on one axis; the log has the reason of every cycle
+BITS = (  # of the statusword, that stop nothing
+    (WARNING, "warns (bit 7 of statusword {:#06x}): temperature or voltage; its display, or 0x603F, says what"),
+    (
+        INTERNAL_LIMIT,
+        "is at a limit of its own (bit 11 of statusword {:#06x}): it may give less than it is told; its current limit, "
+        "temperature, and 0x6072 and 0x6080",
+    ),
+)
 
 
 class Remarks:
@@ -25,6 +34,8 @@ class Remarks:
         self._contradicted = [False] * len(axes)
         self._less = [False] * len(axes)
         self._why = [""] * len(axes)
+        self._bits = [0] * len(axes)  # that are set
+        self._shown = [dict.fromkeys((bit for bit, _ in BITS), -AGAIN) for _ in axes]  # s, when each was told
 
     def begin(self) -> None:
         """Before the first cycle."""
@@ -79,6 +90,16 @@ class Remarks:
                     f"pretension {law.pretension:.3g} N at the present bending: the tendons are {state}, and the motor "
                     f"may give up to {law.domain:.3g} N*m",
                 )
+            self._look_at_bits(t, index, axis)
+
+    def _look_at_bits(self, t: float, index: int, axis: ControlAxis) -> None:
+        """What the drive says beside its state, when it begins."""
+        word, before, shown = axis.image.statusword, self._bits[index], self._shown[index]
+        self._bits[index] = word
+        for bit, words in BITS:
+            if word & bit and not before & bit and t - shown[bit] >= AGAIN:
+                shown[bit] = t
+                self._events.add(t, axis.name, f"{axis.image.nodes[0]} {words.format(word)}")
 
 
 def _contradiction(there: bool, difference: float) -> str:

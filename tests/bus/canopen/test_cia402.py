@@ -4,7 +4,19 @@ from __future__ import annotations
 
 import pytest
 
-from tsa_ctrl.bus.canopen.cia402 import CST_SUPPORTED, WALK, Controlword, Mode, PowerState, decode, next_controlword
+from tsa_ctrl.bus.canopen.cia402 import (
+    CST_SUPPORTED,
+    INTERNAL_LIMIT,
+    REMOTE,
+    VOLTAGE_ENABLED,
+    WALK,
+    WARNING,
+    Controlword,
+    Mode,
+    PowerState,
+    decode,
+    next_controlword,
+)
 
 S = PowerState
 
@@ -95,3 +107,8 @@ def test_controlwords_are_those_of_the_standard() -> None:
 
 def test_cyclic_torque_is_bit_9_of_the_supported_modes() -> None:
     assert (int(Mode.CYCLIC_SYNC_TORQUE), CST_SUPPORTED) == (10, 0x200)
+
+
+def test_bits_beside_the_state_are_those_of_the_standard() -> None:
+    """CiA 402-2: 4 voltage enabled, 7 warning, 9 remote, 11 internal limit active."""
+    assert [VOLTAGE_ENABLED, WARNING, REMOTE, INTERNAL_LIMIT] == [0x0010, 0x0080, 0x0200, 0x0800]

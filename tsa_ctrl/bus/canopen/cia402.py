@@ -42,7 +42,9 @@ class Mode(IntEnum):
 CST_SUPPORTED = 1 << 9  # bit of object 0x6502
 
 VOLTAGE_ENABLED = 1 << 4  # bit of the statusword: there is voltage for the motor
+WARNING = 1 << 7  # a warning is present, as of temperature; the state stays
 REMOTE = 1 << 9  # the controlword is processed
+INTERNAL_LIMIT = 1 << 11  # a limit of the drive's own is active: it may give less than it is told
 FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
 
 STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value, state

@@ -1,0 +1,53 @@
+"""What a drive says beside its state becomes an event, once, and stops nothing."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from tests.virtual.joints import play
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.remarks import AGAIN, Remarks
+
+
+def said(words: list[tuple[float, int]]) -> list[tuple[float, str]]:
+    """Times and texts, of statuswords at their times; the loop looks at them fifty times a second."""
+    axis: Any = SimpleNamespace(name="knee", image=SimpleNamespace(statusword=0, nodes=["drive node 1"]))
+    events = Events()
+    remarks = Remarks([axis], events)
+    for t, word in words:
+        axis.image.statusword = word
+        remarks._look_at_bits(t, 0, axis)
+    assert not events.faults
+    assert {event.axis for event in events.all} <= {"knee"}
+    return [(event.t, event.text) for event in events.all]
+
+
+def test_a_warning_is_told_when_it_begins() -> None:
+    (found,) = said([(0.0, 0x1237), (0.5, 0x12B7), (0.52, 0x12B7), (20.0, 0x12B7), (21.0, 0x1237)])
+    assert found[0] == 0.5
+    assert found[1].startswith("drive node 1 warns (bit 7 of statusword 0x12b7)")
+
+
+def test_a_limit_of_the_drives_own_is_told_and_each_bit_for_itself() -> None:
+    found = said([(0.0, 0x1A37), (1.0, 0x1AB7)])
+    assert [t for t, _ in found] == [0.0, 1.0]
+    assert "is at a limit of its own (bit 11 of statusword 0x1a37)" in found[0][1]
+    assert "bit 7" in found[1][1]
+
+
+def test_a_bit_that_flaps_is_told_every_ten_seconds() -> None:
+    flapping = [(0.02 * n, 0x1A37 if n % 2 else 0x1237) for n in range(1500)]
+    times = [t for t, _ in said(flapping)]
+    assert len(times) == 3
+    assert all(after - before >= AGAIN for before, after in itertools.pairwise(times))
+
+
+def test_a_drive_that_gives_less_says_so_and_a_healthy_one_nothing(tmp_path: Path) -> None:
+    constant = {"kind": "constant", "offset": 0.8}
+    for faults, told in (((), 0), (("derating value=0.5@0.8",), 1)):
+        result = play(tmp_path, "held", constant, 1.2, faults=list(faults))
+        texts = [event.text for event in result.summary.events if "bit 11" in event.text]
+        assert len(texts) == told
