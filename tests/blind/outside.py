@@ -232,6 +232,17 @@ STRANGERS: dict[str, Stranger] = {
     "bridge_asymmetry": Stranger("the torque sensor has two gains", _bridge, 0.05, 0.3, {}),
 }
 
+# Those that are a function of what a log has at one instant; the others have a memory or a clock of their own, which no
+# formula in the log's signals has
+OF_AN_INSTANT = (
+    "sensor_clipping",
+    "temperature_crosstalk",
+    "sheath_kink",
+    "sensor_dead_zone",
+    "oval_pulley",
+    "bridge_asymmetry",
+)
+
 
 class CatalogueSpan:
     """What the whole catalogue together can imitate, as a linear space about the rig without effects."""

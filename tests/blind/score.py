@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from .cases import Case
+from .outside import OF_AN_INSTANT
 
 MOST_ALTERNATIVES = 2
 LEAST_DESCRIBED = 0.7  # of what is left, that a formula must take to count as a description of it
@@ -171,6 +172,12 @@ TARGETS = (
     Target("plain drive, one effect: named uniquely", "rigid", _key("unique"), 0.95),
 )
 
+
+def _described_of_an_instant(result: dict[str, Any]) -> bool | None:
+    """Whether a formula takes most of what is left; None of a cause with a memory or a clock of its own."""
+    return bool(result["mark"]["described"]) if result["name"] in OF_AN_INSTANT else None
+
+
 QUIET = ("consistent", "insufficient")
 FURTHER = (
     Target(
@@ -187,6 +194,7 @@ FURTHER = (
     Target("two effects: both within two alternatives", "pair", _key("both_within"), 0.90),
     Target("outside the catalogue: a confident name", "outside", _key("wrong"), 0.05, at_most=True),
     Target("outside the catalogue: a formula takes 70 % of what is left", "outside", _key("described"), 0.60),
+    Target("of these, a function of an instant: the same", "outside", _described_of_an_instant, 0.60),
     Target("exactly confounded: a confident name", "confounded", _key("wrong"), 0.0, at_most=True),
 )
 

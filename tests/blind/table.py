@@ -117,6 +117,7 @@ def _per_name(results: Sequence[Result]) -> None:
             marks = [r["mark"] for r in results if (r["family"], r["name"]) == (family, name)]
             hits = [m[key] for m in marks if m[key] is not None]
             more = f", within {sum(bool(m['within']) for m in marks)}" if family in ("single", "rigid") else ""
+            more += f", by a formula {sum(bool(m['described']) for m in marks)}" if family == "outside" else ""
             more += f", resolved {sum(bool(m['resolved']) for m in marks)}" if family == "confounded" else ""
             if hits:
                 print(f"    {name:34s} {sum(hits)}/{len(hits)}{more}, wrong {sum(m['wrong'] for m in marks)}")

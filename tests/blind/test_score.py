@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from .cases import Case, Truth
-from .score import TARGETS, counted, interval, mark
+from .score import FURTHER, TARGETS, counted, interval, mark
 
 
 def hidden(family: str, *effects: str, **truth: Any) -> Case:
@@ -142,3 +142,10 @@ def test_only_the_family_of_a_target_counts() -> None:
     wrong = {"family": "none", "name": "rich", "mark": {"named": True}, "error": ""}
     other = {"family": "single", "name": "inertia", "mark": {"named": True}, "error": ""}
     assert counted(TARGETS[0], [wrong, other]) == (1, 1)
+
+
+def test_what_has_a_memory_is_no_miss_of_a_formula_of_an_instant() -> None:
+    target = next(target for target in FURTHER if target.text.startswith("of these, a function of an instant"))
+    marks = [("bridge_asymmetry", True), ("oval_pulley", False), ("sensor_resonance", False)]
+    rows = [{"family": "outside", "name": name, "mark": {"described": told}} for name, told in marks]
+    assert counted(target, rows) == (1, 2)
