@@ -43,7 +43,7 @@ FAULTS = {  # by what a person calls it: the plant's fault
 MODEL = "told.toml"
 # 1, as bench/stretch prints of rigs: half an interval of the stiffness, and that of the centre of the bends (MODEL and
 # COURSE_FOUND in identify/calibrate/stretch.py are their floors)
-CALIBRATED = {"axial_stiffness_uncertainty": 0.006, "bending_centre_uncertainty": 0.002}
+CALIBRATED = (0.006, 0.002)
 TRIPPED = "tripped by the controller: "
 NONE = 0.02  # N*m, that a drive reports of no torque
 
@@ -52,7 +52,10 @@ def trial(name: str, load: str, calibrated: bool) -> Row:
     """One fault on one joint: seconds from the fault until something was told, and until the torque ended."""
     with tempfile.TemporaryDirectory(prefix="bench-checks-") as folder:
         model = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
-        save_model(dataclasses.replace(model, **CALIBRATED if calibrated else {}), Path(folder) / MODEL)
+        if calibrated:
+            stiffness, centre = CALIBRATED
+            model = dataclasses.replace(model, axial_stiffness_uncertainty=stiffness, bending_centre_uncertainty=centre)
+        save_model(model, Path(folder) / MODEL)
         result = play(
             Path(folder),
             load,
