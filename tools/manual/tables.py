@@ -34,6 +34,7 @@ COMMANDS: Mapping[str, str] = {
     "supervision": "tools/run bench/supervision",
     "checks": "tools/run bench/checks",
     "mutation": "tools/run campaign/mutate MODULE",
+    "client": "tools/run bench/client --seconds 15",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",
 }
 PIECEMEAL = frozenset({"mutation"})  # each row is a run of its own; a last row "all" is only their sum
