@@ -82,6 +82,15 @@ def test_without_one_the_stiffness_is_found_and_the_shape_is_kept(gait: dict[str
 
 
 @pytest.mark.slow
+def test_a_file_that_bends_the_sheath_at_one_end_is_where_the_search_begins(gait: dict[str, np.ndarray]) -> None:
+    """It ended in a division by zero. The log is of an even bend; one point that bends finds a centre near it."""
+    wrong = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "motor_end"}})
+    fit = fit_stretch([dataset(gait)], wrong)
+    assert fit.centre is not None
+    assert fit.centre.value == pytest.approx(0.5, abs=0.15)
+
+
+@pytest.mark.slow
 def test_a_held_joint_tells_its_stiffness_too(tmp_path: Path) -> None:
     fit = fit_stretch([dataset(columns(tmp_path, "held", sine(0.6, 0.5)))], NOMINAL)
     assert fit.axial_stiffness.value == pytest.approx(STIFFNESS, rel=0.015)
