@@ -318,7 +318,7 @@ def targets() -> tuple[Target, ...]:
             "csv",
             _in_file(".csv", read_table),
             ("tsa_ctrl.log.csv_table", "tsa_ctrl.log.table"),
-            _text(CSV, CSV.replace(",", ";")),
+            _text(CSV, CSV.replace(",", ";"), CSV + "\n \n", CSV + '"1,2\n'),
             _text("t,", "# ", "\n", ",", ";", "nan", '"', "1e999"),
             0.65,
         ),
