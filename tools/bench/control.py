@@ -45,7 +45,7 @@ LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
 ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
 TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
-WIDTH = 150  # characters of a table
+WIDTH = 190  # characters of a table
 TAKEN_AWAY: dict[str, dict[str, dict[str, Any]]] = {
     "nothing": {},
     "noise of torque and sensor": {"drive": {"torque_noise": 0.0}, "torque_sensor": {"noise": 0.0}},
