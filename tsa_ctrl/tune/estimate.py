@@ -52,7 +52,7 @@ class Estimate:
 
     `calibration` is that of the form that was kept, `errors` each form's RMS error while sliding (N*m; all have the
     same two free parameters), `effects` what was added with certainty and `parameters` their numbers, by
-    "effect.parameter".
+    "effect.parameter". `plain`: of the same logs, without what the diagnosis added; None where it added nothing.
     """
 
     model: TendonSheath
@@ -62,6 +62,7 @@ class Estimate:
     effects: tuple[str, ...]
     notes: tuple[str, ...]
     parameters: Mapping[str, Quantity] = dataclasses.field(default_factory=dict)
+    plain: Estimate | None = None
 
 
 def estimate(logs: Sequence[Dataset], model: TendonSheath, certified_gain: bool, forms: bool) -> Estimate:
@@ -196,6 +197,7 @@ def extended(logs: Sequence[Dataset], model: TendonSheath, without: Estimate) ->
             for name, value in cause.parameters.items()
             if isinstance(value, Quantity) and value.low < value.high  # counts and choices are not measured
         },
+        plain=without,
     )
 
 

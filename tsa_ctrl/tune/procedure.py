@@ -87,6 +87,23 @@ class Outcome:
         return self.estimate.calibration.rms_after < self.estimate.calibration.rms_before
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """A new file that is tried on the rig."""
+
+    kind: str  # at the end of its names
+    found: Estimate
+    law: LawTuning | None
+    text: str
+    played: tuple[Path, float]  # the file, and the share of the friction term beside it
+    bearable: float  # 1, of the friction term, that the rig bears with the given file
+
+    @property
+    def values(self) -> Mapping[str, float | None] | None:
+        """Of [axis.law], its own factor among them."""
+        return None if self.law is None else self.law.values
+
+
 class Procedure:
     """The stages on one rig, in order; each run's share of the time is told."""
 
@@ -127,6 +144,23 @@ class Procedure:
         designed = self._design()
         mechanics = self._shake(designed.shake)
         logs, learned = self._excite(designed.excitation, mechanics)
+        trials = [self._trial(learned, mechanics, logs)]
+        if learned.plain is not None:
+            trials.append(self._trial(learned.plain, mechanics, logs, "-plain"))
+            self._total += self._settings.verification_seconds
+        motion = designed.verification
+        without = self._play("without", self._path, 0.0, motion, BARE)
+        before = self._play("before", self._path, trials[-1].bearable, motion)
+        runs = [self._play(f"after{trial.kind}", *trial.played, motion, trial.values) for trial in trials]
+        best = min(range(len(runs)), key=lambda number: runs[number].rms)
+        found = trials[best].found
+        if best > 0:
+            found = dataclasses.replace(found, notes=(*found.notes, _worse(learned, runs[0], runs[best])))
+        verification = Verification(without, before, runs[best])
+        return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
+
+    def _trial(self, learned: Estimate, mechanics: Mechanics, logs: Sequence[Dataset], kind: str = "") -> _Trial:
+        """An estimate as it would be written, and what the loop needs to play it."""
         found = stiff(learned, mechanics)
         law = self._law_of(found, mechanics)
         factor = self._settings.compensation
@@ -134,15 +168,9 @@ class Procedure:
         notes = (*(mechanics.notes if law is None else law.notes), *([reason] if reason else []))
         found = dataclasses.replace(found, notes=(*found.notes, *notes))
         text = new_file(self._path, found, logs, "tune", law)
-        new = self._folder / f"new-{self._path.name}"
+        new = self._folder / f"new{kind}-{self._path.name}"
         new.write_text(text, encoding="utf-8")
-        motion = designed.verification
-        verification = Verification(
-            without=self._play("without", self._path, 0.0, motion, BARE),
-            before=self._play("before", self._path, tried, motion),
-            after=self._play("after", new, factor, motion, None if law is None else law.values),  # its own factor
-        )
-        return Outcome(self._model, found, logs, designed, verification, text, law)
+        return _Trial(kind, found, law, text, (new, factor), tried)
 
     def _excite(self, wave: Waveform, mechanics: Mechanics) -> tuple[tuple[Dataset, ...], Estimate]:
         """The logs and what they show; where a free joint shows too little, once more with a person who moves it."""
@@ -206,6 +234,14 @@ class Procedure:
         played = self._runner.play(name, model, compensation, waveform, tick, law, rate)
         self._done += seconds
         return played
+
+
+def _worse(learned: Estimate, first: Run, second: Run) -> str:
+    """Why what the diagnosis added is not written."""
+    return (
+        f"not used: {' and '.join(learned.effects)}, which the diagnosis named; on a motion not used for the fit the "
+        f"error is {1e3 * first.rms:.0f} mN·m with and {1e3 * second.rms:.0f} mN·m without"
+    )
 
 
 def phase(name: str) -> str:
