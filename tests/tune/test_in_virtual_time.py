@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.tune import procedure
+from tsa_ctrl.tune.estimate import Estimate
 
 RATE = 500.0  # Hz
 TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
@@ -28,14 +31,23 @@ def tune(folder: Path, *options: str) -> int:
 
 
 @pytest.mark.slow
-def test_the_whole_procedure_finds_the_half_loop_and_writes_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_diagnosis_adds_in_vain(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """A weight is added here that is not there, so the file without it does better on the rig."""
+
+    def in_vain(logs: object, model: object, plain: Estimate) -> Estimate:
+        weight = {"gravity_load": {"amplitude": 0.3, "phase": 0.0}}
+        more = plain.model.with_effects({**plain.model.effects, **weight})
+        return dataclasses.replace(plain, model=more, effects=("gravity_load",), plain=plain)
+
+    monkeypatch.setattr(procedure, "extended", in_vain)
     rig.write(tmp_path, VIRTUAL, RATE)
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
     half_loop = rig.true_half_loop(truth)
-    assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *SHORT) == 0
+    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *SHORT) == 0
     data = json.loads(capsys.readouterr().out)
+    assert [note for note in data["notes"] if note.startswith("not used: gravity_load, which the diagnosis named")]
     found = data["calibration"]["combinations"]["half_loop_torque"]
     assert found["value"] == pytest.approx(half_loop, rel=0.05)
     reduction = data["verification"]["reduction_percent"]

@@ -30,7 +30,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.student import half_width
 from tsa_ctrl.model.effects.specification import Setting
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.parameters import Model, RigidDrive
+from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 
 MOST_TERMS = 3  # that a person still reads as a law; a wave with its phase is one
 LEAST_PART = 0.05  # of the mean square left, that a term must take elsewhere: less is not worth a line in a file
@@ -43,7 +43,8 @@ REFITS = 4
 CONSTANTS = "abcdef"  # two of each term
 
 # Of an angle: waves of any phase once and twice a turn, a straight line, a parabola
-COURSES = (("sin({0})", "cos({0})"), ("sin(2*{0})", "cos(2*{0})"), ("{0}",), ("{0}**2",))
+WAVES = (("sin({0})", "cos({0})"), ("sin(2*{0})", "cos(2*{0})"))
+COURSES = (*WAVES, ("{0}",), ("{0}**2",))
 FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
 DEAD_ZONE = "tanh({:.3g}*tau)"
@@ -145,16 +146,26 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     )
 
 
-def terms(problem: Problem, rigid: bool) -> list[tuple[str, ...]]:
-    """The terms that these logs have the signals for, each with a coefficient for every part."""
+def terms(problem: Problem, model: Model) -> list[tuple[str, ...]]:
+    """The terms that these logs have the signals for, each with a coefficient for every part.
+
+    Of both angles the joint's is taken, and the motor's as it would be on stiff tendons: their difference is the
+    tendons' stretch, a second measurement of the torque that is to be explained, and a wave of one against a wave of
+    the other takes up any cause.
+    """
     frame = problem.frame
-    angles = ["q_j"] if rigid or frame.has("q_j") else []
-    angles += ["q_m"] if frame.has("q_m") and not rigid else []
+    rigid = isinstance(model, RigidDrive)
+    angles = [("q_j", COURSES)] if rigid or frame.has("q_j") else []
+    if isinstance(model, TendonSheath) and frame.has("q_j") and frame.has("q_m"):
+        angles.append((f"{model.joint_pulley_radius / model.motor_pulley_radius:.6g}*q_j", WAVES))
+    elif frame.has("q_m") and not rigid:
+        angles.append(("q_m", COURSES))
     scale = float(np.sqrt(np.mean(np.square(frame.target[problem.mask]))))
     plain = [*LOADS, *SPEEDS, *(DEAD_ZONE.format(steep / max(scale, 1e-9)) for steep in DEAD_ZONES)]
     out: list[tuple[str, ...]] = [(text,) for text in plain]
-    for angle, course, factor in product(angles, COURSES, FACTORS):
-        out.append(tuple(part.format(angle) + factor for part in course))
+    for angle, courses in angles:
+        for course, factor in product(courses, FACTORS):
+            out.append(tuple(part.format(angle) + factor for part in course))
     if frame.has("q_j"):
         low, high = np.quantile(frame.column("q_j")[problem.mask], (0.02, 0.98))
         width = float(high - low) / (PLACES - 1)
@@ -176,7 +187,7 @@ def _responses(problem: Problem, model: Model, predicted: Array) -> tuple[list[s
     """
     texts: list[str] = []
     columns, units = [], []
-    for term in terms(problem, isinstance(model, RigidDrive)):
+    for term in terms(problem, model):
         unit = []
         for text in term:
             with_it = _with_custom(model, {"expression": f"{TRIAL}*{text}", "stage": "joint"})
