@@ -43,8 +43,8 @@ REFITS = 4
 CONSTANTS = "abcdef"  # two of each term
 
 # Of an angle: waves of any phase once and twice a turn, a straight line, a parabola
-WAVES = (("sin({0})", "cos({0})"), ("sin(2*{0})", "cos(2*{0})"))
-COURSES = (*WAVES, ("{0}",), ("{0}**2",))
+WAVES: tuple[tuple[str, ...], ...] = (("sin({0})", "cos({0})"), ("sin(2*{0})", "cos(2*{0})"))
+COURSES: tuple[tuple[str, ...], ...] = (*WAVES, ("{0}",), ("{0}**2",))
 FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
 DEAD_ZONE = "tanh({:.3g}*tau)"
