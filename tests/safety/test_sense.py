@@ -58,13 +58,20 @@ class Course:
             found[known] = quick - slow
         return found
 
+    def turns(self) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+        """By cycle, whether the tendon turns, and in which cycle it did last, -1 for never."""
+        turned = np.diff(np.sign(self.sigma), prepend=0.0) != 0.0
+        return turned, np.maximum.accumulate(np.where(turned, np.arange(turned.size), -1))
+
+    def travel(self) -> FloatArray:
+        """Rad at the motor, of the joint since the tendon turned."""
+        way = np.concatenate(([0.0], np.cumsum(np.nan_to_num(GEARED * PERIOD * self.omega_j))))
+        return np.asarray(way[1:] - way[np.maximum(self.turns()[1], 0)])
+
     def pieces(self, driven: FloatArray) -> list[tuple[int, int, bool]]:
         """First, end and whether friction winds up the tendons there, of what is looked at without a break."""
-        direction = np.sign(self.sigma)
-        turned = np.diff(direction, prepend=0.0) != 0.0
-        begin = np.maximum.accumulate(np.where(turned, np.arange(turned.size), -1))
-        way = np.concatenate(([0.0], np.cumsum(np.nan_to_num(GEARED * PERIOD * self.omega_j))))
-        travel = np.abs(way[1:] - way[np.maximum(begin, 0)])
+        turned, begin = self.turns()
+        travel = np.abs(self.travel())
         looked = (begin < 0) | ~(self.t < self.t[np.maximum(begin, 0)] + 0.1)
         winds = (driven > 0.0) & (travel > 0.15 * self.wound) & (travel < 1.5 * self.wound)
         kinds = np.where(looked, 2 * np.cumsum(turned) + winds, -1)
@@ -73,16 +80,18 @@ class Course:
         pieces = zip(starts.tolist(), ends, strict=True)
         return [(first, end, bool(winds[first])) for first, end in pieces if kinds[first] >= 0]
 
-    def ratios(self, driven: FloatArray) -> dict[int, tuple[float, float, bool]]:
+    def ratios(self, driven: FloatArray) -> dict[int, tuple[float, float, bool, bool]]:
         """By cycle, where the torque shows anything: how it is answered, and what a held joint's sensor follows by.
 
-        The first a correlation, the second a gain, 0 where it does not follow; then whether friction winds up.
+        The first a correlation, the second a gain, 0 where it does not follow; then whether friction winds up, and
+        whether less than half of the stretch is the motor's own way, on tendons that need not have slid.
         `driven`: from when on the joint counts as moved by something, each 0 or 1.
         """
         ratio = {}
         moves = ~(np.abs(self.omega_j) < 0.05)
         moved = np.maximum.accumulate(np.where(moves, self.t, -math.inf))
         held = self.t - moved > 0.4
+        travel = self.travel()
         for first, end, winds in self.pieces(driven):
             t, a, j = (self.band(values, first, end) for values in (self.torque, self.apart, self.tau_j))
             tt, ta, aa, tj, jj = (filtered(x) for x in (t * t, t * a, a * a, t * j, j * j))
@@ -91,9 +100,10 @@ class Course:
             most = np.fmax.accumulate(np.where(np.isnan(apart), -math.inf, apart))
             with np.errstate(all="ignore"):
                 stretch, sensor = np.nan_to_num(ta / np.sqrt(tt * aa)), np.nan_to_num(tj / np.sqrt(tt * jj))
-            sense = np.where(
-                most - least > 1.5 * self.counts, stretch, np.where(jj > (0.01 * GEARED) ** 2, sensor, 0.0)
-            )
+            seen = most - least > 1.5 * self.counts
+            sense = np.where(seen, stretch, np.where(jj > (0.01 * GEARED) ** 2, sensor, 0.0))
+            own = ta + filtered(t * self.band(travel, first, end))
+            fast = seen & (own > 0.5 * ta) & (np.abs(travel[first:end]) < 1.5 * self.wound)
             gain = np.zeros(end - first)
             begins = np.flatnonzero(np.diff(held[first:end].astype(int), prepend=0) > 0).tolist()
             for begin in begins:
@@ -104,12 +114,12 @@ class Course:
                     follows = tj_held / np.sqrt(tt_held * jj_held) > 0.8
                     gain[part] = np.where(follows & (tt_held > (0.005 * LIMIT) ** 2), tj_held / tt_held, 0.0)
             for n in np.flatnonzero(tt >= (0.005 * LIMIT) ** 2).tolist():
-                ratio[first + n] = (sense[n], gain[n], winds)
+                ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]))
         return ratio
 
     def foretold(self, driven: FloatArray) -> tuple[FloatArray, int | None]:
         """The ceiling after each cycle, and the cycle in which something is said."""
-        ratio = self.ratios(driven)
+        ratio, travel = self.ratios(driven), self.travel()
         wrong = {"at rest": Leaky(0.02), "driven": Leaky(0.25), "shown": Leaky(0.4), "excessive": Leaky(0.02)}
         ceiling, ceilings, shown, suspect, waited = 0.11 * LIMIT, [], False, False, 0.0
         for n, now in enumerate(self.t.tolist()):
@@ -121,14 +131,16 @@ class Course:
             ceilings.append(ceiling)
             if n not in ratio:
                 continue
-            sense, gain, winds = ratio[n]
+            sense, gain, winds, fast = ratio[n]
             suspect = sense < -0.5
             waited += 0.0 if suspect else PERIOD
             shown = shown or (sense > 0.5 and not winds) or waited > 0.15
             if winds:
                 continue
+            if suspect and fast and abs(travel[n]) > 0.15 * self.wound and not driven[n + 1 :].all():
+                return self.foretold(np.where(np.arange(self.t.size) > n, 1.0, driven))  # something else moves it
             which = "shown" if shown else "driven" if driven[n] else "at rest"
-            if wrong[which].update(now, suspect):
+            if wrong[which].update(now, suspect and not fast):
                 return np.array(ceilings), n
             if wrong["excessive"].update(now, 1.3 * GEARED < gain < 3.0 * GEARED):
                 return np.array(ceilings), n
@@ -202,6 +214,48 @@ def test_a_motor_that_turns_round_on_a_joint_that_goes_on_is_found_when_its_tend
     sense = Sense(2.0, GEARED, PERIOD, 0.02)
     found = run(sense, sign=-1.0, seconds=0.5, omega_j=0.5)
     assert "the wrong way round" in str(found)
+
+
+def falls(itself: float, yields: float) -> str | None:
+    """What is said while the torque falls after the tendon turned, on a sense that was shown before.
+
+    By 0.5 N*m, in a sheath whose friction keeps it, within 0.5 s; `itself`, `yields`: rad at the motor that motor and
+    joint go meanwhile.
+    """
+    sense = Sense(2.0, GEARED, PERIOD, 0.033)
+    for n in range(1400):
+        fallen = min(max(n - 500, 0) / 500.0, 1.0)
+        torque = 0.001 * min(n, 500) - 0.5 * fallen
+        apart = 0.001 * min(n, 500) / STIFFNESS + (itself - yields) * fallen
+        omega_j = yields / 0.5 / GEARED if 0.0 < fallen < 1.0 else 0.0
+        said = sense.update(n * PERIOD, torque, apart, UNKNOWN, 1.0 if n < 400 else -1.0, omega_j)
+        if said is not None:
+            return said
+    return None
+
+
+@pytest.mark.parametrize("yields", [-0.0005, -0.001, -0.004])
+def test_a_joint_that_yields_while_friction_holds_the_motor_fast_is_no_reversed_motor(yields: float) -> None:
+    """A wearer lets it go back a little; the motor stands still, whatever its torque does within its friction."""
+    assert falls(0.0, yields) is None
+    assert falls(0.2 * -yields, 0.8 * yields) is None  # the sheath gives a little
+
+
+@pytest.mark.parametrize(("itself", "found"), [(0.0, False), (0.02, True)])
+def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor_that_is_held_fast(
+    itself: float, found: bool
+) -> None:
+    """By 0.045 rad/s, too slowly to count by that alone; a motor that goes `itself` rad/s against it is reversed."""
+    sense, said = Sense(2.0, GEARED, PERIOD, 0.033), None
+    for n in range(1500):
+        wound = max(-0.033, -GEARED * 0.045 * n * PERIOD)  # until the tendons slide
+        said = said or sense.update(n * PERIOD, 0.5 * n * PERIOD, wound - itself * n * PERIOD, UNKNOWN, 1.0, 0.045)
+    assert (said is not None) is found
+
+
+@pytest.mark.parametrize("yields", [-0.001, 0.0, 0.001, 0.004])
+def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yields(yields: float) -> None:
+    assert "the wrong way round" in str(falls(max(0.002, 1.5 * yields), yields))
 
 
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:

@@ -83,6 +83,20 @@ def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("fault", ["", "reversed_sign@0"])
+def test_a_wearer_who_begins_to_move_as_the_torque_begins_is_no_reversed_motor(tmp_path: Path, fault: str) -> None:
+    """A sheath that bends at the motor holds it fast meanwhile, healthy or not: what stretches is the wearer's way."""
+    hand = [[0.0, 15.0, 1.0, 0.0], [0.1, 15.0, 1.0, 0.0], [1.6, 15.0, 1.0, -0.4]]
+    wearer = {"joint": {"hand": hand, "hand_repeat": False}}
+    faults = [fault] if fault else []
+    result = play(tmp_path, "wearer", sine(-0.8, 0.5), 1.5, curvature="motor_end", plant=wearer, faults=faults)
+    found = [event.text for event in result.summary.events if event.fault]
+    assert bool(found) is bool(fault), found
+    assert all("the wrong way round" in text for text in found)
+    assert np.abs(result.truth["tau_m"]).max() <= 0.15 * 2.5 + 0.02
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("load", LOADS)
 def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_path: Path, load: str) -> None:
     """Soon after the torque changes, on a free joint by turns with its friction: the opposite of 0.8 N*m.

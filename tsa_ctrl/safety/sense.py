@@ -7,7 +7,10 @@ the motion, not with the torque, and what it gives back after a reversal may fol
 of it there. All are filtered to a band in which neither the motor's ringing on its tendons nor the drift of the
 friction counts, and correlated over the last fifth of a second, but for what came before the tendon turned last: on a
 joint that is moved, friction stretches the tendon against the torque that begins, until it slides all along: that takes
-a way of the joint, and where something moves it slowly more than a second.
+a way of the joint, and where something moves it slowly more than a second. Before that friction may hold the motor fast
+as its torque turns, most of all in a sheath that bends there, until the torque has changed by twice the half loop: what
+motor and joint then move apart by is the way of a joint that something else moves, and says nothing of the motor. One
+that pulls the wrong way goes that way itself.
 
 The stretch of a joint that is held cannot be more than the torque's, tau_M/K: friction only takes away there. Where it
 follows the torque by half as much again, the motor gives more than it reports, a tendon hangs, or the file's stiffness
@@ -50,6 +53,7 @@ AT_REST = 4.0 * DRIFT  # s that the joint is held before its sensor is compared:
 TURN = 0.1  # s after the tendon turned: by then its friction, which stretches it too, is the other one
 WOUND = 1.5  # of the way in which the model's friction is wound up: friction and stiffness may be off by a fifth each
 RESTING = 0.1  # of that way: less is a joint that is held, whose tendons the torque alone stretches
+OWN = 0.5  # of the stretch against the torque that the motor goes itself: all or more of it, none where it is held fast
 LAST = 0.02  # s that either must be wrong, on a joint that nothing moved before the motor pulled
 SURE = 0.25  # s, on a joint that something else moves: friction looks so for 0.18
 SHAKEN = 0.4  # s, of a sense that was shown: a heavy motor that is shaken on its tendons looks so for 0.3
@@ -122,9 +126,9 @@ class Sense:
 
     def _forget(self) -> None:
         """What was seen before does not count."""
-        self._torque, self._apart, self._joint = (_Band(*self._rates) for _ in range(3))
+        self._torque, self._apart, self._joint, self._yields = (_Band(*self._rates) for _ in range(4))
         self._least_apart, self._most_apart = math.inf, -math.inf
-        self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = 0.0
+        self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = 0.0
         self._stretch = 0.0
         self._forget_sensor()
 
@@ -169,6 +173,7 @@ class Sense:
         t, a, j = self._torque.of(torque), self._apart.of(apart), self._joint.of(tau_j)
         self._tt += memory * (t * t - self._tt)
         self._ta += memory * (t * a - self._ta)
+        self._ty += memory * (t * self._yields.of(self._travel) - self._ty)
         self._aa += memory * (a * a - self._aa)
         self._dd += memory * ((a - self._stretch) ** 2 - self._dd)
         self._stretch = a
@@ -196,8 +201,10 @@ class Sense:
             self._shown = True
         if winds_up:
             return None
+        held_fast = self._suspect and seen and self._held_fast()
+        self._driven = self._driven or (held_fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
-        if wrong.update(now, self._suspect):
+        if wrong.update(now, self._suspect and not held_fast):
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
                 "sign of a torque or of an encoder is reversed"
@@ -217,6 +224,10 @@ class Sense:
                 f"{self._geared:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
             )
         return None
+
+    def _held_fast(self) -> bool:
+        """Whether the stretch is the way of the joint alone, of tendons that may not have slid since they turned."""
+        return abs(self._travel) < self._way and self._ta + self._ty > OWN * self._ta
 
     def _winds_up(self) -> bool:
         """Whether a joint that something moves has not gone so far that its tendons slide all along again."""
