@@ -35,6 +35,9 @@ CARRIES = (
 APART = 0.2  # of ln(ratio^2): pulleys so different tell swapped torques from a reversed velocity
 MOVES = 0.01  # rad, standard deviation of an angle beyond what noise of a velocity integrates to
 RELATED = 0.5  # correlation of an angle with the integral of its own velocity, at least
+# Samples: of a longer log every second, third ... is looked at, and 12 blocks have 50,000 each. Of an hour at 1 kHz the
+# fit of all would be the most memory that a diagnosis needs, 0.6 GB
+MOST = 600_000
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 
@@ -162,15 +165,16 @@ def _signs(
     dataset: Dataset, tau_m: Array, omega: Array, sliding: NDArray[np.bool_], tau_j: Array | None
 ) -> _Signs | None:
     """Of a and F; None where the log cannot tell anything."""
-    sigma = np.sign(omega)
+    thin = max(1, len(omega) // MOST)
+    sigma, tau_m, sliding = np.sign(omega)[::thin], tau_m[::thin], sliding[::thin]
     if sliding.sum() < 100 or abs(float(np.mean(sigma[sliding]))) > 0.9:
         return None
     column = "q_m" if tau_j is None else "q_j"
-    angle = dataset[column] if column in dataset else np.cumsum(omega) * dataset.period
-    acceleration = np.gradient(omega, dataset.period)
-    torque = [] if tau_j is None else [tau_j]
+    angle = (dataset[column] if column in dataset else np.cumsum(omega) * dataset.period)[::thin]
+    acceleration = np.gradient(omega, dataset.period)[::thin]
+    torque = [] if tau_j is None else [tau_j[::thin]]
     stored = [angle, np.sin(angle), np.cos(angle), acceleration]
-    changing = [dataset[name] for name in ("theta", "temperature") if name in dataset]
+    changing = [dataset[name][::thin] for name in ("theta", "temperature") if name in dataset]
     varying = [sigma * (values - np.mean(values[sliding])) for values in changing]
     columns = np.column_stack([sigma, *torque, *stored, *varying])[sliding]
     columns = columns - columns.mean(axis=0)  # the constant

@@ -124,8 +124,12 @@ class LogFile:
     def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
         """The `wanted` fields of one axis over the whole log."""
         names = list(wanted)
-        blocks = [block for name, block in self.blocks(names) if name == axis]
-        return {name: np.concatenate([np.empty(0), *(block[:, i] for block in blocks)]) for i, name in enumerate(names)}
+        parts: list[list[NDArray[np.float64]]] = [[np.empty(0)] for _ in names]
+        for name, block in self.blocks(names):
+            if name == axis:
+                for part, values in zip(parts, block.T, strict=True):
+                    part.append(values.copy())  # a view would keep the whole block
+        return {name: np.concatenate(parts.pop(0)) for name in names}  # each one's parts go as it is made
 
     def read_notes(self) -> list[Note]:
         """What happened, in order: faults with their cause, losses, the end."""
