@@ -74,6 +74,7 @@ def _demo(load: str) -> tuple[str, ...]:
     return (TSA, "demo", "--virtual", "--load", load, "--json", "--out", "{out}")
 
 
+OUT = ("--out", "{out}")
 CONTROL_LAWS = ("none", "(3.55)", "true")
 LOADS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
 MEASURES: tuple[Measure, ...] = (
@@ -192,6 +193,34 @@ MEASURES: tuple[Measure, ...] = (
         _found(r": ([\d.]+) s, of which"),
         "s",
         long=True,
+    ),
+    *(
+        Measure(
+            f"hour-{kind}",
+            f"an hour at 1 kHz diagnosed, {words}: peak of memory",
+            ("{root}/tools/run", "bench/hour"),
+            _found(rf"{kind}: .*: peak ([\d.]+) MB"),
+            "MB",
+            long=True,
+        )
+        for kind, words in (("csv", "a table of 6 columns"), ("mcap", "the daemon's own log"))
+    ),
+    *(
+        Measure(
+            f"outside-{name}",
+            f"causes outside the catalogue, of {of} draws: {words}",
+            ("{root}/tools/run", "bench/diagnose", "--short", "--families", "outside:3", "--seed", "9600", *OUT),
+            _found(rf"{pattern}\s+[<>]= \d+%\s+(\d+)/{of} "),
+            f"of {of}",
+            deterministic=True,
+            long=True,
+        )
+        for name, words, pattern, of in (
+            ("noticed", "noticed", "outside the catalogue: noticed", 42),
+            ("wrong", "a single wrong name beside it", "outside the catalogue: a confident name", 42),
+            ("formula", "a formula takes 70 % of what is left", "a formula takes 70 % of what is left", 42),
+            ("instant", "the same of a function of an instant", "a function of an instant: the same", 18),
+        )
     ),
     Measure(
         "cycle",

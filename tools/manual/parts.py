@@ -85,10 +85,12 @@ def verbs() -> str:
     return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
 
 
-def figures() -> str:
-    """What was measured, from the file that the measuring wrote."""
+def figures(*beginnings: str) -> str:
+    """What was measured, from the file that the measuring wrote: all of it, or what has such a name."""
     rows: list[tuple[str, ...]] = []
-    for row in measure.load().values():
+    for name, row in measure.load().items():
+        if beginnings and not name.startswith(beginnings):
+            continue
         spread = "" if row["runs"] == 1 else f" ({row['low']:.3g} to {row['high']:.3g} in {row['runs']})"
         value = f"{row['value']:.3g} {row['unit']}{spread}"
         rows.append((row["words"], value, f"`{row['command']}`", f"{row['date']}, {row['commit']}"))
@@ -155,6 +157,7 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "profiles": profiles,
     "quirks": quirks,
     "figures": figures,
+    "diagnosis-figures": partial(figures, "hour-", "outside-"),
     "licences": licences,
     "hazards": hazard_table,
     **{name: partial(measured_table, name) for name in tables.COMMANDS},

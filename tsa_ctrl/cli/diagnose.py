@@ -126,7 +126,9 @@ def _diagnose(
     from tsa_ctrl.identify.diagnosis.report.beside import drawing
     from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
+    from tsa_ctrl.system.memory import give_back_large
 
+    give_back_large()
     given = load_model(model)
     console = Console(stderr=True)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
