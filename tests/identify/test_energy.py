@@ -10,6 +10,7 @@ import pytest
 
 from tests.blind import tendon_logs
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify import energy
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset, load_log
 from tsa_ctrl.identify.energy import check_energy
@@ -45,6 +46,15 @@ def test_a_right_log_is_accepted(seed: int) -> None:
 def test_a_reversed_channel_is_named(seed: int, names: tuple[str, ...], said: str) -> None:
     table, model = rig_log(seed)
     with pytest.raises(UsageError, match=f"{said} reversed"):
+        check_energy(turned(table, *names), model)
+
+
+@pytest.mark.parametrize("names", [("tau_j",), ("tau_m",), VELOCITIES])
+def test_of_a_long_log_some_samples_are_enough(names: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    table, model = rig_log(0)
+    monkeypatch.setattr(energy, "MOST", len(table["t"]) // 6)
+    check_energy(turned(table), model)
+    with pytest.raises(UsageError, match=f"column {names[0]} is reversed"):
         check_energy(turned(table, *names), model)
 
 
