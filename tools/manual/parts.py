@@ -85,14 +85,19 @@ def verbs() -> str:
     return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
 
 
+def _short(value: float) -> str:
+    """Three digits, of a large number all before the point."""
+    return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+
+
 def figures(*beginnings: str) -> str:
     """What was measured, from the file that the measuring wrote: all of it, or what has such a name."""
     rows: list[tuple[str, ...]] = []
     for name, row in measure.load().items():
         if beginnings and not name.startswith(beginnings):
             continue
-        spread = "" if row["runs"] == 1 else f" ({row['low']:.3g} to {row['high']:.3g} in {row['runs']})"
-        value = f"{row['value']:.3g} {row['unit']}{spread}"
+        spread = "" if row["runs"] == 1 else f" ({_short(row['low'])} to {_short(row['high'])} in {row['runs']})"
+        value = f"{_short(row['value'])} {row['unit']}{spread}"
         rows.append((row["words"], value, f"`{row['command']}`", f"{row['date']}, {row['commit']}"))
     return table(("what", "figure", "command", "measured"), rows)
 
