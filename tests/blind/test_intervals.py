@@ -28,7 +28,7 @@ def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_lo
 )
 def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str) -> None:
     inside = []
-    for seed in range(SEED, SEED + 4):
+    for seed in range(SEED, SEED + 3):  # one of which may be outside
         answer = asked("single", effect, seed)
         found = [cause for cause in answer.report["causes"] if cause["effect"] == effect]
         truth = answer.effects[effect][parameter]

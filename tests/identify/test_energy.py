@@ -153,6 +153,7 @@ class TestRatios:
 
 
 @pytest.mark.slow
+@pytest.mark.soak  # as all of them are before they are simulated: tests/identify/test_simulate.py
 def test_the_measured_cable_drive_is_accepted_in_all_trials(data_dir: Path) -> None:
     folder = data_dir / "davinci"
     model = load_model(folder / "actuator.toml")

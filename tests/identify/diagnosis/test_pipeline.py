@@ -39,8 +39,19 @@ def test_an_effect_without_a_parameter_is_a_rival_of_what_simulates_the_same() -
     ]
 
 
+AND_SOAK = [pytest.mark.soak]  # what the gate asks, too, with other draws: tests/blind/test_gate.py
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seed"), [("rich", 9101), ("plain", 9102), ("slow_sine", 9103), ("rich", 9104)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("rich", 9101),
+        pytest.param("plain", 9102, marks=AND_SOAK),
+        pytest.param("slow_sine", 9103, marks=AND_SOAK),
+        pytest.param("rich", 9104, marks=AND_SOAK),
+    ],
+)
 def test_nothing_is_named_where_nothing_is_hidden(name: str, seed: int) -> None:
     assert diagnosed("none", name, seed).causes == ()
 
@@ -49,12 +60,12 @@ def test_nothing_is_named_where_nothing_is_hidden(name: str, seed: int) -> None:
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        ("stribeck_friction", 9003),
+        pytest.param("stribeck_friction", 9003, marks=AND_SOAK),
         ("viscous_friction", 9004),
-        ("presliding_hysteresis", 9005),
-        ("load_dependent_friction", 9006),
-        ("torque_offset", 9007),
-        ("sheath_asymmetry", 9008),
+        pytest.param("presliding_hysteresis", 9005, marks=AND_SOAK),
+        pytest.param("load_dependent_friction", 9006, marks=AND_SOAK),
+        pytest.param("torque_offset", 9007, marks=AND_SOAK),
+        pytest.param("sheath_asymmetry", 9008, marks=AND_SOAK),
         ("pulley_eccentricity", 9302),
     ],
 )
@@ -296,6 +307,7 @@ def test_the_page_prints_on_a4(written: Path, browser: str, tmp_path: Path) -> N
         assert set(page.evaluate(inside)) == {"avoid"}
 
 
+@pytest.mark.slow
 def test_the_diagnosis_loads_nothing_that_takes_as_long_as_all_else() -> None:
     """scipy.stats and scipy.signal: half of the time until a verb of the diagnosis begins."""
     asked = "import sys, tsa_ctrl.identify.diagnosis; print({'scipy.stats', 'scipy.signal'} & set(sys.modules))"

@@ -14,9 +14,14 @@ DRAWS = 2
 WORST = 1.1  # times the error of the best fixed filter
 
 
+def and_soak(values: list[float]) -> list[object]:
+    """Each second value, the ends among them; those between are soaked."""
+    return [pytest.param(value, marks=[pytest.mark.soak] if place % 2 else []) for place, value in enumerate(values)]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("bits", [8, 12, 16, 20, 24])
-@pytest.mark.parametrize("bandwidth", [1.0, 3.0, 10.0, 30.0, 100.0])
+@pytest.mark.parametrize("bits", and_soak([8, 12, 16, 20, 24]))
+@pytest.mark.parametrize("bandwidth", and_soak([1.0, 3.0, 10.0, 30.0, 100.0]))
 @pytest.mark.parametrize("kind", ["tones", "noise"])
 def test_it_errs_little_more_than_the_best_fixed_filter(kind: str, bandwidth: float, bits: int) -> None:
     """Position, velocity and acceleration, each against its own best of 56 filters; two periods from the ends."""

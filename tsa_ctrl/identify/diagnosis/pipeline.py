@@ -16,9 +16,7 @@ from tsa_ctrl.identify.diagnosis.data.thinning import left_out
 from tsa_ctrl.identify.diagnosis.fitting.fit import fit
 from tsa_ctrl.identify.diagnosis.fitting.noise_model import recalibrated
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates, candidates, scales_of
-from tsa_ctrl.identify.diagnosis.parameters.formula import formula_of_what_is_left
-from tsa_ctrl.identify.diagnosis.parameters.held_out import held_out
-from tsa_ctrl.identify.diagnosis.parameters.instead import stand_in
+from tsa_ctrl.identify.diagnosis.parameters.claims import claims
 from tsa_ctrl.identify.diagnosis.parameters.profile_refinement import profile_refined
 from tsa_ctrl.identify.diagnosis.parameters.proportion import in_proportion
 from tsa_ctrl.identify.diagnosis.parameters.refit import refit
@@ -39,7 +37,7 @@ from tsa_ctrl.identify.diagnosis.rivals.alternatives import alternatives
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import by_stretch
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
-from tsa_ctrl.identify.diagnosis.selection.forward import select, without_causes
+from tsa_ctrl.identify.diagnosis.selection.forward import select
 from tsa_ctrl.model.parameters import Model
 
 Progress = Callable[[str], None]
@@ -83,24 +81,12 @@ def diagnose(
         say("parameters and gain")
         base = fit(selection.problem, base.hypothesis, base.point)
         share = structure_share(findings)
-        errors = held_out(selection.problem, base, selection.fitted, data, share)
-        while (worthless := errors.worthless) is not None:  # no claim without a gain
-            selection = without_causes(selection, [worthless])
-            groups = (*groups[:worthless], *groups[worthless + 1 :])
-            errors = held_out(selection.problem, base, selection.fitted, data, share)
-        formula = formula_of_what_is_left(selection.problem, selection.fitted, data) if share > 0.0 else None
-        while share > 0.0:  # nor one in whose place a formula does better
-            index = stand_in(selection.problem, selection.fitted, groups, data, formula)
-            if index is None:
-                break
-            selection = without_causes(selection, [index])
-            groups = (*groups[:index], *groups[index + 1 :])
-            errors = held_out(selection.problem, base, selection.fitted, data, share)
-            formula = formula_of_what_is_left(selection.problem, selection.fitted, data)
+        claimed = claims(selection, groups, base, data, share)
+        selection, errors, formula = claimed.selection, claimed.errors, claimed.formula
         beside = by_stretch(selection, scales)
         reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted, share > 0.0))
         reported = in_proportion(data.frame, reported)
-        refuse_unrelated(problem, data.held, errors, share)
+        refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)
         if formula is not None:  # what follows a formula is no noise
             errors = dataclasses.replace(errors, noise_floor=min(errors.noise_floor, formula.rms[1]))
@@ -119,11 +105,12 @@ def diagnose(
             base,
             selection,
             findings,
-            groups,
+            claimed.groups,
             beside,
             reported,
             errors,
             formula,
             limits,
+            claimed.transfer,
         ),
     )

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
 
@@ -69,15 +70,21 @@ def refuse_without_friction(problem: Problem, base: Fit, named: bool) -> None:
         _refuse_unseen_friction(problem, base)
 
 
-def refuse_unrelated(problem: Problem, held: NDArray[np.bool_], errors: HeldOut, structure: float) -> None:
+def refuse_unrelated(
+    problem: Problem, held: NDArray[np.bool_], errors: HeldOut, structure: float, formula: Formula | None
+) -> None:
     """Tendons where causes, if any, hardly help a simulation that has hardly anything of the measured torque.
 
-    held (n): samples that no fit has seen; structure: share of what is left that is no noise.
+    held (n): samples that no fit has seen; structure: share of what is left that is no noise. What a formula in the
+    logs' own signals brings near on held-out data is of this drive, however far off it is without (a sensor with a wide
+    dead zone).
     """
     if problem.base.target == "tau_m" or structure <= 0.0:
         return
     torque = float(np.sqrt(np.mean(np.square(problem.frame.target[held]))))
-    if errors.extended > UNRELATED * torque and errors.extended > LEAST_IMPROVEMENT * errors.recalibrated:
+    enough = LEAST_IMPROVEMENT * errors.recalibrated
+    described = formula is not None and formula.rms[1] <= enough  # some of it a formula takes of strange columns, too
+    if errors.extended > UNRELATED * torque and errors.extended > enough and not described:
         raise InsufficientError(STRANGE)
 
 

@@ -98,7 +98,15 @@ def test_what_a_drive_holds_at_rest_is_no_cause(offset: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seed"), [("slow_gait", 1), ("slow_multisine", 1), ("plateaus", 1), ("plateaus", 2)])
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("slow_gait", 1),
+        pytest.param("slow_multisine", 1, marks=pytest.mark.soak),
+        pytest.param("plateaus", 1, marks=pytest.mark.soak),
+        ("plateaus", 2),
+    ],
+)
 def test_hidden_directions_are_no_structure(name: str, seed: int) -> None:
     hidden = case("hidden_direction", name, seed, short=True)
     logs = {log.name: log.columns for log in hidden.logs}

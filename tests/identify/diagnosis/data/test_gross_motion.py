@@ -12,9 +12,8 @@ from tests.blind import memory
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.audit import audit
-from tsa_ctrl.identify.diagnosis.data.denoise import denoised
 from tsa_ctrl.identify.diagnosis.data.gross_motion import along_gross_motion
-from tsa_ctrl.identify.diagnosis.data.prepare import prepare
+from tsa_ctrl.identify.diagnosis.data.prepare import narrowed, prepare
 from tsa_ctrl.identify.diagnosis.data.split import Split, split
 
 RATE = 500.0  # Hz
@@ -70,7 +69,20 @@ def test_logs_that_are_held_out_have_no_say() -> None:
 
 @pytest.mark.parametrize("band", [5.0, 12.0])
 def test_the_acceleration_keeps_its_own_band(band: float) -> None:
+    own = prepare(_logs(friction_follows_all=True, logs=1), ACTUATOR)[0]
+    below = narrowed(own, band)
+    assert np.array_equal(own.full.acceleration, below.full.acceleration)
+    assert float(np.std(below.full.omega_j)) < 0.9 * float(np.std(own.full.omega_j))
+    assert float(np.mean(below.velocity_error)) != float(np.mean(own.velocity_error))
+
+
+def test_what_was_recorded_is_not_made_again() -> None:
     log = _logs(friction_follows_all=True, logs=1)[0]
-    own, narrowed = denoised(log)[0], denoised(log, band)[0]
-    assert np.array_equal(own.acceleration, narrowed.acceleration)
-    assert float(np.std(narrowed.omega_j)) < 0.9 * float(np.std(own.omega_j))
+    columns = {name: log[name] for name in ("t", "tau_m", "tau_j", "q_j")}
+    recorded = {**columns, "omega_j": np.gradient(log["q_j"], log["t"]), "q_m": 1.3 * log["q_j"]}
+    own = prepare([Dataset.from_arrays(recorded, "both")], ACTUATOR)[0]
+    below = narrowed(own, 5.0)
+    shared = [name for name in ("tau_m", "omega_j", "q_j") if getattr(below.full, name) is getattr(own.full, name)]
+    assert shared == ["tau_m", "omega_j", "q_j"]
+    assert not np.array_equal(below.signals.omega_m, own.signals.omega_m)
+    assert np.array_equal(below.velocity_error, own.velocity_error)

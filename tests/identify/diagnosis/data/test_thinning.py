@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 import zlib
 
@@ -11,6 +12,7 @@ import pytest
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import diagnose
+from tsa_ctrl.identify.diagnosis.data import prepare
 from tsa_ctrl.identify.diagnosis.data.thinning import informative
 from tsa_ctrl.model.parameters import RigidDrive
 
@@ -61,6 +63,18 @@ def test_what_is_held_out_has_its_share() -> None:
 
 
 @pytest.mark.slow
+def test_a_diagnosis_uses_the_logs_that_tell_most_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 12 logs 100 s, as of fifty (below) 600."""
+    monkeypatch.setattr(prepare, "informative", functools.partial(informative, longest=100.0))
+    drive = RigidDrive(coulomb_friction=0.25, viscous_friction=0.06)
+    found = diagnose([log(f"{number:02d}", 0.5 + 0.2 * number, spring=0.2) for number in range(12)], drive)
+    assert found.causes[0].effect == "joint_stiffness"
+    assert found.details is not None
+    assert found.details.notes[0] == "5 of 12 logs, 100 s, are used: the others repeat what these show"
+
+
+@pytest.mark.slow
+@pytest.mark.soak
 def test_fifty_logs_are_diagnosed_as_thirty_are() -> None:
     """1,000 s: at rates that sink with the length, friction's turns were lost."""
     drive = RigidDrive(coulomb_friction=0.25, viscous_friction=0.06)

@@ -58,7 +58,9 @@ def test_without_the_motor_angle_nothing_is_said_of_them() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", ["joint", "even", "motor"])
+@pytest.mark.parametrize(
+    "shape", [pytest.param("joint", marks=pytest.mark.soak), "even", pytest.param("motor", marks=pytest.mark.soak)]
+)
 def test_a_rig_as_its_file_says_has_none(shape: str) -> None:
     found = diagnosed(two_encoder_case(f"{NOTHING}:{shape}", 1, short=True))
     assert found.causes == ()
@@ -76,7 +78,7 @@ def test_a_spring_is_a_wrong_stiffness_where_nobody_knows_the_shape() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.0, 0.4])
+@pytest.mark.parametrize("factor", [0.0, pytest.param(0.4, marks=pytest.mark.soak)])
 def test_angles_that_contradict_the_file_name_nothing(factor: float) -> None:
     """A motor's encoder that follows something else, or tendons much stiffer than the file has them: told why."""
     case = two_encoder_case("pulley_slip:joint", 0, short=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from tests.blind.cases import Case
 from tests.blind.two_encoders import two_encoder_case, without_motor_angle
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.diagnosis.rivals.by_stretch import _visibly_less
 from tsa_ctrl.model.parameters import model_from
 
 
@@ -23,7 +25,9 @@ def names(case: Case) -> list[set[str]]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2], ids=["evenly bent", "bent at the motor"])
+@pytest.mark.parametrize(
+    "seed", [pytest.param(1, id="evenly bent"), pytest.param(2, id="bent at the motor", marks=pytest.mark.soak)]
+)
 def test_the_stretch_parts_shape_from_torque_constant(seed: int) -> None:
     """Twins to the torque sensor; friction before the bends stretches the tendons, the motor's scale does not."""
     case = two_encoder_case("elongation_or_gain:joint", seed, short=True)
@@ -53,3 +57,31 @@ def test_a_stretch_that_follows_no_hypothesis_excludes_none() -> None:
         logs.append(replace(log, columns={**log.columns, "q_m": other}))
     (group,) = names(replace(case, logs=logs))
     assert {"elongation_coupling", "torque_constant_error"} <= group
+
+
+ALL_ALONG = [40.0, 2.0, 2.5, 3.0, 2.2, 1.8, 9.0, 2.1, 2.6, 3.1, 1.9, 2.4]  # what blocks gain, very unequally
+NOW_AND_THEN = [40.0, -2.0, 2.5, -3.0, 2.2, -1.8, 9.0, -2.1, 2.6, -3.1, 1.9, -2.4]  # two say all of it
+
+
+@pytest.mark.parametrize(
+    ("gained", "once", "shown"),
+    [
+        (ALL_ALONG, False, True),
+        (NOW_AND_THEN, False, False),
+        ([0.0, 500.0], False, False),
+        ([0.0, 0.0, 500.0], True, False),  # t of 1: k blocks that say all of it have the root of k
+        ([100.0, 120.0, 90.0, 0.0], True, True),
+        ([2.0, 2.1] * 6, False, False),  # a quarter less is seen, an eighth is no matter
+        ([500.0], False, False),
+    ],
+)
+def test_what_acts_all_along_must_be_said_by_many_blocks_however_unequally(
+    gained: list[float], once: bool, shown: bool
+) -> None:
+    """Less squares in each block, of 40 samples; what is left is a hundred in all."""
+    blocks = np.repeat(np.arange(len(gained)), 40)
+    left = np.full(len(blocks), 100.0 / len(blocks))
+    more = SimpleNamespace(squares=left)
+    less = SimpleNamespace(squares=left + np.asarray(gained)[blocks] / 40.0)
+    stretch = SimpleNamespace(seen=SimpleNamespace(blocks=blocks))
+    assert _visibly_less(stretch, more, less, once=once) is shown  # type: ignore[arg-type]

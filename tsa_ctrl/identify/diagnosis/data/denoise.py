@@ -8,13 +8,13 @@ little else.
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.motion import SURE, directed, with_sure_signs
+from tsa_ctrl.identify.smoothing import Smoothed
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass
@@ -30,29 +30,25 @@ STANDSTILL = 0.05  # s at velocity 0 from which on the joint is taken to stand
 RINGING = 0.1  # s beside a standstill or about a jump in which the velocity is left as it is
 JUMP = 7.0  # standard deviations of a velocity's noise, that no noise reaches
 STEP_NOISE = 0.4  # standard deviation of a velocity near 0 in its steps
+DERIVED = (("q_j", "omega_j"), ("q_m", "omega_m"))  # angles, and the velocities that come from them unless recorded
 
 
-def denoised(log: Dataset, band: float = math.inf) -> tuple[Signals, float, Array]:
-    """The log's signals denoised, the noise left in the velocity, and its error (n).
+def denoised(log: Dataset) -> tuple[Signals, float, Array]:
+    """The log's signals denoised, the noise left in the joint's velocity (of a plain drive its one), and its error (n).
 
-    `band` in Hz: the upper edge of angles, and of velocities derived from them, where it is below the data's own. An
-    acceleration keeps its own.
+    An acceleration keeps its own low-pass.
     """
     signals = log.signals()
     clean: dict[str, Array] = {}
     noise, error = 0.0, np.zeros(len(log))
     if log.period * SHARP < 0.21:
         clean["tau_m"] = low_pass(signals.tau_m, log.period, SHARP)
-    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
+    for angle, velocity in DERIVED:
         if velocity in log.derived:  # with the angle under the same low-pass: the two turn at the same moment
-            found = log.motion.smoothed(angle).within(band)
+            found = log.motion.smoothed(angle)
             clean[angle] = found.value
-            if found is not log.motion.smoothed(angle):
-                clean[velocity] = directed(found)
-            if velocity == "omega_j" or "omega_j" not in log:
-                noise = found.errors[1]
-                bent = 0.0 if found.smooth is None else _distortion(found.rate, log.period, found.smooth.cutoff)
-                error = np.hypot(noise, bent)
+            if _is_the_joint(log, velocity):
+                noise, error = _uncertain(found, log.period)
     for name in ("omega_j", "omega_m", "q_j", "q_m"):
         column = getattr(signals, name)
         if column is None or name in clean or name in log.derived or (name not in log and "omega_m" in log.derived):
@@ -67,6 +63,35 @@ def denoised(log: Dataset, band: float = math.inf) -> tuple[Signals, float, Arra
             smooth, error = _turned_once(smooth, column, log.period, noise, error)
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
+
+
+def denoised_within(log: Dataset, band: float) -> tuple[dict[str, Array], tuple[float, Array] | None]:
+    """What changes when derived motion reaches up to `band` Hz only: angles and velocities by name, (n) each.
+
+    Beside them noise and error as of `denoised`, None where they stay as they are. Nothing changes where the data's own
+    band is lower.
+    """
+    clean: dict[str, Array] = {}
+    uncertain = None
+    for angle, velocity in DERIVED:
+        own = log.motion.smoothed(angle) if velocity in log.derived else None
+        if own is None or (found := own.within(band)) is own:
+            continue
+        clean[angle], clean[velocity] = found.value, directed(found)
+        if _is_the_joint(log, velocity):
+            uncertain = _uncertain(found, log.period)
+    return clean, uncertain
+
+
+def _is_the_joint(log: Dataset, velocity: str) -> bool:
+    return velocity == "omega_j" or "omega_j" not in log
+
+
+def _uncertain(found: Smoothed, period: float) -> tuple[float, Array]:
+    """Noise and error of a derived velocity, rad/s: one number, and (n)."""
+    noise = found.errors[1]
+    bent = 0.0 if found.smooth is None else _distortion(found.rate, period, found.smooth.cutoff)
+    return noise, np.hypot(noise, bent) + np.zeros(len(found.raw))
 
 
 def _turned_once(smooth: Array, omega: Array, period: float, noise: float, error: Array) -> tuple[Array, Array]:

@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
-from tsa_ctrl.identify.diagnosis.data.prepare import run_of
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.diagnosis.data.prepare import narrowed
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.model.effects.memory import PreslidingHysteresis
 from tsa_ctrl.model.effects.search import geometric
@@ -40,7 +40,7 @@ def along_gross_motion(data: Split, model: Model) -> Split:
     own = best = _left(frame)
     while True:
         band *= 0.5
-        slower = dataclasses.replace(frame, runs=tuple(_within(run, band) for run in frame.runs))
+        slower = dataclasses.replace(frame, runs=tuple(narrowed(run, band) for run in frame.runs))
         left = _left(slower)
         if not float(np.mean(np.log(best / left))) > 0.0:
             break
@@ -60,19 +60,20 @@ def _widest(frame: Frame) -> float:
     return max(cutoffs)
 
 
-def _within(run: Run, band: float) -> Run:
-    """The run with derived motion up to `band` Hz."""
-    return dataclasses.replace(run_of(run.raw, run.full_target, run.full_bin // run.bin, run.bin, band), band=band)
-
-
 def _left(frame: Frame) -> Array:
     """Mean square in each block, (N*m)^2, of what the best presliding leaves of the torque."""
     used = frame.train
     blocks = np.unique(frame.blocks[used], return_inverse=True)[1]
     target = frame.target[used]
+    always = [
+        np.ones(len(frame)),
+        frame.column("tau_m"),
+        frame.stack([np.abs(run.signals.tau_m) for run in frame.runs]),
+    ]
+    always.append(frame.stack([run.angle for run in frame.runs]))  # a spring
     best, least = np.ones(1), math.inf
     for effect in _presliding(frame):
-        columns = frame.stack([_features(run, effect) for run in frame.runs])[used]
+        columns = np.column_stack([*always, *_friction(frame, effect)])[used]
         rest = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
         if (whole := float(rest @ rest)) < least:
             best, least = np.bincount(blocks, rest**2) / np.bincount(blocks), whole
@@ -91,10 +92,11 @@ def _presliding(frame: Frame) -> list[PreslidingHysteresis]:
     return out
 
 
-def _features(run: Run, effect: PreslidingHysteresis) -> Array:
-    """What makes up a tendon-sheath's torque, (n, k): (3.55) with friction z that may depend on the load, a spring."""
-    s = run.signals
-    path = effect.path(s)
-    z = effect.state(path, effect.start(path, s.t, s.omega_j))
-    columns = [np.ones(len(s)), s.tau_m, z, z * s.tau_m, np.abs(s.tau_m), run.angle]
-    return np.column_stack(columns)
+def _friction(frame: Frame, effect: PreslidingHysteresis) -> tuple[Array, Array]:
+    """Friction z beside the others of (3.55) in a tendon-sheath's torque, and z times the load it may depend on."""
+    states = []
+    for run in frame.runs:
+        path = effect.path(run.signals)
+        states.append(effect.state(path, effect.start(path, run.signals.t, run.signals.omega_j)))
+    loaded = [z * run.signals.tau_m for z, run in zip(states, frame.runs, strict=True)]
+    return frame.stack(states), frame.stack(loaded)

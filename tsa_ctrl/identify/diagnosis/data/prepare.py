@@ -7,7 +7,6 @@ but resolution: a pulse shorter than one average keeps its area.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.diagnosis.data.denoise import denoised
+from tsa_ctrl.identify.diagnosis.data.denoise import denoised, denoised_within
 from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.thinning import informative
 from tsa_ctrl.model.functions import Array
@@ -74,19 +73,37 @@ def _reduced(logs: Sequence[Dataset], target: str) -> list[Run]:
     rate = min(slowest, COMPUTE_RATE, COMPUTE_SAMPLES / total)
     factor = max(1, round(slowest / rate)) if slowest / rate > 1.3 else 1
     bin_ = max(1, round(slowest / factor / min(SCORE_RATE, SCORE_SAMPLES / total)))
-    return [run_of(log, log[target], factor * max(1, round(log.rate / slowest)), bin_) for log in logs]
+    return [_run_of(log, log[target], factor * max(1, round(log.rate / slowest)), bin_) for log in logs]
 
 
-def run_of(log: Dataset, measured: Array, factor: int, bin_: int, band: float = math.inf) -> Run:
+def _run_of(log: Dataset, measured: Array, factor: int, bin_: int) -> Run:
     """One log with `factor` of its samples to one at the compute rate, `bin_` of those to a score sample.
 
-    `measured` (n): what the model predicts, N*m. `band` in Hz: of derived motion, as of `denoised`.
+    `measured` (n): what the model predicts, N*m.
     """
-    full, noise, error = denoised(log, band)
+    full, noise, error = denoised(log)
     small = {f.name: getattr(full, f.name) for f in dataclasses.fields(full)}
     signals = Signals(**{name: _means(y, factor) for name, y in small.items() if y is not None})
     averages = _means(measured, factor), bin_, noise, _means(error, factor)
     return Run(log.name, signals, *averages, log, full, measured, factor * bin_)
+
+
+def narrowed(run: Run, band: float) -> Run:
+    """The run with derived motion up to `band` Hz; what does not change is shared with it, not made again."""
+    factor = run.full_bin // run.bin
+    clean, uncertain = denoised_within(run.raw, band)
+    small = {name: _means(y, factor) for name, y in clean.items()}
+    noise, error = (
+        (run.velocity_noise, run.velocity_error) if uncertain is None else (uncertain[0], _means(uncertain[1], factor))
+    )
+    return dataclasses.replace(
+        run,
+        signals=dataclasses.replace(run.signals, **small),
+        full=dataclasses.replace(run.full, **clean),
+        velocity_noise=noise,
+        velocity_error=error,
+        band=band,
+    )
 
 
 def _means(y: Array, factor: int) -> Array:

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -61,6 +62,14 @@ class TendonBase:
     target: str = "tau_j"
 
     def coordinates(self, wide_prior: bool = False) -> tuple[Coordinate, ...]:
+        return self._coordinates[wide_prior]
+
+    @cached_property
+    def _coordinates(self) -> tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]]:
+        """Without and with a wide prior: each of a thousand predictions asks for them."""
+        return self._freed(False), self._freed(True)
+
+    def _freed(self, wide_prior: bool) -> tuple[Coordinate, ...]:
         free = []
         for name, value, uncertainty in (
             ("friction_angle", self.given.friction_angle, self.given.friction_angle_uncertainty),
@@ -76,13 +85,11 @@ class TendonBase:
 
     def build(self, values: Sequence[float] | Array, effects: Effects) -> Model:
         model = self.given.with_effects({**self.given.effects, **effects}) if effects else self.given
-        for coordinate, value in zip(self.coordinates(), values, strict=True):  # T_ref stays at the file's pretension
-            factor = math.exp(float(value))
-            if coordinate.name == "friction_angle":
-                model = model.recalibrated(friction_angle=model.friction_angle * factor)
-            else:
-                model = model.recalibrated(pretension=model.pretension * factor)
-        return model
+        changed = {  # T_ref stays at the file's pretension
+            coordinate.name: getattr(model, coordinate.name) * math.exp(float(value))
+            for coordinate, value in zip(self.coordinates(), values, strict=True)
+        }
+        return model.recalibrated(**changed) if changed else model
 
     def direction_weight(self, model: Model, signals: Signals) -> Array:
         return _half_difference(dataclasses.replace(model, effects={}), signals)

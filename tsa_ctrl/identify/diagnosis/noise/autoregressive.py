@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import cholesky, solve_toeplitz, solve_triangular, toeplitz
+from scipy.linalg import cholesky, solve_toeplitz, toeplitz
+from scipy.linalg.lapack import dtrtrs
 
 from tsa_ctrl.model.functions import Array
 
@@ -53,7 +54,7 @@ class Noise:
             out[part] = _filtered(self.filter, piece) / self.deviation
             head = min(lags, len(piece))
             if head:
-                out[part.start : part.start + head] = solve_triangular(self._factor(head), piece[:head], lower=True)
+                out[part.start : part.start + head] = _solved(self._factor(head), piece[:head])
         return out
 
     def _factor(self, size: int) -> Array:
@@ -92,6 +93,20 @@ class Noise:
             lines = rfft(columns[part], length, axis=0)
             total += np.real((lines.conj() * weight[:, None]).T @ lines)
         return total
+
+
+def _solved(factor: Array, y: Array) -> Array:
+    """x of factor x = y, the factor lower triangular: LAPACK as scipy calls it, without what that looks at before.
+
+    Raises FloatingPointError where y is not finite, by which a fit is given up.
+    """
+    if factor.flags.f_contiguous:
+        found = np.asarray(dtrtrs(factor, y, lower=1)[0])
+    else:
+        found = np.asarray(dtrtrs(factor.T, y, lower=0, trans=1)[0])
+    if not np.isfinite(found).all():
+        raise FloatingPointError("what is to be explained is not finite")
+    return found
 
 
 def _filtered(taps: Array, y: Array) -> Array:

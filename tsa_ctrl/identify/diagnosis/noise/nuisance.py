@@ -14,12 +14,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
-from scipy.sparse import csc_matrix
+from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import erf
 
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
@@ -99,9 +100,15 @@ class Projection:
     factor: tuple[Array, bool] | None
     dense: Array  # (m, j) orthonormal, and orthogonal to the short columns
 
+    @cached_property
+    def _across(self) -> csr_matrix:
+        """The short columns as rows; for where there are some."""
+        assert self.short is not None
+        return self.short.T
+
     def apply(self, white: Array) -> Array:
         if self.short is not None and self.factor is not None:
-            white = white - self.short @ cho_solve(self.factor, self.short.T @ white)
+            white = white - self.short @ cho_solve(self.factor, self._across @ white)
         if self.dense.shape[1]:
             white = white - self.dense @ (self.dense.T @ white)
         return np.asarray(white)

@@ -283,5 +283,5 @@ def _regressed(columns: Array, residual: Array, blocks: NDArray[np.int64]) -> tu
     number = int(blocks[-1]) + 1
     scores = np.zeros((number, columns.shape[1]))
     np.add.at(scores, blocks, columns * (residual - columns @ values)[:, None])
-    spread = bread @ (scores.T @ scores * number / max(number - 1, 1)) @ bread
-    return values, np.sqrt(np.diag(spread))
+    moved = scores @ bread  # what each block does to the values
+    return values, np.sqrt(np.sum(moved**2, axis=0) * number / max(number - 1, 1))

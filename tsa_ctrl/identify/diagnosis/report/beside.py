@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from functools import partial
@@ -28,15 +29,21 @@ def drawing() -> Iterator[Plot]:
         yield drawn_here
         return
     with local(PROCESSES, PICTURES) as workers:
-        workers.executor.submit(os.getpid)  # starts the process that loads what draws
+        # A first job starts what loads the pictures' code, and is taken only once that is loaded: a thread waits for it
+        threading.Thread(target=_begin, args=(workers.executor,), daemon=True).start()
         yield partial(_plot_by, workers.executor)
+
+
+def _begin(executor: Executor) -> None:
+    with contextlib.suppress(RuntimeError, OSError):  # the pictures will meet it again, and are drawn here then
+        executor.submit(os.getpid)
 
 
 def _plot_by(executor: Executor, result: Diagnosis, folder: Path) -> dict[str, Path]:
     try:
         made = {caption: executor.submit(_draw, result, name, folder) for name, caption in captions(result).items()}
         return {caption: path.result() for caption, path in made.items()}
-    except RuntimeError:  # they are gone, for want of memory maybe: it only takes longer
+    except (RuntimeError, OSError):  # they are gone, for want of memory maybe: it only takes longer
         return drawn_here(result, folder)
 
 

@@ -36,6 +36,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
             probability=group.probability,
             parameters=parameters[group.name],
             explained_fraction=errors.lost[index],
+            transfer=outcome.transfer[index].shares,
         )
         for index, group in zip(order, grouped, strict=True)
     )

@@ -15,6 +15,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Candidates
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit
+from tsa_ctrl.identify.diagnosis.parameters.transfer import Transfer
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding
 from tsa_ctrl.identify.diagnosis.rivals.by_stretch import ByStretch
 from tsa_ctrl.identify.diagnosis.rivals.groups import Group
@@ -46,6 +47,7 @@ class Outcome:
     errors: HeldOut
     formula: Formula | None  # of what is left
     limits: DetectionLimits
+    transfer: tuple[Transfer, ...]  # of each cause
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ class Cause:
     """A claim: this effect acts, or one of `alternatives` in its place (none when the name is sure).
 
     `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
-    lost without it. `parameters`: numbers with intervals, choices as words.
+    lost without it. `parameters`: numbers with intervals, choices as words. `transfer`: fitted on one half of the logs
+    and tried on the other (halves by "load", "speed", "time"), share of the mean square left without it that it takes.
     """
 
     effect: str
@@ -42,6 +43,7 @@ class Cause:
     probability: float
     parameters: Mapping[str, Quantity | str]
     explained_fraction: float
+    transfer: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,7 @@ class Diagnosis:
                     "probability": _rounded(cause.probability),
                     "parameters": {name: _plain(value) for name, value in cause.parameters.items()},
                     "explained_fraction": _rounded(cause.explained_fraction),
+                    "transfer": {name: _rounded(value) for name, value in cause.transfer.items()},
                 }
                 for cause in self.causes
             ],

@@ -26,8 +26,10 @@ MOST = 3  # effects that are named, of four that there are: all at once would be
 ENOUGH = 30.0  # of the cost, that the angles must say: no matter of a few counts
 FROM_FILE = 16.0  # of the cost, that the file must say: 4 standard deviations of its [uncertainty]
 VISIBLY = 1.25  # of the squares with the effect, that are left without it: 12 % of the RMS, seen in a picture
-BEYOND = 3.0  # t of the difference over the blocks: 0.3 % one-sided
-FOR_ONCE = 1.5  # the same of what passes or happens once: k blocks that say all of it have t = sqrt(k)
+# t over the blocks: 0.3 % one-sided. Of the roots of their differences, as those are squares: what acts all along says
+# a hundred times as much in one block as in another, and it is many blocks that must say it
+BEYOND = 3.0
+FOR_ONCE = 1.5  # t of the differences of what passes or happens once: k blocks that say all of it have t = sqrt(k)
 ALIKE = 9.0  # of the cost, within which another effect does as well: 3 standard deviations
 # Of the stretch's mean square less zero, drift and the effects: else something else stretches the tendons
 LEAST_TOLD = 0.9
@@ -103,19 +105,21 @@ def _with_one_more(stretch: Stretch, found: StretchFit, terms: Sequence[Term]) -
     more = stretch.fit((*found.terms, term))
     less = stretch.fit(found.terms, more.noise)
     by_file = less.beside - more.beside
-    shown = _visibly_less(stretch, more, less, FOR_ONCE if term.shape else BEYOND) or (
-        term.name == SPRING and by_file > FROM_FILE
-    )
+    shown = _visibly_less(stretch, more, less, once=bool(term.shape)) or (term.name == SPRING and by_file > FROM_FILE)
     within = term.variant.coordinates[0].low < more.amplitudes[-1] < term.variant.coordinates[0].high
     return (less.cost - more.cost, more) if shown and within else (0.0, None)
 
 
-def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, beyond: float) -> bool:
-    """Whether the first leaves visibly less of the stretch than the second, by `beyond` of the blocks' scatter."""
+def _visibly_less(stretch: Stretch, more: StretchFit, less: StretchFit, once: bool) -> bool:
+    """Whether the first leaves visibly less of the stretch than the second, beyond the blocks' scatter.
+
+    `once`: what makes the difference passes or happens once, and a few blocks may say all of it.
+    """
     gained = np.bincount(stretch.seen.blocks, less.squares - more.squares)
     total, left = float(gained.sum()), float(more.squares.sum())
-    spread = float(np.std(gained, ddof=1)) * math.sqrt(len(gained)) if len(gained) > 1 else math.inf
-    return total > ENOUGH and total > (VISIBLY - 1.0) * left and total > beyond * spread
+    judged, beyond = (gained, FOR_ONCE) if once else (np.copysign(np.sqrt(np.abs(gained)), gained), BEYOND)
+    spread = float(np.std(judged, ddof=1)) * math.sqrt(len(judged)) if len(judged) > 1 else math.inf
+    return total > ENOUGH and total > (VISIBLY - 1.0) * left and float(judged.sum()) > beyond * spread
 
 
 def _follows_the_tensions(stretch: Stretch, found: StretchFit) -> bool:

@@ -51,16 +51,26 @@ def elsewhere(problem: Problem, found: Fit, reversals: bool) -> Elsewhere:
     along a valley (friction and pretension beside a torque constant) the one alone means a wall.
     """
     learned = fit_on_simulation_error(problem, found, reversals)
-    blocks, folds = problem.blocks, _folds(problem)
+    squares: Array = np.bincount(problem.blocks, unseen(learned, _folds(problem))).astype(np.float64)
+    return Elsewhere(squares * problem.noise.rms**2)
+
+
+def unseen(learned: Fit, folds: NDArray[np.int64]) -> Array:
+    """Square of each residual, (m,), by a fit that did not see its fold. folds (m,): number of each sample's."""
+    squares = np.zeros(len(learned.residual))
+    for fold in np.unique(folds):
+        inside = folds == fold
+        squares[inside] = residual_of_part(learned, ~inside)[inside] ** 2
+    return squares
+
+
+def residual_of_part(learned: Fit, part: NDArray[np.bool_]) -> Array:
+    """Residuals, (m,), of the fit moved by one bounded step that the samples of `part`, (m,), alone ask for."""
     jacobian, residual = learned.jacobian, learned.residual
     point = learned.point[learned.free]
     low, high = learned.hypothesis.low[learned.free] - point, learned.hypothesis.high[learned.free] - point
-    squares = np.zeros(int(blocks[-1]) + 1)
-    for fold in np.unique(folds):
-        inside = folds == fold
-        step = bounded_step(jacobian[~inside], residual[~inside], low, high, SINGULAR)
-        squares += np.bincount(blocks[inside], (residual[inside] - jacobian[inside] @ step) ** 2, len(squares))
-    return Elsewhere(squares * problem.noise.rms**2)
+    step = bounded_step(jacobian[part], residual[part], low, high, SINGULAR)
+    return np.asarray(residual - jacobian @ step)
 
 
 def _folds(problem: Problem) -> NDArray[np.int64]:
