@@ -13,7 +13,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -106,35 +106,59 @@ def load(path: str | Path, kind: type[T]) -> T:
 def explain(message: str, kind: type) -> str:
     """Turn a msgspec message into `[section] key: found ..., allowed ...`."""
     text, _, at = message.partition(" - at ")
-    key = re.sub(r"^\$\.?|`", "", at.strip("` ")) or "top level"
+    place = at.strip("` ")
+    key = re.sub(r"^\$\.?|`", "", place) or "top level"
     unknown = re.match(r"Object contains unknown field `(.+)`", text)
     if unknown:
-        known = sorted(_field_names(kind))
-        near = difflib.get_close_matches(unknown.group(1), known, n=1, cutoff=0.5)
-        advice = f"did you mean '{near[0]}'?" if near else f"known keys are {', '.join(known)}"
-        return f"{key}: unknown key '{unknown.group(1)}'; {advice}"
+        return f"{key}: unknown key '{unknown.group(1)}'; {_advice(unknown.group(1), place, kind)}"
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:
         return f"{key}: key '{missing.group(1)}' is missing; add it"
     return f"{key}: {text[:1].lower()}{text[1:]}"
 
 
-def _field_names(kind: object, seen: set[object] | None = None) -> set[str]:
-    seen = set() if seen is None else seen
-    try:
-        if kind in seen:
-            return set()
-        seen.add(kind)
-    except TypeError:
-        return set()
-    names: set[str] = set()
+def _advice(name: str, place: str, kind: type) -> str:
+    """What to write instead of a key that is none at `place`: the nearest there, or the table that it belongs in."""
+    tables = list(tables_of(kind))
+    path = tuple(re.findall(r"\.(\w+)", place))
+    here = next((table for table in tables if table.path == path), tables[0])
+    near = difflib.get_close_matches(name, here.keys, n=1, cutoff=0.5)
+    homes = sorted({table.header for table in tables if name in table.keys and table is not here})
+    if homes:
+        *others, last = homes
+        instead = f", or did you mean '{near[0]}'?" if near else ""
+        return f"it belongs in {', '.join(others)}{' or ' if others else ''}{last}{instead}"
+    if near:
+        return f"did you mean '{near[0]}'?"
+    for table in tables:
+        near = difflib.get_close_matches(name, table.keys, n=1, cutoff=0.6)
+        if near:
+            return f"did you mean '{near[0]}' of {table.header}?"
+    return f"known keys are {', '.join(here.keys)}"
+
+
+class Table(NamedTuple):
+    """A table of a settings class."""
+
+    path: tuple[str, ...]  # its keys from the top
+    header: str  # as it is written
+    keys: list[str]  # those that it may have, sorted
+
+
+def tables_of(
+    kind: object, path: tuple[str, ...] = (), listed: bool = False, above: tuple[object, ...] = ()
+) -> Iterator[Table]:
+    """Every table of a settings class, the whole first; `listed`: there may be several of it."""
+    if kind in above:
+        return
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        for field in msgspec.structs.fields(kind):
-            names.add(field.encode_name)
-            names |= _field_names(field.type, seen)
+        fields = msgspec.structs.fields(kind)
+        header = f"[{'.'.join(path)}]" if path else "the top level"
+        yield Table(path, f"[{header}]" if listed else header, sorted(field.encode_name for field in fields))
+        for field in fields:
+            yield from tables_of(field.type, (*path, field.encode_name), False, (*above, kind))
     for argument in get_args(kind):
-        names |= _field_names(argument, seen)
-    return names
+        yield from tables_of(argument, path, listed or get_origin(kind) in (list, tuple), above)
 
 
 def write_text(path: str | Path, text: str) -> None:

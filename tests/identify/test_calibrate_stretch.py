@@ -15,6 +15,7 @@ from tests.virtual.joints import GAIT, play, sine
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.stretch import fit_stretch
+from tsa_ctrl.identify.calibrate.tendon_log import jump
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
 
@@ -152,6 +153,43 @@ def test_a_stiffness_that_the_stretch_does_not_tell_is_refused_with_the_cure() -
     with pytest.raises(UsageError, match="does not tell their stiffness here; record motion") as caught:
         fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("turned", [("tau_m",), ("q_m", "q_j")])
+def test_a_torque_that_turns_against_both_angles_is_refused(turned: tuple[str, ...]) -> None:
+    """Stiff tendons that give with the motor's torque, by a formula."""
+    data = rows()
+    data["tau_m"] = 0.6 * np.sin(2.0 * data["t"])
+    data["q_m"] = data["q_m"] + data["tau_m"] / 40.0
+    for name in turned:
+        data[name] = -data[name]
+    with pytest.raises(UsageError, match="tau_m, or both angles, have the wrong sign") as caught:
+        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("size", [0.02, -1.0])
+def test_a_zero_that_jumps_within_a_log_is_refused_with_its_time(size: float) -> None:
+    data = rows()
+    data["tau_m"] = 0.6 * np.sin(2.0 * data["t"])
+    data["q_m"] = data["q_m"] + data["tau_m"] / 40.0
+    at = float(data["t"][len(data["t"]) // 2])
+    data["q_j"] = data["q_j"] + size * (data["t"] >= at)
+    with pytest.raises(UsageError, match=rf" m at {at:.4g} s: a pulley slipped") as caught:
+        fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
+    said = float(str(caught.value).split("jumps by ")[1].split()[0])
+    assert said == pytest.approx(-size * NOMINAL.joint_pulley_radius, rel=0.01)
+
+
+def test_what_comes_back_is_no_jump() -> None:
+    """A reading that is wrong for three rows, and steps of a count."""
+    stretch = 1e-4 * np.sin(np.linspace(0.0, 20.0, 2000))
+    count = 2e-5
+    assert jump(count * np.round(stretch / count), 1e-5) is None
+    stretch[1000:1003] += 5e-4
+    assert jump(stretch, 1e-5) is None
+    stretch[1003:] += 5e-4
+    assert jump(stretch, 1e-5) == (1000, pytest.approx(5e-4, rel=0.01))
 
 
 def test_a_missing_encoder_is_named() -> None:

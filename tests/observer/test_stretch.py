@@ -17,7 +17,16 @@ from tests.virtual.joints import GAIT, play, play_case, sine
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.observer import tendons
-from tsa_ctrl.observer.stretch import BAND, COURSE, LONGEST_GAP, RESTART, StretchObserver, StretchState, pairs_of
+from tsa_ctrl.observer.stretch import (
+    BAND,
+    COURSE,
+    LONGEST_GAP,
+    RESTART,
+    TURN_DOUBT,
+    StretchObserver,
+    StretchState,
+    pairs_of,
+)
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import simulate_loop
 
@@ -58,8 +67,17 @@ def rms(values: np.ndarray) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["gait", "held", "weight"])
-@pytest.mark.parametrize("curvature", ["uniform", "motor_end"])
+@pytest.mark.parametrize(
+    ("case", "curvature"),
+    [
+        ("gait", "uniform"),
+        ("held", "motor_end"),
+        ("weight", "uniform"),
+        pytest.param("gait", "motor_end", marks=pytest.mark.soak),
+        pytest.param("held", "uniform", marks=pytest.mark.soak),
+        pytest.param("weight", "motor_end", marks=pytest.mark.soak),
+    ],
+)
 def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Path, case: str, curvature: str) -> None:
     """3 % while sliding, 8 % through reversals and on a held joint, where the mean of the tensions has 25 %."""
     result = play_case(tmp_path, case, curvature=curvature, plant=OFF)
@@ -69,7 +87,7 @@ def test_the_torque_is_known_though_friction_and_pretension_are_not(tmp_path: Pa
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", ["gait", "held", "weight"])
+@pytest.mark.parametrize("case", ["gait", "held", pytest.param("weight", marks=pytest.mark.soak)])
 def test_a_stiffness_that_is_off_is_learned(tmp_path: Path, case: str) -> None:
     """The file's is a fifth too high, and the torque would be off by as much; its bound says 25 %."""
     off = {"perturbation": {**OFF["perturbation"], "axial_stiffness": 0.83}}
@@ -80,8 +98,17 @@ def test_a_stiffness_that_is_off_is_learned(tmp_path: Path, case: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rate", [250, 1000])
-@pytest.mark.parametrize("friction", [0.8, 1.08, 1.3])
+@pytest.mark.parametrize(
+    ("friction", "rate"),
+    [
+        (0.8, 250),
+        (1.08, 250),
+        (1.3, 250),
+        (1.3, 1000),
+        pytest.param(0.8, 1000, marks=pytest.mark.soak),
+        pytest.param(1.08, 1000, marks=pytest.mark.soak),
+    ],
+)
 def test_it_does_not_matter_how_the_tendons_lay_when_it_began(tmp_path: Path, rate: int, friction: float) -> None:
     """The shipped files: the joint walks already when the loop begins, its tendons all slid one way by then."""
     text = (SHIPPED / "controller.toml").read_text(encoding="utf-8").replace("rate = 1000.0", f"rate = {rate}.0")
@@ -96,6 +123,20 @@ def test_it_does_not_matter_how_the_tendons_lay_when_it_began(tmp_path: Path, ra
     assert rms(error[slides]) <= 0.03 * size
     assert rms(error) <= 0.08 * size
     assert not any("differs from the tendons' stretch" in str(event) for event in result.summary.events)
+
+
+@pytest.mark.slow
+def test_a_course_of_the_bends_that_is_off_teaches_no_friction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two bends that the file has for an even one, all else as it says: turns of a held joint, the torque after."""
+    two_bends = [[0.0, 0.0], [0.1, 0.0], [0.35, 0.5], [0.65, 0.5], [0.9, 1.0], [1.0, 1.0]]
+    result = play(tmp_path, "held", sine(0.5, 0.5), 4.5, curvature=two_bends)
+    found = []
+    for doubt in (TURN_DOUBT, 0.0):
+        monkeypatch.setattr("tsa_ctrl.observer.stretch.TURN_DOUBT", doubt)
+        error, slides, size = errors(result, by=NOMINAL)
+        found.append(rms(error[slides]) / size)
+    assert found[0] < 0.03
+    assert found[0] < 0.75 * found[1]
 
 
 @pytest.mark.slow

@@ -10,9 +10,14 @@ from tools.campaign.drive.trial import run_trial
 from tools.campaign.drive.variations import VARIATIONS, Variation
 from tsa_ctrl.plant.quirks import Quirks
 
+LONGEST = "answers SDO after 0.4 s"  # minutes of virtual time; for slow answers see tests/drives/test_start.py
+
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variation", VARIATIONS, ids=lambda variation: variation.name)
+@pytest.mark.parametrize(
+    "variation",
+    [pytest.param(each, marks=[pytest.mark.soak] if each.name == LONGEST else [], id=each.name) for each in VARIATIONS],
+)
 def test_variation(variation: Variation) -> None:
     outcome = run_trial(variation)
     assert outcome.good, f"{'runs' if outcome.started else 'refused'}: {outcome.message} {list(outcome.wrong)}"

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT
-from tools.campaign.fault.acts import ACTS
+from tools.campaign.fault.acts import ACTS, LASTING
 from tools.campaign.fault.campaign import Campaign, Result, Trial
 from tools.campaign.fault.catalogue import FAULTS, Fault
 from tools.campaign.fault.verdict import Expected, Row, Seen, judge, longest_gap, stopped_after, zero_after
@@ -136,6 +136,7 @@ def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
 
 def test_every_act_is_used_and_there() -> None:
     assert {fault.act for fault in FAULTS if fault.act} == set(ACTS)
+    assert set(ACTS) > LASTING
 
 
 class Holes(Campaign):
@@ -145,6 +146,7 @@ class Holes(Campaign):
         super().__init__(Path(), "none")
         self.gaps = gaps
         self.tried: list[Trial] = []
+        self.lives = 0
 
     def _running(self) -> Any:
         return None
@@ -153,6 +155,7 @@ class Holes(Campaign):
         return ""
 
     def _end_life(self) -> None:
+        self.lives += bool(self._trials)
         self.tried += self._trials
         self._trials = []
 
@@ -177,6 +180,16 @@ def test_a_trial_is_discarded_for_its_hole_alone(gaps: list[float], discarded: l
     assert [trial.discarded for trial in campaign.tried] == discarded
 
 
+@pytest.mark.parametrize(("act", "lives"), [("", 1), ("hang", 1), ("kill_log", 2)])
+def test_a_trial_done_again_has_a_new_daemon_only_where_the_last_one_lost_something(
+    act: str, lives: int, tmp_path: Path
+) -> None:
+    campaign = Holes([0.01, 0.001])
+    campaign.folder = tmp_path
+    campaign._run_group([dataclasses.replace(FAULTS[0], act=act)], negative=False)
+    assert campaign.lives == lives
+
+
 def test_what_was_discarded_is_counted_with_its_verdicts() -> None:
     trial = Trial(FAULTS[0], 0.0, 1.0, 0.01, 0.01, "faulted", 0.8, False, 0.8, (), (), None, 0, True)
     verdicts = [judge(STOPS, GOOD, 0.25, 2.0), judge(STOPS, dataclasses.replace(GOOD, zero=None), 0.25, 2.0)]
@@ -184,10 +197,10 @@ def test_what_was_discarded_is_counted_with_its_verdicts() -> None:
     assert words == "43 of 45 trials, 2 discarded for holes: 1 safe, 1 unsafe"
 
 
-# What only processes, signals, the kernel and real time show, on one plant. What is killed, and a full disk, are tests
-# of tests/daemon and tests/drills; every other fault has its trials in virtual time (campaign/virtual), of which a
-# sample is a test; and all of both are `tools/test -m soak`.
-_ACTS = ("flood_socket", "hanging_client", "hang", "hang_up")
+# What only processes, signals, the kernel and real time show, on one plant. What is killed, a closed terminal, and a
+# full disk are tests of tests/daemon and tests/drills, clients that hang of tests/daemon; every other fault has its
+# trials in virtual time (campaign/virtual), of which a sample is a test; and all of both are `tools/test -m soak`.
+_ACTS = ("flood_socket", "hang")
 REAL = tuple(fault for fault in FAULTS if (fault.act in _ACTS and not fault.bare) or "interface down" in fault.name)
 
 

@@ -10,6 +10,7 @@ from tests.conftest import ROOT
 
 
 @pytest.mark.slow
+@pytest.mark.soak  # an interruption, what is gone on with and the table: tests/identify/test_fleet.py
 def test_every_log_is_answered_once_though_it_was_interrupted() -> None:
     told = subprocess.run(
         [ROOT / "tools" / "run", "bench/fleet", "--logs", "2", "--jobs", "1"],

@@ -15,7 +15,7 @@ from tests.conftest import ROOT
 from tools.campaign.mutate import EQUIVALENT
 from tools.campaign.mutation.mutants import enums_of, mutants
 
-SAMPLE = 12
+SAMPLE = 4
 SOURCE = '''
 class Limit:
     high: float = 2.0

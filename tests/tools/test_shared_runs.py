@@ -37,6 +37,16 @@ def test_a_group_of_tests_has_one_worker(request: pytest.FixtureRequest) -> None
     assert request.node.nodeid.endswith("@one worker") == grouped
 
 
+@pytest.fixture(scope="module")
+def made() -> object:
+    return object()
+
+
+def test_who_shares_a_fixture_shares_a_worker(made: object, request: pytest.FixtureRequest) -> None:
+    grouped = bool(getattr(request.config.option, "loadgroup", False))
+    assert request.node.nodeid.endswith("@tests/tools/test_shared_runs.py") == grouped
+
+
 @pytest.mark.slow
 def test_what_the_other_run_has_begun_is_left_to_it(tmp_path: Path) -> None:
     """The rest is run, a module's fixtures are set up and torn down around it, and a failure is one."""

@@ -66,9 +66,10 @@ def test_a_single_repeated_frame_stops_nothing(tmp_path: Path) -> None:
 
 
 LOADS = ["imposed", "held", "spring", "weight", "free", "limb", "wearer"]
+BETWEEN = ("spring", "weight", "limb")  # joints between one that is held and one that is free
 
 
-@pytest.mark.parametrize("sensor", [True, False])
+@pytest.mark.parametrize("sensor", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("load", LOADS)
 def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path, load: str, sensor: bool) -> None:
     """At small torque, 15 % of the limit, before the joint has moved; a joint torque sensor is not needed."""
@@ -97,7 +98,9 @@ def test_a_wearer_who_begins_to_move_as_the_torque_begins_is_no_reversed_motor(t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize(
+    "load", [pytest.param(load, marks=pytest.mark.soak) if load in BETWEEN else load for load in LOADS]
+)
 def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_path: Path, load: str) -> None:
     """Soon after the torque changes, on a free joint by turns with its friction: the opposite of 0.8 N*m.
 
@@ -117,7 +120,9 @@ def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["spring", "weight", "free", "limb"])
+@pytest.mark.parametrize(
+    "load", [*(pytest.param(load, marks=pytest.mark.soak) for load in BETWEEN[:2]), "free", "limb"]
+)
 def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path, load: str) -> None:
     """The one that pulls at once; the other one when the torque turns at the latest: within 2 rad/s beyond before."""
     sound = play(tmp_path, load, sine(0.8, 0.5), 2.6)
@@ -173,7 +178,7 @@ def test_some_commands_lost_now_and_then_are_told_and_the_axis_goes_on(tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["spring", "weight", "limb"])
+@pytest.mark.parametrize("load", ["spring", pytest.param("weight", marks=pytest.mark.soak), "limb"])
 def test_a_joint_encoder_that_sticks_is_found_before_the_joint_is_thrown(tmp_path: Path, load: str) -> None:
     """Its last value comes again and again: the motor goes farther than its torque stretches the tendons."""
     result = play(tmp_path, load, sine(0.8, 1.0), 1.8, faults=["stuck_tpdo node=encoder@1.1"])
@@ -185,8 +190,15 @@ def test_a_joint_encoder_that_sticks_is_found_before_the_joint_is_thrown(tmp_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["held", "spring"])
-@pytest.mark.parametrize(("motor", "joint"), [(12, 20), (16, 12)])
+@pytest.mark.parametrize(
+    ("load", "motor", "joint"),
+    [
+        ("held", 12, 20),
+        ("spring", 16, 12),
+        pytest.param("spring", 12, 20, marks=pytest.mark.soak),
+        pytest.param("held", 16, 12, marks=pytest.mark.soak),
+    ],
+)
 def test_a_motor_that_turns_the_wrong_way_is_found_by_coarse_encoders_and_a_healthy_one_is_not(
     tmp_path: Path, load: str, motor: int, joint: int
 ) -> None:

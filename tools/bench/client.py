@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import itertools
 import json
 import os
 import random
@@ -137,17 +138,25 @@ def write(folder: Path, bus: BusChoice, rate: float) -> None:
 
 @contextlib.contextmanager
 def daemon(folder: Path, path: str) -> Iterator[None]:
-    """`tsa run`, with torque, as a process."""
-    errors = (folder / "errors.txt").open("w")
+    """`tsa run`, with torque, as a process.
+
+    Raises:
+        BusError: it did not come up, or what was asked of it failed: with what it said last.
+    """
+    said = folder / "errors.txt"
+    errors = said.open("w")
     process = subprocess.Popen(tsa("run", "controller.toml"), cwd=folder, stdout=subprocess.DEVNULL, stderr=errors)
     try:
         end = time.monotonic() + STARTED
         while not running(path):
             if process.poll() is not None or time.monotonic() > end:
-                raise BusError(f"the daemon did not come up: {(folder / 'errors.txt').read_text().strip()}")
+                raise BusError("it did not come up")
             time.sleep(0.1)
         time.sleep(SETTLED)
         yield
+    except BusError as error:
+        lines = said.read_text(encoding="utf-8", errors="replace").splitlines()
+        raise BusError(f"{error}; the daemon said last: {lines[-1] if lines else 'nothing'}") from None
     finally:
         process.terminate()
         process.wait(30.0)
@@ -205,11 +214,10 @@ def witness(bus: BusChoice, client: subprocess.Popen[str]) -> list[tuple[float, 
 def matched(changes: list[tuple[float, int]], seen: list[tuple[float, int]]) -> Iterator[float]:
     """s from each change to the first command that shows it before the next change; one that is not shown is inf."""
     times = np.array([at for at, _ in seen])
-    for (at, sign), following in zip(changes, [*(at for at, _ in changes[1:]), float("inf")], strict=True):
+    for (at, sign), (following, _) in itertools.pairwise(changes):
         later = seen[int(np.searchsorted(times, at)) :]
         shown = next((when for when, found in later if found == sign), None)
-        if following < float("inf"):
-            yield float("inf") if shown is None or shown > following else shown - at
+        yield float("inf") if shown is None or shown > following else shown - at
 
 
 def stream(path: str, client_rate: float, rate: float, seconds: float) -> int:

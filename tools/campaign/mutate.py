@@ -211,6 +211,7 @@ def main() -> int:
         return 0
     os.chdir(command.ROOT)
     with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
+        warm_up([path for path, found in table.items() if found])  # of the libraries, which are compiled already
         sys.pycache_prefix, sys.dont_write_bytecode = folder, False  # no child has to compile what is not under test
         return run(table, equivalents, problems, options)
 
@@ -219,7 +220,6 @@ def run(
     table: dict[str, list[Mutant]], equivalents: dict[str, str], problems: list[str], options: argparse.Namespace
 ) -> int:
     """All mutants of the table, a row for each module; returns the exit code."""
-    warm_up([path for path, found in table.items() if found])
     rows: list[dict[str, int | str]] = []
     for path, found in table.items():
         if found:

@@ -58,11 +58,19 @@ def all_healthy(options: argparse.Namespace) -> int:
         if left > 0.0:
             rows.append(healthy(load, 1 + len(done), min(SLICE, left), options.compensation))
             _keep(options, rows[-1])
+    Console(width=130).print(quiet_hours(rows, loads))
+    return 1 if any(row["said"] for row in rows) else 0
+
+
+def quiet_hours(rows: Sequence[dict[str, Any]], loads: Sequence[str]) -> Table:
+    """A line for each load: how long it went with nothing wrong, and what was said all the same."""
+    found = Table("load", "with nothing wrong (s)", "runs", "said or latched", title="healthy", title_justify="left")
     for load in loads:
         done = [row for row in rows if row["healthy"] == load]
-        texts = [text for row in done for text in row["said"]]
-        print(f"{load}: {sum(row['seconds'] for row in done):g} s, the guard said {'; '.join(texts) or 'nothing'}")
-    return 1 if any(row["said"] for row in rows) else 0
+        texts = sorted({text for row in done for text in row["said"]})
+        seconds = sum(row["seconds"] for row in done)
+        found.add_row(load, f"{seconds:g}", str(len(done)), "; ".join(texts) or "nothing")
+    return found
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -141,7 +149,9 @@ def main() -> int:
     parser.add_argument("--healthy", type=float, metavar="SECONDS", help="gait with nothing wrong, on each load")
     parser.add_argument("--slices", type=int, default=1000, help="of a healthy run, of each load at most")
     options = parser.parse_args()
-    if options.healthy:
+    if options.healthy is not None:
+        if not options.healthy > 0.0:
+            parser.error(f"--healthy {options.healthy:g}: more than 0 s")
         return all_healthy(options)
     wanted = cases(options.delays)
     chosen = spread(wanted, options.sample) if options.sample else wanted

@@ -41,6 +41,14 @@ def _json(*path: str | int, factor: float = 1.0) -> Callable[[str], float]:
     return read
 
 
+def _on_vcan(text: str) -> float:
+    """The demo's reduction in %, of a run that was one on a vcan."""
+    bus = json.loads(text)["bus"]
+    if not str(bus).startswith("vcan"):
+        raise ValueError(f"the demo ran on {bus}: this machine has no vcan, or is too slow for it")
+    return _json("reduction_percent")(text)
+
+
 def _found(pattern: str, factor: float = 1.0) -> Callable[[str], float]:
     def read(text: str) -> float:
         match = re.search(pattern, text)
@@ -123,7 +131,7 @@ MEASURES: tuple[Measure, ...] = (
         "demo-vcan",
         "demo on a real vcan, at the rate that the machine keeps: error less than without compensation",
         ("{root}/tools/demo", "--json", "--out", "{out}"),
-        _json("reduction_percent"),
+        _on_vcan,
         "%",
     ),
     *(

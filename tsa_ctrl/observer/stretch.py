@@ -54,13 +54,21 @@ RESTART = 1.0  # s without measurements after which an encoder may have been swi
 BAND = 1.96  # standard deviations of 95 %
 # 1, of the variance that the filter has of the tendons: it is told of more friction that walks and passes than tendons
 # show, to follow a change of 40 % within 10 s; with all of it the band is three times as wide as it must be. By this
-# and `TOLD` the band holds 95 % of the samples of simulated rigs on average (tools/run bench/stretch); of one rig more
-# or less, as what is left is no noise
-OF_TENDONS = 0.05
+# and `TOLD` the band holds 95 to 97 % of the samples of simulated rigs on average (tools/run bench/stretch); of one rig
+# more or less, as what is left is no noise
+OF_TENDONS = 0.035
 # 1, of the half loop, in the middle of a turn: where a file says the centre of the bends alone, two bends with a
 # straight piece between let the slip fronts run that differently from even ones (5.3 % RMS over the turn)
 COURSE = 0.06
 TOLD = 0.01  # 1, the same where the file says their course, as tsa calibrate --stretch finds it
+# 1, of the stretch that friction can hide, standard deviation in the middle of a turn: a course of the bends that is
+# off foretells all samples of a turn wrongly alike, so that they teach no more than one of some per cent would. With
+# the noise of single samples friction is 2 % off after each turn of a held joint, and its torque twice as wrong
+TURN_DOUBT = 1.0
+# 1, of the same, beside the noise, and s: by more than this no course misleads, on simulated rigs with a calibrated
+# file; what was more within that time is friction or stiffness that is off, and turns teach all that they say. A file
+# whose friction is 24 % off needs them: without, its first strokes end at a stiffness that is half as much again
+MISLED, MISLED_FOR = 0.05, 1.0
 
 
 class StretchState(Enum):
@@ -104,6 +112,10 @@ class StretchObserver:
         self._per_torque = per_torque
         known = "elongation_coupling" in model.effects or model.bending_course is not None
         self._course = (TOLD if known else COURSE) * self._friction
+        hidden = _hidden(model, self._line.centre)
+        self._turn_noise = (TURN_DOUBT * hidden) ** 2
+        self._misled = MISLED * hidden + 2.0 * math.sqrt(self._settings[tendons.NOISE] / ALIKE)
+        self._keep_misfit = math.exp(-period / MISLED_FOR)
         self.pretension = model.pretension  # N, that x is told at
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
@@ -126,6 +138,7 @@ class StretchObserver:
         self.torque = self.low = self.high = math.nan
         self._last = math.nan  # m, the joint's way
         self._omega = self._stretch = math.nan
+        self._misfit = self._misled_by = 0.0  # m, the most that the innovation was of late; m^2, see `_misleads`
 
     def _begin(self, stretch: float) -> None:
         """Tensions level along each tendon, by the stretch (m) that there is."""
@@ -234,7 +247,7 @@ class StretchObserver:
             difference,
             stretch - self._origin,
             way - self._last,
-            (TIME_DOUBT * (stretch - self._stretch) / elapsed) ** 2,
+            (TIME_DOUBT * (stretch - self._stretch) / elapsed) ** 2 + self._misled_by,
         )
         self._last, self._omega, self._stretch = way, omega_m, stretch
         if code != tendons.OK:
@@ -244,7 +257,9 @@ class StretchObserver:
         torque = self._r_j * tensions
         variance = OF_TENDONS * (self._r_j * deviation) ** 2 + self._noise
         tau = self._per_torque * tau_m
-        variance += self._bent * (torque - tau) ** 2 + self._course**2 * self._turning()
+        turning = self._turning()
+        self._misled_by = self._misleads(turning)
+        variance += self._bent * (torque - tau) ** 2 + self._course**2 * turning
         self.state = StretchState.TOLD
         if memory[tendons.SLID] == 0.0:
             self.state = StretchState.UNSLID
@@ -257,6 +272,13 @@ class StretchObserver:
         ends = self._pairs[0, 1, tendons.TENSION]
         z = math.log(float(ends[-1]) / float(ends[0])) / float(self._memory[tendons.ANGLE])
         return max(0.0, 1.0 - z * z)
+
+    def _misleads(self, turning: float) -> float:
+        """m^2 of the next stretch: by how much a course of the bends that is off may foretell it wrongly in a turn."""
+        if self._memory[tendons.SLID] == 0.0:
+            return 0.0
+        self._misfit = max(abs(self.innovation), self._keep_misfit * self._misfit)
+        return turning * self._turn_noise / (1.0 + (self._misfit / self._misled) ** 4)
 
 
 def pairs_of(model: TendonSheath) -> Array:
@@ -285,6 +307,11 @@ def pairs_of(model: TendonSheath) -> Array:
     return pairs
 
 
+def _hidden(model: TendonSheath, centre: float) -> float:
+    """m of stretch that friction can hide, either way, at a motor without torque; `centre` of the bends, 1."""
+    return centre * model.friction_angle * (model.pretension / model.tendon_stiffness)
+
+
 def _settings(model: TendonSheath, period: float, counts: tuple[float, float], centre: float) -> Array:
     """What the filter is told once; `counts` in m of the two pulleys, `centre` of the bends, 1."""
     x, stretched = model.friction_angle, model.pretension / model.tendon_stiffness
@@ -292,7 +319,7 @@ def _settings(model: TendonSheath, period: float, counts: tuple[float, float], c
     told[tendons.LOW], told[tendons.HIGH] = x / FACTOR, FACTOR * x
     told[tendons.MOST_ZERO] = stretched
     keep = math.exp(-period / PASSING_TIME)
-    hidden = centre * x * stretched  # m that friction can hide, either way, at a motor without torque
+    hidden = _hidden(model, centre)
     told[tendons.MOST_STIFF] = STIFF_FACTOR
     prior = {tendons.X: FRICTION_PRIOR, tendons.F: PASSING, tendons.Z: hidden}
     walk = {tendons.X: FRICTION_WALK, tendons.Z: ZERO_WALK, tendons.K: STIFF_WALK}

@@ -22,6 +22,8 @@ from tsa_ctrl.ipc.protocol import Status
 HANG = 0.5  # s
 CLIENTS = 4
 
+LASTING = frozenset({"kill", "kill_log", "kill_server", "hang_up", "fill_disk"})  # what they end is not there again
+
 Undo = Callable[[], object]
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tools.campaign.fault.acts import ACTS, Site, Undo
+from tools.campaign.fault.acts import ACTS, LASTING, Site, Undo
 from tools.campaign.fault.catalogue import Fault
 from tools.campaign.fault.processes import Daemon, LostError, Plant, until
 from tools.campaign.fault.verdict import (
@@ -145,7 +145,7 @@ class Campaign:
         for fault in group:
             self.progress(fault.name)
             for attempt in range(ATTEMPTS):
-                if attempt and fault.act:  # what was killed is not there again
+                if attempt and fault.act in LASTING:
                     self._end_life()
                 daemon = self._running()
                 trial = self._try(daemon, fault)

@@ -20,6 +20,11 @@ from tsa_ctrl.observer.stretch import pairs_of
 FloatArray = NDArray[np.float64]
 
 TURNED = 0.05  # of the joint's way at the motor: pulley radii are known to a few per cent
+AGAINST = -0.5  # correlation of stretch and motor torque; tendons that give with it have 0.9, slip and creep leave more
+JUMP = 5.0  # times the `OFTEN`th largest change from row to row: no reversal of a log is that far from all others
+OFTEN = 10  # rows: a motion is as fast again in each of its turns, a jump or two that some rows take are alone
+LEAST = 0.2  # of the pretension's stretch: counts, play and noise are less
+AROUND = 20  # rows either side of a jump, by which it lasts
 
 
 @dataclass(frozen=True)
@@ -36,12 +41,20 @@ class TendonLog:
 
 
 def taken(log: Dataset, model: TendonSheath) -> TendonLog:
-    """The columns that are needed; raises UsageError where angles contradict each other, or one is missing."""
+    """The columns that are needed; raises UsageError where they contradict each other, or one is missing."""
     label = log.label or log.name
     q_m, q_j = log["q_m"], log["q_j"]
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
     way = r_j * q_j
     stretch = r_m * q_m - way
+    least = LEAST * model.pretension / model.tendon_stiffness
+    jumped = jump(stretch, least)
+    if jumped is not None:
+        row, size = jumped
+        raise UsageError(
+            f"{label}: r_M q_M - r_J q_J of the columns q_m and q_j jumps by {size:.3g} m at {log['t'][row]:.4g} s: a "
+            "pulley slipped, or an encoder lost counts or began anew; give the log up to there, or from there on"
+        )
     if np.ptp(way) > 10.0 * model.pretension / model.tendon_stiffness:
         turned = float(np.polyfit(way, r_m * q_m, 1)[0])
         if abs(turned - 1.0) > TURNED:
@@ -50,19 +63,38 @@ def taken(log: Dataset, model: TendonSheath) -> TendonLog:
                 f"{label}: columns q_m and q_j contradict each other: r_M q_M makes {turned:.3g} times the way of "
                 f"r_J q_J, which may be {1.0 - TURNED:g} to {1.0 + TURNED:g}; {what}"
             )
+    torque = log["tau_m"]
+    if np.ptp(stretch) > least and np.ptp(torque) > 0.0 and float(np.corrcoef(stretch, torque)[0, 1]) < AGAINST:
+        raise UsageError(
+            f"{label}: columns tau_m, q_m and q_j contradict each other: r_M q_M - r_J q_J falls where the motor's "
+            "torque rises; tau_m, or both angles, have the wrong sign"
+        )
     omega = log.columns.get("omega_m")
     if omega is None:
         omega = np.gradient(q_m, log.period)
     acceleration = np.diff(omega, prepend=omega[0]) / log.period
     return TendonLog(
         log.name,
-        log["tau_m"],
+        torque,
         acceleration,
         np.diff(way, prepend=way[0]),
         stretch,
         log.columns.get("tau_j"),
         log.period,
     )
+
+
+def jump(stretch: FloatArray, least: float) -> tuple[int, float] | None:
+    """Row and size (m) of a step of the zero that lasts; `least`: m, of such a step. None where there is none."""
+    steps = np.diff(stretch)
+    if steps.size < 2 * AROUND:
+        return None
+    row = int(np.argmax(np.abs(steps)))
+    often = float(np.partition(np.abs(steps), -OFTEN)[-OFTEN])
+    before, after = stretch[max(0, row + 1 - AROUND) : row + 1], stretch[row + 1 : row + 1 + AROUND]
+    lasts = abs(float(np.median(after) - np.median(before)))
+    size = float(steps[row])
+    return (row + 1, size) if abs(size) > max(least, JUMP * often) and lasts > 0.5 * abs(size) else None
 
 
 def varied(model: TendonSheath, stiffer: float, centre: float, more: float) -> TendonSheath:

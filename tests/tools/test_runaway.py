@@ -1,0 +1,55 @@
+"""The runaway campaign's hour with nothing wrong: slices that are kept, and their sum. Rows written by hand."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools.campaign import runaway
+from tools.manual.tables import cells
+
+TWO_MINUTES = ("runaway", "--healthy", "120", "--rows")
+
+
+def _rows(path: Path, said: dict[str, list[str]]) -> Path:
+    """Two slices of a minute on each load; what was said in the second."""
+    slices = [(load, number) for load in runaway.HEALTHY for number in (1, 2)]
+    rows = [
+        {
+            "healthy": load,
+            "slice": number,
+            "seconds": 60.0,
+            "compensation": 0.95,
+            "said": said.get(load, []) if number == 2 else [],
+        }
+        for load, number in slices
+    ]
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows), encoding="utf-8")
+    return path
+
+
+def test_what_was_run_is_not_run_again_and_adds_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = _rows(tmp_path / "rows.jsonl", {})
+    before = rows.read_bytes()
+    monkeypatch.setattr(sys, "argv", [*TWO_MINUTES, str(rows)])
+    assert runaway.main() == 0
+    table = cells(capsys.readouterr().out.partition("\n")[2])
+    assert [line[0] for line in table[1:]] == list(runaway.HEALTHY)
+    assert {tuple(line[1:]) for line in table[1:]} == {("120", "2", "nothing")}
+    assert rows.read_bytes() == before
+
+
+def test_one_word_on_one_load_is_a_goal_missed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = _rows(tmp_path / "rows.jsonl", {"limb": ["passivity: 80 % of what the model file says"]})
+    monkeypatch.setattr(sys, "argv", [*TWO_MINUTES, str(rows)])
+    assert runaway.main() == 1
+    table = {line[0]: line[-1] for line in cells(capsys.readouterr().out.partition("\n")[2])[1:]}
+    assert table["limb"] == "passivity: 80 % of what the model file says"
+    assert table["weight"] == "nothing"
