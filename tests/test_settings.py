@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import load_model
-from tsa_ctrl.plant.settings import load_plant
+from tsa_ctrl.plant.settings import PlantSettings, load_plant
 
 CONFIG = Path(__file__).parents[1] / "config"
 KINDS = {
@@ -47,3 +48,33 @@ def test_an_unknown_key_in_the_right_kind_of_file_is_still_told_with_the_nearest
     data = {**settings.read_toml(CONFIG / "plant.toml"), "phsics": {}}
     with pytest.raises(UsageError, match="unknown key 'phsics'; did you mean 'physics'"):
         settings.convert(data, type(load_plant(CONFIG / "plant.toml")), "x.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "words"),
+    [
+        ("joint", "phase", r"axis\[0\]\.joint: .*; it belongs in \[axis\.motion\], or did you mean 'weight_phase'\?$"),
+        ("joint", "curvature", r"; it belongs in \[axis\.tendon\]$"),
+        ("joint", "duration", r"; it belongs in \[\[axis\.fault\]\]"),
+        ("tendon", "bus", r"; it belongs in the top level$"),
+        ("joint", "node_id", r"; it belongs in \[axis\.drive\], \[axis\.encoder\] or \[axis\.torque_sensor\]$"),
+        ("joint", "curvatur", r"; did you mean 'curvature' of \[axis\.tendon\]\?$"),
+        ("joint", "stifness", r"; did you mean 'stiffness'\?$"),
+        ("environment", "zzzzzz", "; known keys are bending, temperature$"),
+    ],
+)
+def test_a_key_in_the_wrong_table_is_told_where_it_belongs(table: str, key: str, words: str) -> None:
+    data = {"axis": [{"name": "a", table: {key: 1.0}}]}
+    with pytest.raises(UsageError, match=f"unknown key '{key}'") as caught:
+        settings.convert(data, PlantSettings, "x.toml")
+    assert re.search(words, str(caught.value)), str(caught.value)
+
+
+def test_a_suggestion_is_never_what_was_given() -> None:
+    keys = {key for table in settings.tables_of(PlantSettings) for key in table.keys}
+    for table in ("joint", "motion", "motor", "drive"):
+        allowed = next(each.keys for each in settings.tables_of(PlantSettings) if each.path == ("axis", table))
+        for key in keys - set(allowed):
+            with pytest.raises(UsageError) as caught:
+                settings.convert({"axis": [{"name": "a", table: {key: 1.0}}]}, PlantSettings, "x.toml")
+            assert f"did you mean '{key}'" not in str(caught.value)

@@ -53,3 +53,14 @@ ensure_venv() { # [EXTRA]
     fi
     exec 9>&-
 }
+
+# Compiles the plant where no process has done so since its sources changed, half a minute: a guest of tools/vcan is slower
+# at it, and what runs there has a time to be ready in. That it failed will be said by what needs it.
+compile_plant() {
+    local sources=("$root"/tsa_ctrl/plant/*.py) newest source
+    newest=${sources[0]}
+    for source in "${sources[@]}"; do if [[ $source -nt $newest ]]; then newest=$source; fi; done
+    if [[ ! $(find "$NUMBA_CACHE_DIR" -path '*/plant-*.nbi' -newer "$newest" -print -quit 2>/dev/null) ]]; then
+        tsa simulate-loop "$root/config/controller.toml" "$root/config/plant.toml" --seconds 0.1 >/dev/null || true
+    fi
+}

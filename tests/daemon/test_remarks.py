@@ -7,6 +7,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
+
 from tests.virtual.joints import play
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.remarks import AGAIN, Remarks
@@ -45,6 +47,7 @@ def test_a_bit_that_flaps_is_told_every_ten_seconds() -> None:
     assert all(after - before >= AGAIN for before, after in itertools.pairwise(times))
 
 
+@pytest.mark.slow
 def test_a_drive_that_gives_less_says_so_and_a_healthy_one_nothing(tmp_path: Path) -> None:
     constant = {"kind": "constant", "offset": 0.8}
     for faults, told in (((), 0), (("derating value=0.5@0.8",), 1)):

@@ -90,6 +90,7 @@ def test_full_disk_stops_nothing(rig: Rig) -> None:
         daemon.terminate()
         summary, err, code = ended(daemon)
         assert code == 0, err
+        assert summary["cause"] == "SIGTERM"
         assert summary["log_records"] == {"written": summary["cycles"]["sent"], "lost": 0}
         (cycle,) = columns(summary, "cycle")
         assert len(cycle) == summary["cycles"]["sent"]

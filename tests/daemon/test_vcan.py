@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 
+from tsa_ctrl.cli import cli
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Recover, Status
@@ -134,6 +136,7 @@ def columns(summary: dict[str, Any], *names: str) -> list[np.ndarray]:
     return [found[name] for name in names]
 
 
+@pytest.mark.soak  # tests/virtual/test_on_vcan.py: what the processes deliver is what virtual time does; others count
 def test_delivers_the_wanted_torque(rig: Rig) -> None:
     """With nominal parameters off by some per cent, the joint torque error is a fifth of that without compensation."""
     rig.plant()
@@ -172,31 +175,28 @@ def test_signal_ramps_down_and_disables(rig: Rig) -> None:
 
 
 def test_status_set_and_stop(rig: Rig) -> None:
-    """The three verbs talk to the running daemon, a second daemon is refused; after stop it is gone."""
+    """The three verbs talk to the running daemon, a second daemon is refused; after stop it is gone.
+
+    The verbs run in this process: a start of Python takes seconds here. What they refuse: tests/daemon/test_cli.py.
+    """
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
-    tsa = ["tsa"]
-    shown = subprocess.run([*tsa, "status", "--json", "--socket", rig.socket], capture_output=True, text=True)
-    assert json.loads(shown.stdout)["axes"][0]["state"] == "operation_enabled"
-    changed = subprocess.run(
-        [*tsa, "set", "compensation", "0.5", "--socket", rig.socket], capture_output=True, text=True
-    )
-    assert changed.stdout == "knee.compensation: 0.95 -> 0.5\n"
+
+    def tsa(*words: str) -> Result:
+        return CliRunner().invoke(cli, [*words, "--socket", rig.socket])
+
+    assert json.loads(tsa("status", "--json").stdout)["axes"][0]["state"] == "operation_enabled"
+    assert tsa("set", "compensation", "0.5").stdout == "knee.compensation: 0.95 -> 0.5\n"
     until(lambda: rig.status()["axes"][0]["parameters"]["compensation"]["value"] == 0.5)  # type: ignore[index]
-    refused = subprocess.run([*tsa, "set", "compensation", "7", "--socket", rig.socket], capture_output=True, text=True)
-    assert refused.returncode == 2
-    assert "out of bounds; allowed is 0 to 1.2" in refused.stderr
     _, err, code = ended(rig.run())
     assert (code, err.count("\n")) == (2, 1)
     assert "another daemon answers there" in err
     assert rig.phase("running")
-    assert subprocess.run([*tsa, "stop", "--socket", rig.socket]).returncode == 0
+    assert tsa("stop").exit_code == 0
     summary, err, code = ended(daemon)
     assert (code, summary["cause"]) == (0, "tsa stop"), err
-    gone = subprocess.run([*tsa, "status", "--socket", rig.socket], capture_output=True, text=True)
-    assert gone.returncode == 1
-    assert gone.stderr.count("\n") == 1
+    assert isinstance(tsa("status").exception, BusError)
 
 
 @pytest.mark.soak  # silent nodes and a recovery are seen in virtual time: tests/virtual, campaign/virtual
@@ -223,7 +223,10 @@ def test_dead_plant_latches_and_the_cause_is_told(rig: Rig) -> None:
 
 
 def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
-    """Without its log, told and counted, what was written can be read; without its socket a signal still ends it."""
+    """Without its log, told and counted, what was written can be read; without its socket a signal still ends it.
+
+    That signal is the one of a terminal that was closed.
+    """
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
@@ -235,10 +238,10 @@ def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
     assert status["phase"] == "running"
     kill_child(daemon, "ipc.server")
     time.sleep(1.5)  # the loop looks about once a second
-    daemon.terminate()
+    daemon.send_signal(signal.SIGHUP)
     summary, err, code = ended(daemon)
     assert code == 0, err
-    assert summary["cause"] == "SIGTERM"
+    assert summary["cause"] == "SIGHUP"
     assert any(gone in event["text"] and "socket" in event["text"] for event in summary["events"])
     assert not summary["unconfirmed"]
     assert summary["log_records"]["lost"] > 0

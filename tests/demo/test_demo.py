@@ -22,7 +22,7 @@ from tsa_ctrl.demo import bus_choice, rig, run
 from tsa_ctrl.demo.bus_choice import VIRTUAL, BusChoice, choose
 from tsa_ctrl.demo.motion import PERIOD, from_file, gait, play_for
 from tsa_ctrl.demo.outcome import Course, Outcome
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.plant.process import check as check_plant
 
@@ -228,6 +228,37 @@ def test_a_machine_that_is_too_slow_shows_the_demo_at_half_the_rate_unless_one_w
     said = capsys.readouterr().out
     assert ("does not keep 1000 Hz" in said) is (rate == 500.0)
     assert load_configuration(tmp_path / "controller-with.toml").file.controller.rate == rate
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("asked", [False, True])
+def test_where_real_time_fails_the_demo_goes_on_in_virtual_time_unless_a_bus_was_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, asked: bool
+) -> None:
+    on = run.runs_on
+
+    def busy(bus: BusChoice) -> Any:
+        def play(folder: Path, name: str, *how: Any) -> dict[str, Any]:
+            (folder / name).mkdir()
+            (folder / name / "tsa.mcap").write_bytes(b"half a log")
+            raise BusError("the plant was not ready within 120 s; the machine is too busy")
+
+        return on(bus) if bus.virtual else play
+
+    monkeypatch.setattr(run, "runs_on", busy)
+    monkeypatch.setattr(bus_choice, "choose", lambda *_: BusChoice("udp_multicast", "239.0.0.1"))
+    options = ["--bus", "udp_multicast:239.0.0.1"] if asked else []
+    with pytest.raises(SystemExit) as stop:
+        main(["demo", "--out", str(tmp_path), "--seconds", "3", "--rate", "500", "--json", *options])
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "the machine is too busy" in captured.err
+    assert "in virtual time, without a bus" in captured.err or "tsa demo --virtual" in captured.err
+    assert stop.value.code == (1 if asked else 0)
+    if not asked:
+        data = json.loads(captured.out)
+        assert data["bus"] == "virtual time"
+        assert data["reduction_percent"] > 50.0
 
 
 @pytest.mark.parametrize("options", [["--bus", "vcan0"], ["--load", "limp"], ["--full", "--load", "limb"]])

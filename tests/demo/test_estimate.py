@@ -17,7 +17,7 @@ TURNED = 2.0  # s, in which the tendons have turned twice: nothing says before h
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["imposed", "weight"])
+@pytest.mark.parametrize("load", [pytest.param("imposed", marks=pytest.mark.soak), "weight"])
 def test_measured_torque_and_stretch_make_a_better_command_than_the_file(tmp_path: Path, load: str) -> None:
     controllers = {
         name: rig.controller(VIRTUAL, name, 1000.0, "nominal.toml", 0.95, estimator)

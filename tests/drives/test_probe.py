@@ -186,7 +186,8 @@ def test_what_a_profile_does_not_know_is_told_by_the_check(tmp_path: Path) -> No
     assert len(told) == len(load_profile("copley", tmp_path).unknown) > 0
 
 
-def test_nobody_there_is_one_line() -> None:
+def test_nobody_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tsa_ctrl.bus.drive.probe.PATIENCE", 0.1)
     where = ["--interface", "virtual", "--channel", "probe-nobody"]
     done = CliRunner().invoke(cli, ["drive", "probe", *where, "--node", "7"])
     assert done.exception is not None

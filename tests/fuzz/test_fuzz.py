@@ -16,11 +16,11 @@ from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.safety.supervisor import Supervisor
 
 DOSES: list[tuple[Callable[[int, int], Part], int, tuple[str, ...]]] = [  # part, inputs, what must have happened
-    (master.run, 60_000, ("cycles with torque", "faults")),
-    (nodes.run, 40_000, ("answers", "frames with torque", "resets")),
-    (configuring.run, 12, ("succeeded",)),
+    (master.run, 30_000, ("cycles with torque", "faults")),
+    (nodes.run, 20_000, ("answers", "frames with torque", "resets")),
+    (configuring.run, 6, ("succeeded",)),
     (requests.run, 2_000, ("refused", "taken", "commands", "told: refused", "alive")),
-    (files.run, 600, ("refused", "taken")),
+    (files.run, 300, ("refused", "taken")),
 ]
 
 
@@ -73,11 +73,11 @@ def test_same_seed_same_nonsense() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("target", targets(), ids=lambda target: target.name)
 def test_what_comes_from_outside_is_taken_or_refused_in_words(target: guided.Target) -> None:
-    """The corpus, which must still reach its goal, and two hundred inputs made of it."""
+    """The corpus, which must still reach its goal, and a hundred inputs made of it."""
     known = len(target.seeds) + len(guided.kept(target.name))
-    part = guided.run(target, 60.0, 1, most=known + 200)
+    part = guided.run(target, 60.0, 1, most=known + 100)
     assert part.problems == []
-    assert part.inputs == known + 200
+    assert part.inputs == known + 100
 
 
 @pytest.mark.slow

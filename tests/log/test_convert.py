@@ -33,6 +33,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
+@pytest.mark.slow
 @given(
     values=hnp.arrays(np.float64, st.tuples(st.integers(2, 30), st.just(3)), elements=st.floats(allow_infinity=False)),
     ending=st.sampled_from([".csv", ".csv.gz", ".parquet"]),

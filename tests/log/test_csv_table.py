@@ -153,6 +153,7 @@ def test_a_column_may_turn_from_numbers_to_text_late(tmp_path: Path) -> None:
     assert (list(columns), left_out, len(columns["t"])) == (["t"], ["note"], 300_001)
 
 
+@pytest.mark.slow
 @given(
     table=hnp.arrays(np.float64, st.tuples(st.integers(1, 40), st.integers(1, 4)), elements=st.floats(allow_nan=False)),
     text=st.sampled_from([repr, "{:.17g}".format, "{:+.16e}".format, " {} ".format]),

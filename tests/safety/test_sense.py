@@ -39,6 +39,7 @@ class Course:
     omega_j: FloatArray
     wound: float = 0.0
     counts: float = 0.0
+    stiffness: float = 0.0
     t: FloatArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -80,11 +81,12 @@ class Course:
         pieces = zip(starts.tolist(), ends, strict=True)
         return [(first, end, bool(winds[first])) for first, end in pieces if kinds[first] >= 0]
 
-    def ratios(self, driven: FloatArray) -> dict[int, tuple[float, float, bool, bool]]:
+    def ratios(self, driven: FloatArray) -> dict[int, tuple[float, float, bool, bool, bool]]:
         """By cycle, where the torque shows anything: how it is answered, and what a held joint's sensor follows by.
 
-        The first a correlation, the second a gain, 0 where it does not follow; then whether friction winds up, and
-        whether less than half of the stretch is the motor's own way, on tendons that need not have slid.
+        The first a correlation, the second a gain, 0 where it does not follow; then whether friction winds up,
+        whether less than half of the stretch is the motor's own way, on tendons that need not have slid, and whether
+        the tendons of a held joint give by half as much again as the torque stretches them, slower than 50 rad/s.
         `driven`: from when on the joint counts as moved by something, each 0 or 1.
         """
         ratio = {}
@@ -113,14 +115,19 @@ class Course:
                 with np.errstate(all="ignore"):
                     follows = tj_held / np.sqrt(tt_held * jj_held) > 0.8
                     gain[part] = np.where(follows & (tt_held > (0.005 * LIMIT) ** 2), tj_held / tt_held, 0.0)
+            slow = filtered(np.diff(a, prepend=0.0) ** 2) < (50.0 * PERIOD) ** 2 * aa
+            strong = tt > (3.0 * 0.005 * LIMIT) ** 2
+            soft = (self.stiffness * ta > 1.5 * tt) & (stretch > 0.9)
+            gives = held[first:end] & seen & slow & strong & soft
             for n in np.flatnonzero(tt >= (0.005 * LIMIT) ** 2).tolist():
-                ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]))
+                ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]), bool(gives[n]))
         return ratio
 
     def foretold(self, driven: FloatArray) -> tuple[FloatArray, int | None]:
         """The ceiling after each cycle, and the cycle in which something is said."""
         ratio, travel = self.ratios(driven), self.travel()
         wrong = {"at rest": Leaky(0.02), "driven": Leaky(0.25), "shown": Leaky(0.4), "excessive": Leaky(0.02)}
+        wrong["gives"] = Leaky(0.04)
         ceiling, ceilings, shown, suspect, waited = 0.11 * LIMIT, [], False, False, 0.0
         for n, now in enumerate(self.t.tolist()):
             if shown:
@@ -131,7 +138,7 @@ class Course:
             ceilings.append(ceiling)
             if n not in ratio:
                 continue
-            sense, gain, winds, fast = ratio[n]
+            sense, gain, winds, fast, gives = ratio[n]
             suspect = sense < -0.5
             waited += 0.0 if suspect else PERIOD
             shown = shown or (sense > 0.5 and not winds) or waited > 0.15
@@ -141,6 +148,8 @@ class Course:
                 return self.foretold(np.where(np.arange(self.t.size) > n, 1.0, driven))  # something else moves it
             which = "shown" if shown else "driven" if driven[n] else "at rest"
             if wrong[which].update(now, suspect and not fast):
+                return np.array(ceilings), n
+            if wrong["gives"].update(now, gives):
                 return np.array(ceilings), n
             if wrong["excessive"].update(now, 1.3 * GEARED < gain < 3.0 * GEARED):
                 return np.array(ceilings), n
@@ -195,6 +204,19 @@ def test_on_a_joint_that_something_else_moves_friction_that_looks_reversed_for_a
     assert "the wrong way round" in str(run(sense, sign=-1.0, seconds=0.1, omega_j=0.0))
 
 
+@pytest.mark.parametrize(("seconds", "found"), [(0.2, False), (0.5, True)])
+def test_a_joint_that_moved_before_its_tendons_turned_was_moved_by_something_else(seconds: float, found: bool) -> None:
+    """Nothing pulled yet: a turn does not make its motion the motor's."""
+    sense = Sense(2.0, GEARED, PERIOD)
+    for n in range(100):
+        assert sense.update(n * PERIOD, 0.0, 3.0, UNKNOWN, 1.0, 0.5) is None
+    said = None
+    for n in range(100, 200 + round(seconds / PERIOD)):
+        torque = (n - 100) * PERIOD
+        said = said or sense.update(n * PERIOD, torque, 3.0 - torque / STIFFNESS, UNKNOWN, -1.0, 0.0)
+    assert (said is not None) is found
+
+
 @pytest.mark.parametrize(("wound", "found"), [(0.0, True), (0.02, False)])
 def test_a_tendon_that_friction_winds_up_slowly_is_no_reversed_motor(wound: float, found: bool) -> None:
     """Something moves the joint by 0.04 rad in half a second, and friction stretches the tendon against the torque."""
@@ -241,15 +263,17 @@ def test_a_joint_that_yields_while_friction_holds_the_motor_fast_is_no_reversed_
     assert falls(0.2 * -yields, 0.8 * yields) is None  # the sheath gives a little
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize(("itself", "found"), [(0.0, False), (0.02, True)])
 def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor_that_is_held_fast(
-    itself: float, found: bool
+    itself: float, found: bool, way: float
 ) -> None:
     """By 0.045 rad/s, too slowly to count by that alone; a motor that goes `itself` rad/s against it is reversed."""
     sense, said = Sense(2.0, GEARED, PERIOD, 0.033), None
     for n in range(1500):
         wound = max(-0.033, -GEARED * 0.045 * n * PERIOD)  # until the tendons slide
-        said = said or sense.update(n * PERIOD, 0.5 * n * PERIOD, wound - itself * n * PERIOD, UNKNOWN, 1.0, 0.045)
+        torque, apart = 0.5 * n * PERIOD, wound - itself * n * PERIOD
+        said = said or sense.update(n * PERIOD, way * torque, way * apart, UNKNOWN, way, way * 0.045)
     assert (said is not None) is found
 
 
@@ -261,6 +285,15 @@ def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yie
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
     for gain, expected in ((0.5, float), (-0.5, str)):
         assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
+        assert isinstance(run(Sense(2.0, GEARED, PERIOD), 0.0, gain), expected)  # a rig too stiff for its encoders
+
+
+def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_shows_the_motor() -> None:
+    """By 0.04 rad/s the way of the torque, on tendons that need not have slid."""
+    sense, said = Sense(2.0, GEARED, PERIOD, 0.05), None
+    for n in range(500):
+        said = said or sense.update(n * PERIOD, n * PERIOD, UNKNOWN, -0.5 * n * PERIOD, 1.0, 0.04)
+    assert "the wrong way round" in str(said)
 
 
 @pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True), (3.5, False)])
@@ -359,7 +392,7 @@ def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
     follows = share * torque + np.sqrt(1.0 - share * share) * other
     apart, tau_j = 3.0 + follows / STIFFNESS, np.full(count, math.nan)
     sigma, omega_j = np.zeros(count), np.zeros(count)
-    driven, wound, counts = np.zeros(count), 0.0, 0.0
+    driven, wound, counts, stiffness = np.zeros(count), 0.0, 0.0, 0.0
     if kind == "excessive":
         apart = 3.0 + torque / STIFFNESS + 0.0 * apart
         tau_j = GEARED * (draw.uniform(1.1, 3.3) * torque + draw.uniform(0.0, 1.5) * other)
@@ -384,18 +417,30 @@ def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
         omega_j[draw.integers(0, count, 20)] = math.nan
     elif kind == "coarse":
         counts = float(np.ptp(apart) * draw.uniform(0.05, 1.0))
-        tau_j = GEARED * follows
-    return Course(torque, apart, tau_j, sigma, omega_j, wound, counts), driven
+        tau_j = -GEARED * follows  # so that it matters which of the two is asked
+    elif kind == "gives":
+        stiffness, share = STIFFNESS * draw.uniform(1.2, 2.2), np.clip(draw.uniform(0.8, 1.1) + 0.1 * t, 0.0, 1.0)
+        apart = 3.0 + (share * torque + np.sqrt(1.0 - share * share) * other) / STIFFNESS
+        omega_j[t < draw.uniform(-0.5, 0.5)] = 0.06
+    elif kind == "held fast":
+        apart, wound = 3.0 + (0.3 * other + draw.choice([-1.0, -1.0, 1.0]) * torque) / STIFFNESS, 0.05
+        yields = draw.uniform(0.3, 0.8) * (3.0 - apart)
+        omega_j = np.clip(np.diff(yields, prepend=yields[0]) / PERIOD / GEARED, -0.049, 0.049)
+    return Course(torque, apart, tau_j, sigma, omega_j, wound, counts, stiffness), driven
 
 
-@pytest.mark.parametrize("kind", ["at rest", "excessive", "by sensor", "moved", "moved later", "shown", "coarse"])
+KINDS = ("at rest", "excessive", "by sensor", "moved", "moved later", "shown", "coarse", "gives", "held fast")
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_is_told_in_the_cycle_in_which_it_has_been_wrong_for_long_enough(kind: str) -> None:
     """Torques near the least that shows anything, which the stretch follows by more and less, on drawn courses."""
     told = free = 0
     for number in range(24):
         course, driven = drawn(number, kind)
         ceilings, expected = course.foretold(driven)
-        sense, found, seen = Sense(LIMIT, GEARED, PERIOD, course.wound, course.counts), None, []
+        sense = Sense(LIMIT, GEARED, PERIOD, course.wound, course.counts, course.stiffness)
+        found, seen = None, []
         columns = (course.t, course.torque, course.apart, course.tau_j, course.sigma, course.omega_j)
         for n, row in enumerate(zip(*(column.tolist() for column in columns), strict=True)):
             said = sense.update(*row)
@@ -432,14 +477,23 @@ def cycles_until_told(sense: Sense, begin: float, sign: float, gain: float, omeg
 
 
 @pytest.mark.parametrize(
-    ("sign", "gain", "omega_j"), [(-1.0, UNKNOWN, 0.0), (-1.0, UNKNOWN, 0.5), (-0.5, UNKNOWN, 0.0), (1.0, 2.0, 0.0)]
+    ("sign", "gain", "omega_j", "softer"),
+    [
+        (-1.0, UNKNOWN, 0.0, 0.0),
+        (-1.0, UNKNOWN, 0.5, 0.0),
+        (-0.5, UNKNOWN, 0.0, 0.0),
+        (1.0, 2.0, 0.0, 0.0),
+        (1.0, UNKNOWN, 0.0, 2.0),
+    ],
 )
-def test_a_reset_forgets_for_how_long_it_has_been_wrong(sign: float, gain: float, omega_j: float) -> None:
-    """At rest, moved by something, shown to be right before, and giving more than it reports."""
-    sense = Sense(LIMIT, GEARED, PERIOD)
+def test_a_reset_forgets_for_how_long_it_has_been_wrong(
+    sign: float, gain: float, omega_j: float, softer: float
+) -> None:
+    """At rest, moved by something, shown to be right before, and giving more than it reports, by sensor and stretch."""
+    sense = Sense(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
     alone = cycles_until_told(sense, 0.0, sign, gain, omega_j)
     assert alone < 2000
-    sense = Sense(LIMIT, GEARED, PERIOD)
+    sense = Sense(LIMIT, GEARED, PERIOD, stiffness=softer * STIFFNESS)
     cycles_until_told(sense, 0.0, sign, gain, omega_j, alone)
     sense.reset()
     assert cycles_until_told(sense, alone * PERIOD, sign, gain, omega_j) == pytest.approx(alone, abs=1)
@@ -456,9 +510,25 @@ def test_tendons_that_give_more_than_the_torque_stretches_them_by(softer: float,
     assert isinstance(run(sense, seconds=0.6, rise=2.0, omega_j=0.5), float)
 
 
+def test_tendons_that_give_less_than_a_count_shows_accuse_nothing() -> None:
+    sense = Sense(2.0, GEARED, PERIOD, counts=0.5, stiffness=2.0 * STIFFNESS)
+    assert isinstance(run(sense, seconds=0.6, rise=2.0), float)
+
+
+def test_a_joint_that_has_just_come_to_rest_says_nothing_of_the_motor_by_its_sensor_yet() -> None:
+    """A pulley of the joint half as wide; its torque follows by r_J/r_M, and was little since it is held."""
+    sense = Sense(LIMIT, 0.5, PERIOD)
+    for n in range(900):
+        torque = 0.018 * math.sin(2.0 * math.pi * 4.0 * n * PERIOD)
+        omega_j = 0.3 if n < 100 else 0.0
+        assert sense.update(n * PERIOD, torque, torque / STIFFNESS, 0.5 * torque, 1.0, omega_j) is None
+
+
 def test_a_stiffness_that_is_not_known_accuses_nothing() -> None:
     sense = Sense(2.0, GEARED, PERIOD)
-    assert isinstance(run(sense, seconds=0.6, rise=2.0), float)
+    for n in range(600):
+        torque = 2.0 * n * PERIOD
+        assert sense.update(n * PERIOD, torque, 20.0 * torque / STIFFNESS, UNKNOWN, 0.0, 0.0) is None
 
 
 def test_a_motor_that_begins_to_give_twice_is_found_by_what_its_torque_adds() -> None:

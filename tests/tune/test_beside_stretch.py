@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.tune import rig
-from tests.tune.test_in_virtual_time import tune
+from tests.tune.test_in_virtual_time import RATE, tune
 from tests.virtual.rigs import draw
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
@@ -22,7 +22,7 @@ def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.
     """Regressed on where the joint moves, the half loop came out as 28 % of the true one."""
     law = {"compensation": rig.COMPENSATION, "fade_in": 1.0}
     plant = {**DRAWN.axis(), "joint": {"load": "limb"}}
-    controller = rig.write(tmp_path, VIRTUAL, 1000.0, "distributed", plant, {"law": law})
+    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", plant, {"law": law})
     save_model(DRAWN.nominal, tmp_path / "actuator.toml")  # the plant's own: tune writes the controller's
     text = (tmp_path / "plant.toml").read_text().replace(rig.MODEL, "actuator.toml")
     (tmp_path / "plant.toml").write_text(text)

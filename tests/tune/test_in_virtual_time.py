@@ -43,9 +43,10 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
 
     monkeypatch.setattr(procedure, "extended", in_vain)
     rig.write(tmp_path, VIRTUAL, RATE)
+    short = ("--seconds", "8", "--verify-seconds", "4")
     truth = load_tendon_sheath(tmp_path / rig.MODEL)
     half_loop = rig.true_half_loop(truth)
-    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *SHORT) == 0
+    assert tune(tmp_path, "--yes", "--json", "--extended", "--out", str(tmp_path / "out"), *short) == 0
     data = json.loads(capsys.readouterr().out)
     assert [note for note in data["notes"] if note.startswith("not used: gravity_load, which the diagnosis named")]
     found = data["calibration"]["combinations"]["half_loop_torque"]

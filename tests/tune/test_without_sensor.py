@@ -20,6 +20,7 @@ from tsa_ctrl.tune.by_stretch import estimate_by_stretch
 
 
 @pytest.mark.slow
+@pytest.mark.soak  # by the stretch with each change: below, moved by hand; on a limb in test_beside_stretch.py
 @pytest.mark.parametrize("load", ["imposed", "limb"])
 def test_the_half_loop_and_the_stiffness_are_found_and_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], load: str

@@ -37,7 +37,7 @@ def block(language: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("stiffness", "damping"), [(4.0, 0.3), (1.5, 0.3)])
+@pytest.mark.parametrize(("stiffness", "damping"), [(4.0, 0.3), pytest.param(1.5, 0.3, marks=pytest.mark.soak)])
 def test_a_hand_feels_the_stiffness_that_the_manuals_controller_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stiffness: float, damping: float
 ) -> None:

@@ -19,6 +19,7 @@ from tests.virtual.joints import GAIT, error, play, play_case, rms, sine
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 
+CONSTANT = {"kind": "constant", "offset": 0.3}  # N*m
 QUIET_AFTER = 3.0  # s after the last change of the set-point
 
 
@@ -35,7 +36,7 @@ def sound(result: Simulation) -> Simulation:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [1, 2, 3])
+@pytest.mark.parametrize("delay", [1, pytest.param(2, marks=pytest.mark.soak), 3])
 def test_an_imposed_gait(tmp_path: Path, delay: int) -> None:
     """10 mN*m, no reversal worse than 100, at delays of one to three periods."""
     result = sound(play_case(tmp_path, "gait", delay=delay))
@@ -44,7 +45,9 @@ def test_an_imposed_gait(tmp_path: Path, delay: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("inertia", "most", "peak"), [(3e-5, 6.0, 77.0), (6e-4, 19.0, 167.0)])
+@pytest.mark.parametrize(
+    ("inertia", "most", "peak"), [pytest.param(3e-5, 6.0, 77.0, marks=pytest.mark.soak), (6e-4, 19.0, 167.0)]
+)
 def test_a_gait_with_a_light_and_a_heavy_motor(tmp_path: Path, inertia: float, most: float, peak: float) -> None:
     result = sound(play_case(tmp_path, "gait", delay=3, inertia=inertia))
     assert rms(error(result)) <= most
@@ -55,7 +58,7 @@ def test_a_gait_with_a_light_and_a_heavy_motor(tmp_path: Path, inertia: float, m
 @pytest.mark.parametrize(
     ("setpoint", "seconds", "most"),
     [
-        (sine(0.5, 0.5), 4.0, 20.0),
+        pytest.param(sine(0.5, 0.5), 4.0, 20.0, marks=pytest.mark.soak),  # between the next two
         (sine(0.5, 0.05), 11.0, 20.0),
         (sine(0.5, 2.0), 3.0, 25.0),
         (sine(0.05, 0.5), 4.0, 18.0),
@@ -91,7 +94,7 @@ def test_partial_reversals_of_a_held_joint(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["spring", "weight", "free"])
+@pytest.mark.parametrize("load", [pytest.param("spring", marks=pytest.mark.soak), "weight", "free"])
 def test_a_joint_that_the_torque_moves(tmp_path: Path, load: str) -> None:
     """It starts, follows, and turns round no more often than the motion does."""
     result = sound(play_case(tmp_path, load))
@@ -101,7 +104,7 @@ def test_a_joint_that_the_torque_moves(tmp_path: Path, load: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["limb", "wearer"])
+@pytest.mark.parametrize("load", [pytest.param("limb", marks=pytest.mark.soak), "wearer"])
 def test_a_limb_and_a_wearer(tmp_path: Path, load: str) -> None:
     """The error is 92 % less than without compensation on the same joint."""
     without = rms(error(play_case(tmp_path, load, known=False, compensation=0.0)))
@@ -109,7 +112,15 @@ def test_a_limb_and_a_wearer(tmp_path: Path, load: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("load", "delay"), [("weight", 3), ("spring", 1), ("free", 1), ("limb", 3)])
+@pytest.mark.parametrize(
+    ("load", "delay"),
+    [
+        pytest.param("weight", 3, marks=pytest.mark.soak),
+        pytest.param("spring", 1, marks=pytest.mark.soak),
+        ("free", 1),  # nothing takes its energy
+        ("limb", 3),  # a weight, a spring and the longest delay
+    ],
+)
 def test_what_is_no_longer_driven_comes_to_rest(tmp_path: Path, load: str, delay: int) -> None:
     """No limit cycle with the true parameters and all of the friction compensated: a set-point that goes to 0."""
     last = 2.75
@@ -133,8 +144,15 @@ def test_a_hand_that_still_moves_the_joint_at_the_enable(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trembles", [0.5e-3, 2e-3, 10e-3])
-@pytest.mark.parametrize("setpoint", [{"kind": "constant", "offset": 0.3}, sine(0.4, 0.5)], ids=["constant", "sine"])
+@pytest.mark.parametrize(
+    ("setpoint", "trembles"),
+    [
+        (CONSTANT, 0.5e-3),
+        (sine(0.4, 0.5), 10e-3),
+        *(pytest.param(CONSTANT, trembles, marks=pytest.mark.soak) for trembles in (2e-3, 10e-3)),
+        *(pytest.param(sine(0.4, 0.5), trembles, marks=pytest.mark.soak) for trembles in (0.5e-3, 2e-3)),
+    ],
+)
 def test_a_hand_that_trembles(tmp_path: Path, trembles: float, setpoint: dict[str, Any]) -> None:
     """8 Hz: the friction turns each time, and that is no buzzing motor; 90 to 600 mN*m are off without compensation."""
     script = [[0.02 * n, 40.0, 1.0, 0.3 + trembles * math.sin(16.0 * math.pi * 0.02 * n)] for n in range(150)]
@@ -146,7 +164,7 @@ def test_a_hand_that_trembles(tmp_path: Path, trembles: float, setpoint: dict[st
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bits", [12, 14, 16])
+@pytest.mark.parametrize("bits", [12, pytest.param(14, marks=pytest.mark.soak), 16])
 def test_coarse_encoders_of_the_joint(tmp_path: Path, bits: int) -> None:
     """Less is foretold, and nothing chatters: 92 % of the gait's error is gone, and the friction turns as the joint."""
     counts = {"encoder": {"counts_per_revolution": 1 << bits}}

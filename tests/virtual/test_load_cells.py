@@ -147,9 +147,9 @@ def test_the_loop_follows_the_tensioner(tmp_path: Path, without: float) -> None:
 @pytest.mark.parametrize(
     ("cell", "words"),
     [
-        (absent, "no value of t3; look at the load cell's line"),
+        pytest.param(absent, "no value of t3; look at the load cell's line", marks=pytest.mark.soak),
         (silent, "no value of t3; look at the load cell's line"),
-        (frozen, "check zero and gain of both load cells"),
+        pytest.param(frozen, "check zero and gain of both load cells", marks=pytest.mark.soak),
         (drifting, "check zero and gain of both load cells"),
     ],
 )

@@ -37,9 +37,9 @@ def added(result: Simulation, after: float = AT) -> float:
     ("load", "setpoint", "fault", "most"),
     [
         ("weight", STANDS, "pretension value=0.3", 10e-3),
-        ("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3),
+        pytest.param("spring", sine(0.5, 0.5), "friction value=0.5", 10e-3, marks=pytest.mark.soak),
         ("free", sine(0.5, 0.5), "friction value=0.75", 10e-3),
-        ("limb", GAIT, "pretension value=0.1", 25e-3),
+        pytest.param("limb", GAIT, "pretension value=0.1", 25e-3, marks=pytest.mark.soak),
     ],
 )
 def test_lost_friction_moves_no_joint(

@@ -6,17 +6,20 @@ import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import click
 
 from tsa_ctrl.cli.finite import Finite
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import BusError, UsageError
 
 if TYPE_CHECKING:
     from tsa_ctrl.demo.bus_choice import BusChoice
     from tsa_ctrl.demo.circle import Circle
     from tsa_ctrl.demo.outcome import Outcome
+    from tsa_ctrl.demo.run import Progress
+
+Shown = TypeVar("Shown")
 
 SECONDS = 11.0  # of a gait and of a sine; the hand of a wearer takes longer
 LOADS = ("imposed", "held", "free", "spring", "weight", "limb", "wearer")
@@ -92,12 +95,32 @@ def command(
     seconds = play.seconds if seconds is None else seconds
     chosen = _bus(bus, virtual)
     folder = _folder(out)
-    with _progress(chosen) as say:
-        outcome = demo(folder, chosen, play, seconds, rate, tendon or "distributed", say, load)
+
+    def show(where: BusChoice, say: Progress) -> Outcome:
+        return demo(folder, where, play, seconds, rate, tendon or "distributed", say, load)
+
+    outcome = _shown(show, chosen, asked=bus is not None)
     if as_json:
         click.echo(json.dumps(outcome.to_dict(), allow_nan=False))
     else:
         _show(outcome, rate)
+
+
+def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, asked: bool) -> Shown:
+    """What `show` returns on the bus; in virtual time where real time fails on one that nobody asked for."""
+    from tsa_ctrl.demo.bus_choice import VIRTUAL
+
+    try:
+        with _progress(chosen) as say:
+            return show(chosen, say)
+    except BusError as error:
+        if chosen.virtual:
+            raise
+        if asked:
+            raise BusError(f"{error}; tsa demo --virtual shows the same without a bus") from None
+        click.echo(f"demo on {chosen.name}: {error}; here is the same in virtual time, without a bus", err=True)
+    with _progress(VIRTUAL) as say:
+        return show(VIRTUAL, say)
 
 
 def _bus(asked: str | None, virtual: bool) -> BusChoice:
@@ -111,14 +134,14 @@ def _bus(asked: str | None, virtual: bool) -> BusChoice:
 
 
 @contextlib.contextmanager
-def _progress(bus: BusChoice) -> Iterator[Callable[[str, float], None]]:
+def _progress(bus: BusChoice) -> Iterator[Progress]:
     """What is being done and its share of the whole, on stderr where that is a terminal."""
+    from rich import progress as bars
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+    columns = (bars.TextColumn("{task.description}"), bars.BarColumn(), bars.TimeElapsedColumn())
+    with bars.Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"demo on {bus.name}", total=1.0)
         yield lambda what, share: progress.update(task, description=what, completed=share)
 
@@ -140,8 +163,11 @@ def _full_circle(
     hidden = draw(seed, names)
     chosen = _bus(bus, virtual)
     folder = _folder(out)
-    with _progress(chosen) as say:
-        found = circle(folder, chosen, hidden, seconds, rate or RATE, say)
+
+    def show(where: BusChoice, say: Progress) -> Circle:
+        return circle(folder, where, hidden, seconds, rate or RATE, say)
+
+    found = _shown(show, chosen, asked=bus is not None)
     if as_json:
         click.echo(json.dumps({**found.to_dict(), "folder": str(folder)}, allow_nan=False))
     else:

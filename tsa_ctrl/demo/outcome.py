@@ -15,6 +15,8 @@ from tsa_ctrl.log.course import read_course
 
 FloatArray = NDArray[np.float64]
 
+LEGEND = 0.22  # of an axis, above the curves: what its legend of one line takes
+
 
 @dataclass(frozen=True)
 class Course:
@@ -95,14 +97,14 @@ class Outcome:
         first = self.compensated.t[0]
         wanted = self.compensated
         torque.plot(*_window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="wanted")
-        for run, colour, label in (
-            (self.without, "tab:red", "without compensation"),
-            (self.compensated, "tab:blue", "with compensation"),
+        for run, colour, label, width in (
+            (self.without, "tab:red", "without compensation", 2.6),  # seen beneath the other where both are alike
+            (self.compensated, "tab:blue", "with compensation", 1.2),
         ):
             torque.plot(*_window(run.t, run.delivered, first, seconds), colour, lw=1.0, label=f"delivered {label}")
             shown = f"{label}: RMS {1e3 * run.rms:.0f} mN·m"
             error.plot(*_window(run.t, run.error, first, seconds), colour, lw=1.0, label=shown)
-            motion.plot(*_window(run.t, run.angle, first, seconds), colour, lw=1.2, label=label)
+            motion.plot(*_window(run.t, run.angle, first, seconds), colour, lw=width, label=label)
         torque.set_ylabel("joint torque (N·m)")
         error.set_ylabel("error (N·m)")
         motion.set_ylabel("joint angle (rad)")
@@ -110,7 +112,9 @@ class Outcome:
         error.axhline(0.0, color="k", lw=0.5)
         for axes in (torque, error, motion):
             axes.grid(alpha=0.3)
-            axes.legend(loc="upper right", fontsize=8)
+            low, high = axes.get_ylim()
+            axes.set_ylim(low, high + LEGEND * (high - low))
+            axes.legend(loc="upper right", ncols=3, fontsize=8)
         torque.set_title(
             f"Feedforward compensation of tendon-sheath friction, load: {self.load}. "
             f"Error reduced by {self.reduction:.1f} %"

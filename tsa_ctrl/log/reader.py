@@ -124,12 +124,12 @@ class LogFile:
     def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
         """The `wanted` fields of one axis over the whole log."""
         names = list(wanted)
-        parts: list[list[NDArray[np.float64]]] = [[np.empty(0)] for _ in names]
+        found = [bytearray() for _ in names]  # they grow in place: a list of parts would leave holes all over the heap
         for name, block in self.blocks(names):
             if name == axis:
-                for part, values in zip(parts, block.T, strict=True):
-                    part.append(values.copy())  # a view would keep the whole block
-        return {name: np.concatenate(parts.pop(0)) for name in names}  # each one's parts go as it is made
+                for column, values in zip(found, block.T, strict=True):
+                    column += values.astype(np.float64).tobytes()
+        return {name: np.frombuffer(column, dtype=np.float64) for name, column in zip(names, found, strict=True)}
 
     def read_notes(self) -> list[Note]:
         """What happened, in order: faults with their cause, losses, the end."""

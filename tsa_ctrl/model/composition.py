@@ -142,10 +142,13 @@ class _Present:
     effects: Mapping[str, Any]
 
     def one(self, kind: type[T]) -> T | None:
-        return next((effect for effect in self.effects.values() if isinstance(effect, kind)), None)
+        for effect in self.effects.values():
+            if isinstance(effect, kind):
+                return effect
+        return None
 
     def at(self, stage: Stage) -> tuple[Any, ...]:
-        return tuple(effect for name, effect in self.effects.items() if CATALOGUE[name].stage is stage)
+        return tuple([effect for name, effect in self.effects.items() if CATALOGUE[name].stage is stage])
 
 
 def pretension_at(functions: Functions[F], model: TendonSheath, theta: F) -> F:

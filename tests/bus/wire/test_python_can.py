@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import threading
 import time
 import tty
@@ -13,6 +14,7 @@ import pytest
 
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import BusSettings
+from tsa_ctrl.bus.wire import python_can
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import BusFault
@@ -35,8 +37,13 @@ def test_frame_arrives_as_it_was_sent_and_only_at_the_other_end(pair: tuple[Pyth
     assert first.recv(0.0) is None
 
 
+def group(number: int) -> str:
+    """A multicast group that no other run of these tests uses at the same time."""
+    return f"239.{74 + number}.{os.getpid() >> 8 & 0xFF}.{os.getpid() & 0xFF}"
+
+
 def test_own_frames_of_a_multicast_bus_are_left_out_and_those_of_others_are_not() -> None:
-    first, second = (PythonCan("udp_multicast", "239.74.163.77", 1_000_000) for _ in range(2))
+    first, second = (PythonCan("udp_multicast", group(0), 1_000_000) for _ in range(2))
     try:
         first.send(0x080, b"")
         second.send(0x080, b"")
@@ -49,7 +56,7 @@ def test_own_frames_of_a_multicast_bus_are_left_out_and_those_of_others_are_not(
 
 
 def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
-    first, second, third = (PythonCan("udp_multicast", f"239.74.163.{n}", 1_000_000) for n in (78, 79, 79))
+    first, second, third = (PythonCan("udp_multicast", group(n), 1_000_000) for n in (1, 2, 2))
     try:
         second.send(0x201, b"\x01")
         assert third.recv(1.0) == (0x201, b"\x01")
@@ -57,6 +64,27 @@ def test_multicast_groups_of_one_machine_do_not_hear_each_other() -> None:
     finally:
         for bus in (first, second, third):
             bus.close()
+
+
+def test_what_another_group_said_while_a_bus_was_opened_is_not_heard(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between the opening of its socket and the word that it is to hear its own group only."""
+    told = python_can._hear_own_group_only
+    heard_before = []
+
+    def late(descriptor: int) -> None:
+        other.send(0x201, b"\x01")
+        heard_before.append(select.select([descriptor], [], [], 1.0)[0])
+        told(descriptor)
+
+    other = PythonCan("udp_multicast", group(3), 1_000_000)
+    monkeypatch.setattr(python_can, "_hear_own_group_only", late)
+    bus = PythonCan("udp_multicast", group(4), 1_000_000)
+    try:
+        assert heard_before == [[bus.fileno()]]
+        assert bus.recv(0.1) is None
+    finally:
+        other.close()
+        bus.close()
 
 
 def test_sync_has_no_data(pair: tuple[PythonCan, PythonCan]) -> None:

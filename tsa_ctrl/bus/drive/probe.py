@@ -30,6 +30,7 @@ READ: tuple[Object, ...] = (
     objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, CURRENT_NOMINAL,
     CURRENT_LIMIT,
 )  # fmt: skip
+PATIENCE = 2.0  # s, for an answer: four times what bringing a drive up allows, as nothing moves meanwhile
 _SLOTS = 8
 _PDOS = 4
 _NEEDED = (objects.STATUSWORD, objects.CONTROLWORD, objects.TARGET_TORQUE, objects.TORQUE_ACTUAL)
@@ -76,7 +77,7 @@ def probe(session: Session, name: str, node_id: int, slot: int = 1) -> Probe:
     if heard - {cia301.SYNC}:
         raise BusError(another_master(name, heard))
     found = Probe(node_id, slot, sync_heard=bool(heard))
-    session.be_patient(node_id, 2.0)
+    session.be_patient(node_id, PATIENCE)
     first = session.read(node_id, objects.DEVICE_TYPE)  # raises when nobody is there
     for entry in READ:
         _read(session, found, entry)

@@ -7,6 +7,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 
 import can
 
@@ -132,9 +133,15 @@ class PythonCan:
 
 
 def _hear_own_group_only(descriptor: int) -> None:
-    """Linux gives a socket the groups that anybody on the machine has joined, unless told not to."""
+    """Linux gives a socket the groups that anybody on the machine has joined, unless told not to.
+
+    What has come before it was told, since it was opened, may be of any group: it is thrown away.
+    """
     with socket.socket(fileno=os.dup(descriptor)) as same:
         if same.family == socket.AF_INET6:
             same.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
         else:
             same.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        with suppress(BlockingIOError):
+            for _ in range(_FLUSH_LIMIT):
+                same.recv(1, socket.MSG_DONTWAIT)
