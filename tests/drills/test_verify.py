@@ -33,6 +33,8 @@ from tsa_ctrl.system.processes import plant as plant_process
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 PATIENT = 1.5  # s until torque must be zero; the default is 50 ms beyond the longest time-out: machines stall so long
 
+TRIES = 3  # a stall beyond the drive's time-out ends a loop before its trial, which is told and no verdict
+
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
@@ -102,22 +104,31 @@ def test_a_folder_that_can_take_no_record_is_found_before_anything_moves(folder:
 
 
 def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It would look like a watchdog's work; the loop's own first words are the reason."""
+    """It would look like a watchdog's work; the loop's own last words are the reason.
+
+    The listener goes off guard once the loop has ended: on guard it asks the drives, and whoever is to leave them in
+    order would take it for another master.
+    """
     torques = iter((0.1, 0.0))
+    asked: list[tuple[str, bool]] = []
 
     class Listener:
         def ask(self, word: str) -> object:
+            asked.append((word, bool(started) and started[0].poll() is None))
             if word == "pull":
                 return {"knee": {"stretch": 0.9, "sensor": None, "gain": None, "geared": 1.25}}
             return {"1": next(torques)} if word == "torque" else True
 
-    loop = "import sys, time; print('0.1 s: knee: stale PDO', file=sys.stderr, flush=True); time.sleep(60)"
+    words = "0.0 s: knee: law.motor_inertia is not given\\n0.1 s: knee: stale PDO"
+    loop = f"import sys, time; print('{words}', file=sys.stderr, flush=True); time.sleep(60)"
     start = subprocess.Popen
+    started: list[subprocess.Popen[bytes]] = []
 
     def starts(command: list[str], **options: Any) -> subprocess.Popen[bytes]:
         process = start([sys.executable, "-c", loop], **options)
         assert process.stderr is not None
         select.select([process.stderr], [], [])
+        started.append(process)
         return process
 
     monkeypatch.setattr(trials, "SETTLED", 0.0)
@@ -125,6 +136,7 @@ def test_torque_that_is_lost_before_a_trial_is_no_trial(folder: Path, monkeypatc
     configuration = load_configuration(folder / "controller.toml")
     with pytest.raises(BusError, match=r"torque was lost before anything was done .* knee: stale PDO"):
         trials.run_trial(configuration, Listener(), trials.Trial.KILL, 0.1)  # type: ignore[arg-type]
+    assert asked[-3:] == [("guard", True), ("torque", True), ("quiet", False)]
 
 
 def test_a_motor_that_pulls_the_wrong_way_is_said_at_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,12 +211,12 @@ class Rig:
         self.folder = folder
         edit(
             folder, "controller.toml",
-            ('"vcan0"', f'"{vcan}"'), ("rate = 1000.0", "rate = 250.0"),
+            ('"vcan0"', f'"{vcan}"'), ("rate = 1000.0", "rate = 100.0"),
             ("# allow_without = false", "allow_without = true"),
-            ("# [bus.supervision]", "[bus.supervision]"), ("# tolerated_misses = 2 ", "tolerated_misses = 40 "),
-            ("# settle_cycles = 100 ", "settle_cycles = 20 "), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.15 "),
-            ("# host_timeout = 0.1 ", "host_timeout = 0.3 "),
-            ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 0.5 "),
+            ("# [bus.supervision]", "[bus.supervision]"), ("# tolerated_misses = 2 ", "tolerated_misses = 30 "),
+            ("# settle_cycles = 100 ", "settle_cycles = 20 "), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.3 "),
+            ("# host_timeout = 0.1 ", "host_timeout = 0.6 "),
+            ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 0.9 "),
             ("# zero_torque_within = 0.25 ", f"zero_torque_within = {PATIENT} "),
         )  # fmt: skip
         edit(folder, "plant.toml", ('"vcan0"', f'"{vcan}"'), ('# load = "imposed" ', 'load = "held" '))
@@ -214,7 +226,10 @@ class Rig:
 
     def verify(self) -> tuple[dict[str, Any], int, str]:
         command = ["tsa", "verify-safety", "controller.toml", "--yes", "--json"]
-        done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True)
+        for _ in range(TRIES):
+            done = subprocess.run(command, cwd=self.folder, capture_output=True, text=True)
+            if "torque was lost before anything was done" not in done.stderr:
+                break
         return (json.loads(done.stdout) if done.stdout else {}), done.returncode, done.stderr
 
     def end(self) -> None:
@@ -241,8 +256,8 @@ def test_a_drive_that_stops_by_itself_is_in_time(folder: Path, vcan: str, plants
     assert [trial["trial"] for trial in found["trials"]] == ["withheld", "hang", "kill"]
     times = {trial["trial"]: trial["zero_after"] for trial in found["trials"]}
     assert all(0.0 < time <= found["limit"] for time in times.values())
-    assert times["withheld"] > 0.2  # by the heartbeat's time-out alone
-    assert times["kill"] > 0.1  # by the command's
+    assert times["withheld"] > 0.4  # by the heartbeat's time-out alone
+    assert times["kill"] > 0.2  # by the command's
     acted = {trial["trial"]: trial["watchdog"] for trial in found["trials"]}
     assert acted == {"withheld": "heartbeat", "hang": "rpdo", "kill": "rpdo"}
     assert all(trial["pull"]["shown"].startswith("right") for trial in found["trials"])
@@ -283,15 +298,15 @@ def test_a_motor_that_gives_twice_what_it_says_is_found_by_its_first_torque(
 
 def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configuration:
     """Files of two axes with a drive alone, of equal drives but for what is told of each simulated one."""
-    times = {"rpdo_timeout": 0.15, "host_timeout": 0.3, "heartbeat_timeout": 0.5}
+    times = {"rpdo_timeout": 0.3, "host_timeout": 0.6, "heartbeat_timeout": 0.9}
     none = {"present": False}
     ours = controller(
         drive=times,
         encoder=None,
         torque_sensor=None,
         file={
-            "controller": {"rate": 250.0},
-            "bus": {"channel": vcan, "supervision": {"tolerated_misses": 40}},
+            "controller": {"rate": 100.0},
+            "bus": {"channel": vcan, "supervision": {"tolerated_misses": 30}},
             "realtime": {"allow_without": True},
             "safety": {"zero_torque_within": PATIENT},
         },
@@ -323,7 +338,7 @@ def test_watchdogs_that_do_not_act_are_found_and_the_torque_ends_all_the_same(tm
         torques = listener.ask("torque").values()
     assert (keeps.safe, keeps.timing.zero_after) == (False, None)
     assert (ends.safe, ends.watchdog.acted) == (True, "heartbeat")
-    assert "0x1400:5) is armed with 150 ms and did not act" in ends.watchdog.warning
+    assert "0x1400:5) is armed with 300 ms and did not act" in ends.watchdog.warning
     assert left == []
     assert max(abs(torque) for torque in torques) < 0.02
 

@@ -64,6 +64,9 @@ def main(argv: list[str]) -> int:
         with tempfile.TemporaryDirectory(prefix="tsa-safety-") as folder:
             configuration = under_trial(load_configuration(argv[0]), float(argv[1]), f"{folder}/tsa.sock")
             summary = run(configuration, reset_faults=True, watch=watch)
+        fault = next((event for event in summary.events if event.fault), None)
+        if fault is not None:  # the last line: with it whoever tries explains torque that was lost
+            print(fault, file=sys.stderr)
     except TsaError as error:
         print(error, file=sys.stderr)
         return error.exit_code

@@ -114,6 +114,7 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
     """One trial, all axes at once, with `torque` in N*m at each motor. Raises BusError when no torque comes."""
     limit = configuration.zero_torque_within
     loop = None
+    on_guard = False
     listener.ask("begin")
     try:
         with terminal_blocked():
@@ -128,18 +129,23 @@ def run_trial(configuration: Configuration, listener: ListenerProcess, trial: Tr
         time.sleep(SETTLED)
         pulls = _pulls(listener)
         listener.ask("guard")
+        on_guard = True
         time.sleep(0.05)
         if not _all_pull(listener, torque):
-            raise BusError(f"torque was lost before anything was done to the loop: {_first_words(loop)}")
+            raise BusError(f"torque was lost before anything was done to the loop: {_reason(loop)}")
         stopped = time.monotonic()
         loop.send_signal(_SIGNALS[trial])
         time.sleep(limit + BEYOND)
         quiet = listener.ask("quiet")
+        on_guard = False
         seen, said = msgspec.convert(quiet["samples"], list[Sample]), msgspec.convert(quiet["said"], list[Said])
         armed = msgspec.convert(listener.ask("armed"), dict[str, dict[str, int]])
     finally:
         if loop is not None:
             _end(loop)
+        if on_guard:  # given up: on guard it would go on asking the drives, and nobody else could leave them in order
+            with contextlib.suppress(BusError):
+                listener.ask("quiet")
     outcomes = []
     for axis in configuration.file.axes:
         drive = axis.drive
@@ -177,7 +183,7 @@ def _await_torque(loop: subprocess.Popen[bytes], listener: ListenerProcess, torq
     end = time.monotonic() + STARTED
     while not _all_pull(listener, torque):
         if loop.poll() is not None:
-            raise BusError(f"the loop ended before there was torque: {_first_words(loop)}")
+            raise BusError(f"the loop ended before there was torque: {_reason(loop)}")
         _pulls(listener)
         if time.monotonic() > end:
             raise BusError(
@@ -191,10 +197,10 @@ def _all_pull(listener: ListenerProcess, torque: float) -> bool:
     return all(one is not None and abs(one) >= DELIVERED * torque for one in found)
 
 
-def _first_words(loop: subprocess.Popen[bytes]) -> str:
-    """It ends; the first line that it said."""
+def _reason(loop: subprocess.Popen[bytes]) -> str:
+    """It ends; the last line that it said."""
     said = _end(loop).decode(errors="replace").strip().splitlines()
-    return said[0] if said else "it said nothing"
+    return said[-1].strip() if said else "it said nothing"
 
 
 def _end(loop: subprocess.Popen[bytes]) -> bytes:
