@@ -231,6 +231,15 @@ MEASURES: tuple[Measure, ...] = (
         )
     ),
     Measure(
+        "plain-unique",
+        "plain drives, one effect hidden, of 137 draws: named uniquely",
+        ("{root}/tools/run", "bench/diagnose", "--short", "--families", "rigid", "--seed", "8000", *OUT),
+        _found(r"plain drive, one effect: named uniquely\s+>= \d+%\s+(\d+)/137 "),
+        "of 137",
+        deterministic=True,
+        long=True,
+    ),
+    Measure(
         "cycle",
         "cycle of one axis to that of a raw socket, medians",
         ("{root}/tools/vcan", "tools/run", "bench/cycle", "--json"),
