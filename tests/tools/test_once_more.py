@@ -54,7 +54,6 @@ def test_a_failure_in_real_time_is_tried_once_more_and_alone(tmp_path: Path, fai
         (tmp_path / folder).mkdir()
     shutil.copy(TOOLS / "test", tmp_path / "tools" / "test")
     (tmp_path / "tools" / "environment.sh").write_text(ENVIRONMENT)
-    (tmp_path / "tests" / "test_real.py").write_text("pytest.mark.vcan\n")
     scripts = {"bin/pytest": PYTEST, "tools/vcan": '#!/usr/bin/env bash\nexec "$@"\n'}
     scripts |= dict.fromkeys(("bin/ruff", "bin/mypy"), "#!/usr/bin/env bash\n")
     for name, text in scripts.items():

@@ -125,11 +125,8 @@ def main() -> int:
         told, of = false_alarms(runs, arguments.folders)
     if not arguments.json:
         Console(width=200).print(table)
-    print(
-        f"false alarms: {told} of {of} quantities of {arguments.folders} folders, {100.0 * told / of:.2g} %; stated: ",
-        end="",
-    )
-    print(f"{100.0 * ALARM:g} %")
+    share = f"{100.0 * told / of:.2g} %; stated: {100.0 * ALARM:g} %"
+    print(f"false alarms: {told} of {of} quantities of {arguments.folders} folders, {share}")
     return 0
 
 
