@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.settings import MotionSettings
@@ -50,9 +49,9 @@ def build_motion(settings: MotionSettings) -> Motion:
         return _motion(angle, speed, grid, True, settings.ramp)
     if settings.kind == "gait":
         points = np.array([*_KNEE, (1.0, _KNEE[0][1])])
-        spline = CubicSpline(points[:, 0] * settings.period, np.radians(points[:, 1]), bc_type="periodic")
         t, grid = _cycle(settings.period)
-        return _motion(settings.scale * spline(t), settings.scale * spline(t, 1), grid, True, settings.ramp)
+        angle, speed = _smooth_cycle(points[:, 0] * settings.period, np.radians(points[:, 1]), t)
+        return _motion(settings.scale * angle, settings.scale * speed, grid, True, settings.ramp)
     return _from_file(settings)
 
 
@@ -62,12 +61,36 @@ def _cycle(period: float) -> tuple[NDArray[np.float64], float]:
     return np.linspace(0.0, period, count + 1), period / count
 
 
+def _smooth_cycle(
+    x: NDArray[np.float64], y: NDArray[np.float64], t: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The periodic cubic spline through points whose last one is the first: value and slope at `t`.
+
+    scipy's, without what it costs: importing it takes as long as all else that a plant with this motion does to start.
+    """
+    h = np.diff(x)
+    chord, before = np.diff(y) / h, np.roll(h, 1)  # of each piece; length of the piece before it
+    each = np.arange(h.size)
+    system = np.zeros((h.size, h.size))  # the second derivative is continuous at each point
+    system[each, each - 1] = h
+    system[each, each] = 2.0 * (before + h)
+    system[each, (each + 1) % h.size] = before
+    slope = np.linalg.solve(system, 3.0 * (h * np.roll(chord, 1) + before * chord))
+    i = np.clip(np.searchsorted(x, t, side="right") - 1, 0, h.size - 1)
+    begin, end = slope[i], np.roll(slope, -1)[i]
+    quadratic, cubic = (3.0 * chord[i] - 2.0 * begin - end) / h[i], (begin + end - 2.0 * chord[i]) / h[i] ** 2
+    u = t - x[i]
+    return y[i] + u * (begin + u * (quadratic + u * cubic)), begin + u * (2.0 * quadratic + u * 3.0 * cubic)
+
+
 def _motion(angle: NDArray[np.float64], speed: NDArray[np.float64], grid: float, repeat: bool, ramp: float) -> Motion:
     return Motion(np.ascontiguousarray(angle), np.ascontiguousarray(speed), grid, repeat, ramp)
 
 
 def _from_file(settings: MotionSettings) -> Motion:
-    from tsa_ctrl.log.waypoints import read_waypoints  # slow to import
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import
+
+    from tsa_ctrl.log.waypoints import read_waypoints  # slow to import, too
 
     table = read_waypoints(str(settings.file), ("q_j",), ("omega_j",))
     t, columns = table.columns["t"], table.columns
