@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from .test_gate import SEED, asked, likely
+from .test_gate import EACH_CHANGE, SEED, asked, likely
 
 none = pytest.mark.xdist_group("gate none")
 single = pytest.mark.xdist_group("gate single")
+AND_SOAK = pytest.mark.soak  # each change: what the gate asks anyway, and an interval that is too wide shows in one log
 
 
 @pytest.mark.slow
 @none
-def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_loop() -> None:
+@pytest.mark.parametrize(("draws", "fewest"), [(2, 3), pytest.param(5, 8, marks=AND_SOAK)])
+def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_loop(draws: int, fewest: int) -> None:
     inside = []
-    for seed in range(SEED, SEED + 5):
+    for seed in range(SEED, SEED + draws):
         inside += list(asked("none", "free", seed).marks.covered.values())
-    assert len(inside) >= 8
+    assert len(inside) >= fewest
     assert likely(sum(inside), len(inside), 0.93), f"{sum(inside)} of {len(inside)}"
 
 
@@ -26,9 +28,10 @@ def test_a_torque_that_only_compensates_friction_does_not_hide_slope_and_half_lo
     ("effect", "parameter"),
     [("velocity_lag", "time_constant"), ("backlash", "gap"), ("transport_delay", "delay")],
 )
-def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str) -> None:
+@pytest.mark.parametrize("draws", [1, pytest.param(3, marks=AND_SOAK)])  # of three one may be outside
+def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parameter: str, draws: int) -> None:
     inside = []
-    for seed in range(SEED, SEED + 3):  # one of which may be outside
+    for seed in range(SEED, SEED + draws):
         answer = asked("single", effect, seed)
         found = [cause for cause in answer.report["causes"] if cause["effect"] == effect]
         truth = answer.effects[effect][parameter]
@@ -36,5 +39,5 @@ def test_moments_and_widths_have_an_interval_that_holds_them(effect: str, parame
             quantity = cause["parameters"][parameter]
             assert 0.0 < quantity["high"] - quantity["low"] < 0.3 * truth
             inside.append(quantity["low"] <= truth <= quantity["high"])
-    assert len(inside) >= 3
-    assert likely(sum(inside), len(inside), 0.93), f"{sum(inside)} of {len(inside)}"
+    assert len(inside) >= draws
+    assert likely(sum(inside), len(inside), 0.93, EACH_CHANGE.unlikely), f"{sum(inside)} of {len(inside)}"
