@@ -83,9 +83,26 @@ def test_an_effect_is_hidden_at_the_size_that_was_asked_for(effect: str) -> None
     base = [hidden_effects.base_of(log, RigidDrive(inertia=1e-3, coulomb_friction=0.1))]
     number = hidden_effects.number_of(hidden, [log], base, 0.1)
     assert number is not None
-    assert hidden_effects.left_of([hidden.change(log, number)], base) == pytest.approx(0.1, rel=1e-3)
+    assert hidden_effects.size_of(hidden, [log], base, number) == pytest.approx(0.1, rel=1e-3)
     if hidden.range is not None:
         assert hidden_effects.number_of(hidden, [log], base, 1e3) is None  # no delay moves a torque by more than itself
+
+
+def test_rest_hides_nothing_and_a_late_noise_is_no_size() -> None:
+    """The sign of a standing joint's noise is no friction; what a delay moves of a torque's noise is noise."""
+    rng, t = np.random.default_rng(2), np.linspace(0.0, 20.0, 4000)
+    omega = np.where(t < 10.0, 0.0, 2.0 * np.sin(t)) + 1e-3 * rng.normal(size=t.size)
+    drive = RigidDrive(coulomb_friction=0.1, inertia=0.1, viscous_friction=0.0, torque_offset=0.0)
+    clean = 0.1 * np.sign(omega) + 0.2 * np.where(t < 10.0, 0.0, np.cos(t))
+    numbers = []
+    for noise in (0.0, 0.05):
+        log = Dataset.from_arrays({"t": t, "tau_m": clean + noise * rng.normal(size=t.size), "omega_m": omega}, "a.csv")
+        (motion,) = hidden_effects.motions_of([log], drive)
+        assert np.max(np.abs(hidden_effects.HIDDEN["stribeck_friction"].change(motion, 1.0)[t < 9.5])) < 0.1
+        base = [hidden_effects.base_of(motion, drive)]
+        numbers.append(hidden_effects.number_of(hidden_effects.HIDDEN["transport_delay"], [motion], base, 0.02))
+    assert numbers[0] is not None
+    assert numbers[1] == pytest.approx(numbers[0], rel=0.1)
 
 
 def test_at_steady_speed_an_inertia_would_be_the_noise_of_the_velocity() -> None:
@@ -115,7 +132,7 @@ def still_moving() -> hidden_effects.Motion:
     omega, acceleration = np.cos(t) + 0.3 * np.cos(2.7 * t), -np.sin(t) - 0.81 * np.sin(2.7 * t)
     torque = 0.4 * np.sign(omega) + 0.1 * acceleration
     return hidden_effects.Motion(
-        t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 1.3, 0.4
+        t, np.sin(t) + np.sin(2.7 * t) / 9.0, omega, acceleration, torque, torque, 2.2, 1.3, 0.4, torque
     )
 
 

@@ -1,7 +1,9 @@
 """Known effects hidden in measured logs, by formulas of this file: the torque as the drive would show it with them.
 
-The size of an effect is the RMS of what is left of it once all is projected out that recalibration may change: inertia,
-friction, drag and offset as far as the model has them; of tendons the motor torque and the direction.
+The size of an effect is the RMS, while the drive moves, of what is left of it once all is projected out that
+recalibration may change: inertia, friction, drag and offset as far as the model has them; of tendons the motor torque
+and the direction. At rest friction may be anything, so nothing is hidden in it; and noise that comes later is noise, so
+that the size of a delay is what it changes of the torque that follows from the motion.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from tsa_ctrl.model.parameters import Model, RigidDrive
 
 Array = NDArray[np.float64]
 SLOW = 0.03  # s, over which motion is averaged for what is hidden: any smooth motion near the measured one will do
+REST = 0.01  # of the largest speed, below which friction fades: the sign of a velocity's noise is no direction
 STRIBECK = 0.1  # of the largest speed, over which the hidden static friction fades
 MOST_BLURRED = 0.5  # of what is hidden, RMS, that may be another when the motion is averaged over twice as long
 MOST_CYCLES = 40  # of a ripple per turn: more are not looked for (model/effects/motor.py), and would be another test
@@ -37,6 +40,7 @@ class Motion:
     reach: float  # rad, the largest range of an angle in the set
     fastest: float  # rad/s, of the set
     friction: float  # N*m, Coulomb friction of the set by least squares
+    explained: Array  # torque that follows from the motion, by least squares over the set
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,16 @@ class Hidden:
     follows_acceleration: bool = False
 
 
+def direction(log: Motion) -> Array:
+    """Sign of the velocity, which fades to 0 where the drive stands, (n,)."""
+    return np.clip(log.omega / (REST * log.fastest), -1.0, 1.0)
+
+
+def moving(log: Motion) -> NDArray[np.bool_]:
+    """Where it does not stand, (n,)."""
+    return np.abs(log.omega) > REST * log.fastest
+
+
 def smooth(y: Array, t: Array, times: int = 1) -> Array:
     """Mean over so many times SLOW, three samples at least each, (n,)."""
     width = times * max(3, round(SLOW / float(np.median(np.diff(t)))) | 1) | 1
@@ -68,7 +82,22 @@ def motions_of(logs: Sequence[Dataset], model: Model, times: int = 1) -> list[Mo
     fitted = np.linalg.lstsq(np.concatenate(bases), np.concatenate([each.torque for each in found]), rcond=None)[0]
     reach, fastest = max(float(np.ptp(each.q)) for each in found), max(float(np.max(np.abs(m.omega))) for m in found)
     friction = abs(float(fitted[0 if plain else 1]))
-    return [replace(each, reach=reach, fastest=fastest, friction=friction) for each in found]
+    explained = _explained(found, bases)
+    return [
+        replace(each, reach=reach, fastest=fastest, friction=friction, explained=torque)
+        for each, torque in zip(found, explained, strict=True)
+    ]
+
+
+def _explained(logs: Sequence[Motion], bases: Sequence[Array]) -> list[Array]:
+    """Of each log: by what recalibration may change, inertia, drag, an offset, a spring and a weight."""
+    columns = [
+        np.column_stack([base, log.acceleration, log.omega, np.ones(len(log.q)), log.q, np.sin(log.q), np.cos(log.q)])
+        for log, base in zip(logs, bases, strict=True)
+    ]
+    torque = np.concatenate([log.torque for log in logs])
+    fitted = np.linalg.lstsq(np.concatenate(columns), torque, rcond=None)[0]
+    return [each @ fitted for each in columns]
 
 
 def _motion(log: Dataset, plain: bool, times: int) -> Motion:
@@ -82,7 +111,7 @@ def _motion(log: Dataset, plain: bool, times: int) -> Motion:
         omega = smooth(log[velocity], t, times)
         q = np.cumsum(omega) * float(np.median(np.diff(t)))
     torque = log["tau_m" if plain else "tau_j"]
-    return Motion(t, q, omega, smooth(np.gradient(omega, t), t, times), torque, log["tau_m"], 0.0, 0.0, 0.0)
+    return Motion(t, q, omega, smooth(np.gradient(omega, t), t, times), torque, log["tau_m"], 0.0, 0.0, 0.0, torque)
 
 
 def presliding(log: Motion, share: float) -> Array:
@@ -93,7 +122,7 @@ def presliding(log: Motion, share: float) -> Array:
     for at, (way, step) in enumerate(zip(np.sign(log.omega).tolist(), steps.tolist(), strict=True)):
         z = way + (z - way) * math.exp(-step / distance)
         out[at] = z
-    return log.friction * (out - np.sign(log.omega))
+    return log.friction * (out * np.abs(direction(log)) - direction(log))
 
 
 def late(log: Motion, delay: float) -> Array:
@@ -114,11 +143,11 @@ HIDDEN: Mapping[str, Hidden] = {
     "inertia": Hidden(lambda log, a: a * log.acceleration, "inertia", follows_acceleration=True),
     "direction_asymmetric_friction": Hidden(lambda log, a: a * np.abs(log.omega), "viscous_difference"),
     "stribeck_friction": Hidden(
-        lambda log, a: a * np.sign(log.omega) * np.exp(-np.abs(log.omega) / (STRIBECK * log.fastest))
+        lambda log, a: a * direction(log) * np.exp(-np.abs(log.omega) / (STRIBECK * log.fastest))
     ),
     "torque_ripple": Hidden(lambda log, a: a * np.sin(cycles(log) * log.q + 0.7), needs_angle=True),
     "presliding_hysteresis": Hidden(presliding, needs_angle=True, range=(1e-6, 0.1)),
-    "transport_delay": Hidden(late, "delay", range=(1e-4, 0.1)),
+    "transport_delay": Hidden(late, "delay", range=(1e-4, 0.1), follows_acceleration=True),
 }
 
 
@@ -142,11 +171,17 @@ def left_of(change: Sequence[Array], base: Sequence[Array]) -> float:
     return float(np.sqrt(np.mean((whole - columns @ np.linalg.lstsq(columns, whole, rcond=None)[0]) ** 2)))
 
 
+def size_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], number: float) -> float:
+    """The size of an effect with this number, N*m."""
+    changes = [hidden.change(replace(log, torque=log.explained), number)[moving(log)] for log in logs]
+    return left_of(changes, [columns[moving(log)] for log, columns in zip(logs, base, strict=True)])
+
+
 def number_of(hidden: Hidden, logs: Sequence[Motion], base: Sequence[Array], size: float) -> float | None:
-    """The number of an effect with which it leaves `size`, N*m; None where no number in its range does."""
+    """The number of an effect with which it has `size`, N*m; None where no number in its range does."""
 
     def left(number: float) -> float:
-        return left_of([hidden.change(log, number) for log in logs], base)
+        return size_of(hidden, logs, base, number)
 
     if hidden.range is None:
         unit = left(1.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tomllib
 from typing import Any
 
@@ -10,6 +11,8 @@ import pytest
 
 from tests.blind import case
 from tsa_ctrl.identify.diagnosis import pipeline
+from tsa_ctrl.identify.diagnosis.fitting.problem import orthonormal
+from tsa_ctrl.identify.diagnosis.fitting.score_test import scores
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import DetectionLimits, detection_limits
 from tsa_ctrl.identify.diagnosis.selection.entry import LEAST_ERROR_REDUCTION
 from tsa_ctrl.model.parameters import model_from
@@ -37,3 +40,33 @@ def test_what_is_left_unexplained_hides_what_is_smaller(monkeypatch: pytest.Monk
     assert min(clean.values()) >= 0.99 * LEAST_ERROR_REDUCTION * noise
     assert min(messy.values()) >= 0.8 * np.sqrt(0.9) * noise
     assert all(messy[name] >= size for name, size in clean.items() if name in messy)
+
+
+@pytest.mark.slow
+def test_what_the_logs_hold_of_an_effect_must_first_be_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of either sign: a spring of 0.2 N*m that is not named hides one of 0.2 N*m that pulls the other way."""
+    asked: list[Any] = []
+
+    def noted(chosen: Any, structure: float) -> DetectionLimits:
+        asked.append(chosen)
+        return detection_limits(chosen, structure)
+
+    monkeypatch.setattr(pipeline, "detection_limits", noted)
+    hidden = case("none", "free", seed=4, short=True)
+    pipeline.diagnose(
+        {log.name: log.columns for log in hidden.logs}, model_from(tomllib.loads(hidden.model), "nominal.toml")
+    )
+    (chosen,) = asked
+    effect, first = "joint_stiffness", chosen.rounds[0]
+    found = next(response for response in first.responses if response.variant.effect == effect)
+    white = orthonormal(
+        next(s.columns for s in scores(chosen.problem, first.fitted, [found]) if s.variant.effect == effect)
+    )
+    clean = detection_limits(chosen, 0.0).sizes
+    risen = []
+    for strength in (-30.0, 30.0):  # white units, of which noise shows one
+        holding = dataclasses.replace(first.fitted, residual=first.fitted.residual + strength * white[:, 0])
+        again = dataclasses.replace(chosen, rounds=(dataclasses.replace(first, fitted=holding), *chosen.rounds[1:]))
+        risen.append(detection_limits(again, 0.0).sizes[effect] - clean[effect])
+    assert risen[0] == pytest.approx(risen[1], rel=0.1)
+    assert min(risen) > 2.0 * clean[effect]

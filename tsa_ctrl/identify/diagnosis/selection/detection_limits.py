@@ -10,7 +10,7 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
-from tsa_ctrl.identify.diagnosis.fitting.score_test import scores
+from tsa_ctrl.identify.diagnosis.fitting.score_test import Score, scores
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     models_reversals,
     noise_rms,
@@ -19,7 +19,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 )
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, LEAST_ERROR_REDUCTION, SMALLEST, SMALLEST_GAIN
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
-from tsa_ctrl.identify.diagnosis.selection.meaning import torque
+from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, torque
 from tsa_ctrl.model.functions import Array
 
 POWER = 1.2816  # deviations above a threshold at which it is passed with probability 0.9: a normal law's
@@ -43,7 +43,8 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
     """What the first round of a selection, beside the base alone, would have seen.
 
     structure: share of what is left that is no noise; a cause that explains less than that would be a guess, and is
-    not named (`rivals.alternatives`).
+    not named (`rivals.alternatives`). What these logs hold of an effect without its being named, because it is too
+    little or another cause looks like it, an effect of the other sign must first make up for.
     """
     problem, first = chosen.problem, chosen.rounds[0]
     scored = scores(problem, first.fitted, first.responses)
@@ -70,13 +71,21 @@ def detection_limits(chosen: Selection, structure: float) -> DetectionLimits:
         shown = shown - known @ (known.T @ shown)
         whole = _rms(raw)
         taken = whole * error / max(_rms(shown), INVISIBLE * whole)
-        found[score.variant.effect].append(max(whole / size * white_size, SMALLEST * noise, taken))
+        held = 0.0 if score.variant.effect in chosen.fitted.names else _held(first.fitted, score)
+        seen_from = max(whole / size * white_size, SMALLEST * noise, taken)
+        found[score.variant.effect].append(seen_from + whole / size * held)
     names = {score.variant.effect for score in scored}
     limits = {name: float(np.median(values)) for name, values in found.items()}
     largest = torque(problem)
     hidden = {name: size for name, size in limits.items() if size > largest}
     seen = {name: size for name, size in limits.items() if name not in hidden}
     return DetectionLimits(seen, tuple(sorted(names - set(found))), hidden)
+
+
+def _held(fitted: Fit, score: Score) -> float:
+    """What the logs hold of an effect, of either sign, beyond what noise shows of it, white units."""
+    shown = orthonormal(score.columns).T @ fitted.residual
+    return float(np.sqrt(max(np.sum(shown**2) - BY_NOISE, 0.0)))
 
 
 def _tangents(problem: Problem, fitted: Fit) -> Array:
