@@ -19,6 +19,7 @@ import pytest
 from tests.conftest import ROOT
 
 PACKAGE = ROOT / "tsa_ctrl"
+pytestmark = pytest.mark.xdist_group("layers")  # who imports whom is read once, by one worker
 
 ROOMS: dict[str, str] = {
     # the ground

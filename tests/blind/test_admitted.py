@@ -14,13 +14,8 @@ from . import FAMILIES
 from .drawn import drawn, together
 
 pytestmark = together
-ASKED = (
-    "none",
-    "single",
-    "pair",
-    "outside",
-    "confounded",
-)  # whose logs the gate diagnoses: the first name of each is enough
+# Whose logs the gate diagnoses: of each the first name is enough here
+ASKED = ("none", "single", "pair", "outside", "confounded")
 SEEDS = {"single": 1}  # those that other tests draw, too; of the other families 0
 
 

@@ -38,10 +38,16 @@ def nominal(pair: Pair, spring: bool, off: float = OFF) -> TendonSheath:
     return bent.recalibrated(pair.x / off, pair.pretension / off)
 
 
-@pytest.mark.parametrize("rig", RIGS)
+EACH = pytest.mark.parametrize("rig", RIGS)
+TENSIONED = pytest.mark.parametrize(  # two pretensions tell the same of every course of the bends
+    "rig", [pytest.param(rig, marks=[pytest.mark.soak] if rig.startswith("S") else []) for rig in RIGS]
+)
+
+
 class TestRig:
     """Known parameters come back."""
 
+    @EACH
     def test_simulated(self, rig: str) -> None:
         """The true file leaves the noise: 5 mN*m, and the motor's 2 through the slope."""
         pair, spring = RIGS[rig]
@@ -49,6 +55,7 @@ class TestRig:
         error = predict(nominal(pair, spring, 1.0), log.signals()) - log.columns["tau_j"]
         assert float(np.sqrt(np.mean(error**2))) == pytest.approx(5.5e-3, rel=0.1)
 
+    @EACH
     def test_calibrated_in_one_configuration(self, rig: str) -> None:
         """The proportion of the file is right here, so that both come back."""
         pair, spring = RIGS[rig]
@@ -58,6 +65,7 @@ class TestRig:
         assert found.rms_after < 6e-3
 
     @pytest.mark.slow
+    @TENSIONED
     def test_split_by_the_tensioner(self, rig: str) -> None:
         """Two known pretensions."""
         pair, spring = RIGS[rig]
@@ -67,6 +75,7 @@ class TestRig:
         assert found.friction_angle.value == pytest.approx(pair.x, rel=5e-3)
         assert found.pretension.value == pytest.approx(pair.pretension, rel=5e-3)
 
+    @EACH
     def test_split_by_measured_tensions(self, rig: str) -> None:
         """T1 and T3 hold what the elongation does to the pretension; T_p0 is what it would be without friction."""
         pair, spring = RIGS[rig]
@@ -80,7 +89,7 @@ class TestRig:
 def test_diagnosed() -> None:
     """Friction that nobody knew of is named beside the file's own bends, which stay in the extended model."""
     pair, spring = RIGS["S, spring at the joint"]
-    logs = [Dataset.from_arrays(record(pair, 1, seconds=30.0, viscous=0.08), "a")]
+    logs = [Dataset.from_arrays(record(pair, 1, seconds=20.0, viscous=0.08), "a")]
     found = diagnose(logs, nominal(pair, spring, 1.05))
     assert [cause.effect for cause in found.causes] == ["viscous_friction"]
     assert found.causes[0].parameters["coefficient"].value == pytest.approx(0.08, rel=0.05)  # type: ignore[union-attr]

@@ -35,7 +35,9 @@ def hits(result: Calibration, rig: tendon_logs.Rig, *names: str) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("profile", ["joint_end", pytest.param("uniform", marks=pytest.mark.soak), "motor_end"])
+@pytest.mark.parametrize(
+    "profile", ["joint_end", *(pytest.param(name, marks=pytest.mark.soak) for name in ("uniform", "motor_end"))]
+)
 def test_intervals_of_the_two_combinations_cover_the_truth(profile: str) -> None:
     """40 logs with two intervals each: at 95 % coverage fewer than 70 of 80 hits has a chance below 1 in 1000."""
     found = 0

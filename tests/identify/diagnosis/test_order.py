@@ -27,6 +27,7 @@ def stage(module: str) -> int:
 
 
 @pytest.mark.slow
+@pytest.mark.xdist_group("layers")  # with tests/test_layers.py, which has read who imports whom
 def test_a_stage_imports_only_stages_before_it() -> None:
     inside = {name: others for name, others in graph().items() if name.startswith(DIAGNOSIS)}
     wrong = [

@@ -88,7 +88,7 @@ def test_a_rest_is_neither_learned_from_nor_counted() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("offset", [0.0, 0.05])
+@pytest.mark.parametrize("offset", [pytest.param(0.0, marks=pytest.mark.soak), 0.05])  # a tilt is the harder one
 def test_what_a_drive_holds_at_rest_is_no_cause(offset: float) -> None:
     result = diagnose({"log": _stop_and_go(offset)}, dataclasses.replace(DRIVE, torque_offset=0.0))
     assert result.causes == ()
@@ -101,7 +101,7 @@ def test_what_a_drive_holds_at_rest_is_no_cause(offset: float) -> None:
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        ("slow_gait", 1),
+        pytest.param("slow_gait", 1, marks=pytest.mark.soak),
         pytest.param("slow_multisine", 1, marks=pytest.mark.soak),
         pytest.param("plateaus", 1, marks=pytest.mark.soak),
         ("plateaus", 2),

@@ -45,6 +45,7 @@ def test_a_cause_that_the_stretch_contradicts_gives_its_place_to_a_rival() -> No
 
 
 @pytest.mark.slow
+@pytest.mark.soak  # angles that contradict the file: test_by_stretch.py, too
 def test_a_stretch_that_follows_no_hypothesis_excludes_none() -> None:
     """A motor's encoder on another shaft: its angle has nothing to do with the tendons."""
     case = two_encoder_case("elongation_or_gain:joint", 1, short=True)
