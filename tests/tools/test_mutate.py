@@ -15,7 +15,7 @@ from tests.conftest import ROOT
 from tools.campaign.mutate import EQUIVALENT
 from tools.campaign.mutation.mutants import enums_of, mutants
 
-SAMPLE = 4
+SAMPLE = 2
 SOURCE = '''
 class Limit:
     high: float = 2.0

@@ -108,7 +108,7 @@ def test_what_is_wrong_in_a_page_is_found() -> None:
 
 def write_foreign(path: Path) -> None:
     """As other programs write: semicolons, decimal commas, ms, degrees, mN m. Coulomb friction 2 mN m, offset 1."""
-    t = np.arange(0.0, 15.0, 0.005)
+    t = np.arange(0.0, 10.0, 0.005)
     angle, speed = np.sin(1.9 * t) + 0.4 * np.sin(3.1 * t), 1.9 * np.cos(1.9 * t) + 1.24 * np.cos(3.1 * t)
     noise = np.random.default_rng(7).normal(0.0, 0.2, t.size)
     torque = 1e-3 * speed + 2.0 * np.tanh(speed / 0.01) + 1.0 + noise

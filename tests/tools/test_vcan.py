@@ -46,7 +46,7 @@ def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], 
 @pytest.mark.slow
 def test_streams_and_exit_status_pass_through() -> None:
     """Input, output and errors arrive byte for byte, more of them than any buffer on the way holds."""
-    data = random.Random(1).randbytes(300_000)
+    data = random.Random(1).randbytes(200_000)
     done = run(["sh", "-c", "cat; printf 'to\\nerrors\\r\\n' >&2; exit 7"], {"TSA_VCAN": ""}, stdin=data)
     assert done.returncode == 7
     assert done.stdout == data

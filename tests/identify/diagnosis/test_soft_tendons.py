@@ -8,7 +8,6 @@ from tests.blind.soft_tendons import record
 from tests.identify.diagnosis.nominal import model
 from tsa_ctrl.identify import diagnose
 
-
 JOINT = pytest.mark.soak  # the displacement that logs without a motor's angle have: the gate asks it
 
 

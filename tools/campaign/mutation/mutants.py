@@ -13,7 +13,6 @@ cosmic-ray 8.7 makes 480 and starts pytest anew for each, 1.6 s: 13 minutes.
 from __future__ import annotations
 
 import ast
-import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -285,13 +284,24 @@ def _apply(tree: ast.Module, place: _Place, edit: Edit) -> tuple[str, str, str, 
     context = _context(chain)
     before = _text(chain[context])
     top = max((index for index, node in enumerate(chain) if isinstance(node, ast.stmt)), default=1)
-    chain[top:] = _at(copy.deepcopy(chain[top]), place.path[top:])
+    chain[top:] = _at(_copied(chain[top]), place.path[top:])
     replacement = edit(chain[-1]) or ast.Pass()
     if top == len(chain) - 1:
         return before, _text(replacement), where, (place.path[:top], replacement)
     _put(chain[top], place.path[top:], replacement)
     after = _text(replacement if context == len(chain) - 1 else chain[context])
     return before, after, where, (place.path[:top], chain[top])
+
+
+def _copied(node: ast.AST) -> ast.AST:
+    """As copy.deepcopy, which took two fifths of the time of it all: a tree has no node twice, unless there is nothing in it."""
+    made = type(node)()
+    for name, value in vars(node).items():
+        if isinstance(value, list):
+            setattr(made, name, [_copied(each) if isinstance(each, ast.AST) else each for each in value])
+        else:
+            setattr(made, name, _copied(value) if isinstance(value, ast.AST) else value)
+    return made
 
 
 def _at(root: ast.AST, path: Path) -> list[ast.AST]:
