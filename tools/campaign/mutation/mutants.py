@@ -294,7 +294,7 @@ def _apply(tree: ast.Module, place: _Place, edit: Edit) -> tuple[str, str, str, 
 
 
 def _copied(node: ast.AST) -> ast.AST:
-    """As copy.deepcopy, which took two fifths of the time of it all: a tree has no node twice, unless there is nothing in it."""
+    """As copy.deepcopy, which took two fifths of the time of it all; no node is twice in a tree but empty ones."""
     made = type(node)()
     for name, value in vars(node).items():
         if isinstance(value, list):
