@@ -172,6 +172,7 @@ def late_error(folder: Path, kind: str, load: str, setpoint: dict[str, Any]) -> 
 
 
 @pytest.mark.slow
+@pytest.mark.soak  # with each change: below by the stretch, in tests/daemon/test_bending_change.py by the sensor
 def test_a_bending_change_is_followed_as_well_as_by_a_torque_sensor(tmp_path: Path) -> None:
     """Friction and pretension rise by 40 and 80 %: known without a joint torque sensor within seconds."""
     by_sensor = late_error(tmp_path / "sensor", "sensor", "imposed", GAIT)

@@ -131,10 +131,10 @@ def play(
     return simulate_loop(*paths, seconds, changes=changes, faults=faults, seed=seed)
 
 
-def play_case(folder: Path, name: str, **more: Any) -> Simulation:
-    """One of `CASES`."""
+def play_case(folder: Path, name: str, seconds: float | None = None, **more: Any) -> Simulation:
+    """One of `CASES`, or the first `seconds` of it."""
     case = CASES[name]
-    return play(folder, case.load, case.setpoint, case.seconds, **more)
+    return play(folder, case.load, case.setpoint, seconds or case.seconds, **more)
 
 
 def error(result: Simulation, after: float = 1.0) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ CONSTANT = {"kind": "constant", "offset": 0.5}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wrong", [0.09, 0.05])
+@pytest.mark.parametrize("wrong", [pytest.param(0.09, marks=pytest.mark.soak), 0.05])  # the less of it, the harder
 def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path, wrong: float) -> None:
     """The motor turns the wrong way for `wrong` s of each 0.1: not one tenth of a second in a row."""
     strict = {"plausibility": {"joint_torque": 0.5}}
@@ -69,8 +69,14 @@ LOADS = ["imposed", "held", "spring", "weight", "free", "limb", "wearer"]
 BETWEEN = ("spring", "weight", "limb")  # joints between one that is held and one that is free
 
 
-@pytest.mark.parametrize("sensor", [True, pytest.param(False, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize(
+    ("load", "sensor"),
+    [
+        *((load, True) for load in LOADS),
+        *(pytest.param(load, False, marks=pytest.mark.slow) for load in LOADS if load not in BETWEEN),
+        *(pytest.param(load, False, marks=pytest.mark.soak) for load in BETWEEN),
+    ],
+)
 def test_a_motor_that_turns_the_wrong_way_is_found_at_the_enable(tmp_path: Path, load: str, sensor: bool) -> None:
     """At small torque, 15 % of the limit, before the joint has moved; a joint torque sensor is not needed."""
     setpoint = GAIT if load == "imposed" else {"kind": "constant", "offset": 0.8}
@@ -99,7 +105,7 @@ def test_a_wearer_who_begins_to_move_as_the_torque_begins_is_no_reversed_motor(t
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "load", [pytest.param(load, marks=pytest.mark.soak) if load in BETWEEN else load for load in LOADS]
+    "load", [pytest.param(load, marks=pytest.mark.soak) if load in (*BETWEEN, "wearer") else load for load in LOADS]
 )
 def test_a_motor_that_begins_to_turn_the_wrong_way_is_found_while_it_runs(tmp_path: Path, load: str) -> None:
     """Soon after the torque changes, on a free joint by turns with its friction: the opposite of 0.8 N*m.
@@ -121,7 +127,8 @@ def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "load", [*(pytest.param(load, marks=pytest.mark.soak) for load in BETWEEN[:2]), "free", "limb"]
+    "load",
+    [*(pytest.param(load, marks=pytest.mark.soak) for load in BETWEEN), "free"],  # the one that is thrown farthest
 )
 def test_a_torn_tendon_is_found_before_it_throws_the_joint(tmp_path: Path, load: str) -> None:
     """The one that pulls at once; the other one when the torque turns at the latest: within 2 rad/s beyond before."""
@@ -178,7 +185,10 @@ def test_some_commands_lost_now_and_then_are_told_and_the_axis_goes_on(tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("load", ["spring", pytest.param("weight", marks=pytest.mark.soak), "limb"])
+@pytest.mark.parametrize(
+    "load",
+    [*(pytest.param(load, marks=pytest.mark.soak) for load in ("spring", "weight")), "limb"],  # it is both
+)
 def test_a_joint_encoder_that_sticks_is_found_before_the_joint_is_thrown(tmp_path: Path, load: str) -> None:
     """Its last value comes again and again: the motor goes farther than its torque stretches the tendons."""
     result = play(tmp_path, load, sine(0.8, 1.0), 1.8, faults=["stuck_tpdo node=encoder@1.1"])
