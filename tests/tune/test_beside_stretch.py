@@ -5,39 +5,68 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.tune import rig
+from tests.tune.test_command import tsa
 from tests.tune.test_in_virtual_time import RATE, tune
 from tests.virtual.rigs import draw
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.tune.excitation import multi_sine
+from tsa_ctrl.virtual.simulation import simulate_loop
 
 DRAWN = draw(1, 1)  # bends at the motor, soft tendons, a heavy motor; friction and pretension are off
 
 
-@pytest.mark.slow
-def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Regressed on where the joint moves, the half loop came out as 28 % of the true one."""
-    law = {"compensation": rig.COMPENSATION, "fade_in": 1.0}
+def write(folder: Path, axis: dict[str, Any]) -> Path:
+    """The rig's files; `axis`: tables of the controller's, whose file is returned."""
     plant = {**DRAWN.axis(), "joint": {"load": "limb"}}
-    controller = rig.write(tmp_path, VIRTUAL, RATE, "distributed", plant, {"law": law})
-    save_model(DRAWN.nominal, tmp_path / "actuator.toml")  # the plant's own: tune writes the controller's
-    text = (tmp_path / "plant.toml").read_text().replace(rig.MODEL, "actuator.toml")
-    (tmp_path / "plant.toml").write_text(text)
-    save_model(DRAWN.nominal, tmp_path / rig.MODEL)
-    spans = ("--seconds", "10", "--verify-seconds", "4")
-    assert tune(controller.parent, "--yes", "--json", "--out", str(tmp_path / "out"), *spans) == 0
-    data = json.loads(capsys.readouterr().out)
+    controller = rig.write(folder, VIRTUAL, RATE, "distributed", plant, axis)
+    save_model(DRAWN.nominal, folder / "actuator.toml")  # the plant's own: tune writes the controller's
+    text = (folder / "plant.toml").read_text().replace(rig.MODEL, "actuator.toml")
+    (folder / "plant.toml").write_text(text)
+    save_model(DRAWN.nominal, folder / rig.MODEL)
+    return controller
+
+
+def check(data: dict[str, Any], model: Path) -> None:
+    """The half loop that `tsa tune` told as JSON and wrote."""
     truth = DRAWN.truth
     half_loop = 2.0 * truth.joint_pulley_radius * truth.pretension * math.sinh(truth.friction_angle)
     found = data["calibration"]["combinations"]["half_loop_torque"]
     assert found["low"] <= half_loop <= found["high"]
     assert found["value"] == pytest.approx(half_loop, rel=0.02)
     assert any("the stretch's is taken" in note for note in data["notes"])
-    assert data["verification"]["reduction_percent"]["after"] > 80.0
-    written = load_tendon_sheath(tmp_path / rig.MODEL)
+    written = load_tendon_sheath(model)
     assert written.pretension * written.friction_angle == pytest.approx(
         truth.pretension * truth.friction_angle, rel=0.03
     )
+
+
+@pytest.mark.slow
+def test_of_a_limbs_log_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Regressed on where the joint moves, the half loop comes out as an eighth of the true one."""
+    wave = multi_sine((0.2, 0.5, 0.9), 0.8, 8.0)
+    table = np.column_stack([wave.t, wave.tau_j_des])
+    np.savetxt(tmp_path / "wave.csv", table, delimiter=",", header="t,tau_j_des", comments="")
+    played = {"setpoint": {"kind": "file", "file": "wave.csv"}, "law": {"compensation": 0.0, "fade_in": 0.1}}
+    controller = write(tmp_path, played)
+    simulate_loop(controller, tmp_path / "plant.toml", wave.seconds, out=tmp_path)
+    assert tsa(str(controller), "--from-log", str(tmp_path / "tsa.mcap"), "--yes", "--json") == 0
+    check(json.loads(capsys.readouterr().out), tmp_path / rig.MODEL)
+
+
+@pytest.mark.slow
+@pytest.mark.soak  # with each change: of one log above, the whole procedure in test_in_virtual_time.py
+def test_on_a_limb_the_half_loop_is_the_stretchs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Regressed on where the joint moves, the half loop came out as 28 % of the true one."""
+    write(tmp_path, {"law": {"compensation": rig.COMPENSATION, "fade_in": 1.0}})
+    spans = ("--seconds", "10", "--verify-seconds", "4")
+    assert tune(tmp_path, "--yes", "--json", "--out", str(tmp_path / "out"), *spans) == 0
+    data = json.loads(capsys.readouterr().out)
+    check(data, tmp_path / rig.MODEL)
+    assert data["verification"]["reduction_percent"]["after"] > 80.0

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import io
 import json
 import math
 import shutil
@@ -27,6 +29,9 @@ from tsa_ctrl.tune.session import Plan, Session
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 COMMENT = "# measured with a calliper\n"
+FROM_LOG = ("controller.toml", "--from-log", "a.csv")
+
+Recorded = tuple[str, dict[str, np.ndarray]]
 
 
 def tsa(*arguments: str) -> int:
@@ -37,29 +42,49 @@ def tsa(*arguments: str) -> int:
 
 
 @pytest.fixture(scope="module")
-def recorded() -> tuple[str, dict[str, np.ndarray]]:
+def recorded() -> Recorded:
     """A nominal model file and a log of the rig that it describes badly."""
     rng = np.random.default_rng(5)
     rig = tendon_logs.draw_rig(rng, "joint_end")
     return COMMENT + tendon_logs.model_text(rig, rng), tendon_logs.record(rig, rng, seconds=20.0, rate=200.0)
 
 
-@pytest.fixture
-def folder(recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:  # type: ignore[no-untyped-def]
-    monkeypatch.chdir(tmp_path)
-    shutil.copy(CONFIG / "controller.toml", tmp_path)
+def write(folder: Path, recorded: Recorded) -> None:
+    shutil.copy(CONFIG / "controller.toml", folder)
     text, log = recorded
-    (tmp_path / "actuator.toml").write_text(text)
-    header = ",".join(log)
-    np.savetxt("a.csv", np.column_stack(list(log.values())), delimiter=",", header=header, comments="", fmt="%.9g")
+    (folder / "actuator.toml").write_text(text)
+    table = np.column_stack(list(log.values()))
+    np.savetxt(folder / "a.csv", table, delimiter=",", header=",".join(log), comments="", fmt="%.9g")
+
+
+@pytest.fixture
+def folder(recorded: Recorded, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, recorded)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def once(recorded: Recorded, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder in which the file was tuned, with a report, and what was printed."""
+    folder = tmp_path_factory.mktemp("tuned")
+    write(folder, recorded)
+    printed = io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(printed):
+        assert tsa(*FROM_LOG, "--yes", "--out", "out") == 0
+    return folder, printed.getvalue()
+
+
+@pytest.fixture
+def tuned(once: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of that folder for a test of its own."""
+    shutil.copytree(once[0], tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
-FROM_LOG = ("controller.toml", "--from-log", "a.csv")
 
 
 @pytest.mark.slow
@@ -97,11 +122,9 @@ def test_a_dry_run_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.mark.slow
 def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
-    folder: Path, capsys: pytest.CaptureFixture[str]
+    recorded: Recorded, once: tuple[Path, str], tuned: Path
 ) -> None:
-    nominal = (folder / "actuator.toml").read_text()
-    assert tsa(*FROM_LOG, "--yes", "--out", "out") == 0
-    out = capsys.readouterr().out
+    nominal, folder, out = recorded[0], tuned, once[1]
     diff, table = out.index("+++ actuator.toml (new)"), out.index("95 % interval")
     assert diff < table < out.index("written: actuator.toml")  # the table stands above the question
     text = (folder / "actuator.toml").read_text()
@@ -124,12 +147,10 @@ def test_a_yes_writes_the_file_keeps_the_one_before_and_makes_a_page(
 
 
 @pytest.mark.slow
-def test_undo_puts_the_file_before_back(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    nominal = (folder / "actuator.toml").read_text()
-    assert tsa(*FROM_LOG, "--yes") == 0
+def test_undo_puts_the_file_before_back(recorded: Recorded, tuned: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tsa("controller.toml", "--undo") == 0
     assert "put back from actuator.toml.~1~" in capsys.readouterr().out
-    assert (folder / "actuator.toml").read_text() == nominal
+    assert (tuned / "actuator.toml").read_text() == recorded[0]
     assert tsa("controller.toml", "--undo") == 2
 
 
@@ -165,13 +186,12 @@ def test_what_was_measured_of_the_motor_goes_into_the_controllers_file_and_back_
 
 
 @pytest.mark.slow
-def test_undo_goes_with_nothing_else(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert tsa(*FROM_LOG, "--yes") == 0
-    written = (folder / "actuator.toml").read_bytes()
+def test_undo_goes_with_nothing_else(tuned: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = (tuned / "actuator.toml").read_bytes()
     assert tsa("controller.toml", "--undo", "--dry-run") == 2
     assert tsa(*FROM_LOG, "--undo") == 2
     assert "does nothing else than" in capsys.readouterr().err
-    assert (folder / "actuator.toml").read_bytes() == written
+    assert (tuned / "actuator.toml").read_bytes() == written
 
 
 @pytest.mark.slow
@@ -208,10 +228,8 @@ def test_without_an_answer_nothing_is_written(folder: Path, capsys: pytest.Captu
 
 
 @pytest.mark.slow
-def test_a_file_that_fits_already_is_not_written_again(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The third tuning on the same log gains nothing on held-out data, or next to nothing."""
-    assert tsa(*FROM_LOG, "--yes") == 0
-    capsys.readouterr()
+def test_a_file_that_fits_already_is_not_written_again(tuned: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The second tuning on the same log gains nothing on held-out data, or next to nothing."""
     assert tsa(*FROM_LOG, "--json", "--dry-run") == 0
     rms = json.loads(capsys.readouterr().out)["calibration"]["rms"]
     assert rms["after"] == pytest.approx(rms["before"], rel=0.05)
