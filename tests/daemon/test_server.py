@@ -205,11 +205,13 @@ def test_socket_belongs_to_its_owner(serving: Serving) -> None:
 
 
 def test_second_daemon_is_refused(serving: Serving) -> None:
-    """A socket that answers is not taken over."""
+    """A socket that answers is not taken over: the first one answers on."""
     second = Serving(Path(serving.path), ["knee"])
     assert not second.ready
     assert b"another daemon answers there" in second.greeting
     second.end()
+    with Client(serving.path) as client:
+        assert client.ask(Status())["schema"] == 1
 
 
 def test_left_over_socket_is_replaced(tmp_path: Path) -> None:

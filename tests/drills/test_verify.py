@@ -283,6 +283,7 @@ def test_a_motor_that_pulls_the_wrong_way_is_found_by_its_first_torque(
 @pytest.mark.vcan
 @pytest.mark.hil
 @pytest.mark.slow
+@pytest.mark.soak  # seen in virtual time: tests/drills/test_pull.py; such a word ends a trial: above
 def test_a_motor_that_gives_twice_what_it_says_is_found_by_its_first_torque(
     folder: Path, vcan: str, plants: list[Rig]
 ) -> None:
