@@ -62,6 +62,7 @@ def test_the_interval_of_an_unsplit_parameter_is_what_is_left_open() -> None:
         assert hits(calibrate([log(rig, rng)], model), rig, "friction_angle", "pretension") == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tensioner", "theta", "tensions", "certified"])
 def test_split_recovers_both_parameters(kind: str) -> None:
     for seed in range(3):

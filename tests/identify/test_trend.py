@@ -119,6 +119,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_lever_is_told_where_the_bending_varied(tmp_path: Path) -> None:
     """k_t = EA/l of a rig by independent code, at the true friction coefficient; a softer tendon is a change."""
     rng = np.random.default_rng(8)

@@ -131,6 +131,7 @@ def test_a_record_without_a_time_is_kept(tmp_path: Path) -> None:
     assert len(LogFile(tmp_path / "x.mcap").columns("hip", ["cycle"])["cycle"]) == 3
 
 
+@pytest.mark.slow
 @given(where=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
 @settings(max_examples=200)
 def test_a_flipped_bit_anywhere_is_at_most_one_line(

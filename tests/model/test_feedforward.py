@@ -163,6 +163,7 @@ def test_any_stack_is_inverted(data: st.DataObject) -> None:
 SIGNALS = st.one_of(st.floats(allow_nan=True, allow_infinity=True), st.sampled_from([0.0, 1e308, -1e308, 5e-324]))
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     st.sets(st.sampled_from(sorted(CATALOGUE))),

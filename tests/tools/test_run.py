@@ -45,6 +45,7 @@ def test_a_name_that_is_none_is_one_line(name: str, hint: str) -> None:
     assert hint in done.stderr
 
 
+@pytest.mark.slow
 def test_an_error_for_people_is_one_line_with_the_command_in_front() -> None:
     done = run("figures/gallery", "no_such_effect")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)

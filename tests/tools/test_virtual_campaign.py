@@ -203,6 +203,7 @@ def test_the_table_has_a_line_for_every_hazard() -> None:
     assert {len(cells) for cells in hazards.rows()} == {len(hazards.HEAD)}
 
 
+@pytest.mark.slow
 def test_the_same_trial_gives_the_same_result() -> None:
     assert judge(LOST) == judge(LOST)
 

@@ -40,7 +40,7 @@ def pendulum(seed: int, gravity: float) -> Columns:
 
 
 def logs(gravity: float) -> dict[str, Columns]:
-    return {f"{number}.csv": pendulum(number, gravity) for number in range(6)}
+    return {f"{number}.csv": pendulum(number, gravity) for number in range(4)}
 
 
 @pytest.mark.slow
