@@ -103,6 +103,13 @@ def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys:
     assert "held-out" in out
 
 
+def test_what_was_done_to_several_logs_is_said_once(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert tsa("low.csv", "high.csv", "--tensioner", "high.csv=+20", "--model", "a.toml") == 0
+    derived = [line.split(":")[1] for line in capsys.readouterr().out.splitlines() if "is derived" in line]
+    assert derived
+    assert len(derived) == len(set(derived))
+
+
 def of_another_drive(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The joint torque of a drive without friction whose gain is half of what the pulleys say."""
     return {**log, "tau_j": 0.5 * log["tau_m"]}

@@ -106,7 +106,7 @@ def command(
         split="fit" if split == "fit" else "keep",
     )
     if not as_json:
-        _show(result, [note for dataset in datasets for note in dataset.notes], nominal)
+        _show(result, nominal)
     kept = None
     if out is not None:
         if result.worse and not yes:
@@ -158,7 +158,7 @@ def _change(text: str) -> tuple[str, float]:
         raise UsageError(f"--tensioner: found '{text}'; write LOG=NEWTON, for example high.csv=+20") from None
 
 
-def _show(result: Calibration, done: list[str], nominal: TendonSheath) -> None:
+def _show(result: Calibration, nominal: TendonSheath) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -182,7 +182,7 @@ def _show(result: Calibration, done: list[str], nominal: TendonSheath) -> None:
             "friction angle and pretension are NOT parted by these logs; their intervals are what is left open"
         )
         console.print(f"to settle it: {result.experiment}", soft_wrap=True)
-    for note in (*dict.fromkeys(done), *result.notes):
+    for note in result.notes:
         click.echo(f"note: {note}")
     refused = ", ".join(result.refused) or "nothing"
     click.echo(f"admitted {result.admitted_seconds:.1f} s; refused: {refused}")
