@@ -1,4 +1,4 @@
-"""measured/findings: what a command says is picked from what it prints; one that breaks ends the table."""
+"""Tables of what once went wrong: what a command says is picked from what it prints; one that breaks ends the table."""
 
 from __future__ import annotations
 
@@ -6,33 +6,47 @@ from pathlib import Path
 
 import pytest
 
+from tools import answers
+from tools.answers import Case
+from tools.manual import tables
 from tools.measured import findings
-from tools.measured.findings import Finding
 
 
-def test_what_matters_is_picked_and_a_missing_line_is_told(tmp_path: Path) -> None:
-    shown = findings.said(Finding(1, "", "simulate missing.csv --model missing.toml", "^tsa: missing"), tmp_path)
-    assert shown.startswith("tsa: missing")
-    lost = findings.said(Finding(1, "", "simulate missing.csv --model missing.toml", "^RMS"), tmp_path)
-    assert lost.startswith("nothing of '^RMS' in: ")
+def test_what_matters_is_picked_once_and_a_missing_line_is_told(tmp_path: Path) -> None:
+    line = "echo one; echo two; echo one >&2; exit 2"
+    assert answers.said(Case(1, "", line, "^one"), tmp_path) == "one"
+    assert answers.said(Case(1, "", line, "^three"), tmp_path).startswith("nothing of '^three' in: one")
 
 
-def test_a_command_that_breaks_ends_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(findings, "tsa", lambda: ["sh", "-c", "echo broken >&2; exit 1"])
-    with pytest.raises(SystemExit, match="exit status 1: broken"):
-        findings.said(Finding(1, "", "simulate", "x"), tmp_path)
+@pytest.mark.parametrize("line", ["echo broken >&2; exit 3", "echo Traceback, broken >&2"])
+def test_a_command_that_breaks_ends_the_table(tmp_path: Path, line: str) -> None:
+    with pytest.raises(SystemExit, match="broken"):
+        answers.said(Case(1, "", line, "x"), tmp_path)
 
 
-def test_the_longest_first_sentence_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    words = {"diagnose a": "One two three. More of it is not counted.", "diagnose b": "One two.", "simulate": "x " * 50}
-    monkeypatch.setattr(findings, "said", lambda finding, place: words[finding.line])
-    table = findings.rows(tmp_path, [Finding(1, "", line, "") for line in words])
-    assert table[-1][-1] == "at most 3 words"
+def test_a_row_shows_the_command_as_it_was_run(tmp_path: Path) -> None:
+    assert answers.rows(tmp_path, [Case(3, "was wrong", "tsa stat", "^tsa")]) == [
+        ("3", "was wrong", "`tsa stat`", "tsa: No such command 'stat'; did you mean 'status'? (see 'tsa --help')")
+    ]
+
+
+def test_the_longest_first_sentence_is_counted() -> None:
+    lines = [
+        ("1", "", "`tsa diagnose a`", "One two three. More of it is not counted."),
+        ("2", "", "`tsa diagnose b`", "One two."),
+        ("3", "", "`tsa simulate`", "x " * 50),
+    ]
+    assert findings.longest(lines)[-1] == "at most 3 words"
+
+
+def test_the_manual_reads_the_table_that_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    answers.show([("1", "units in a head", "`tsa x`", "Zeit [s] | deg │ 3.0  │")])
+    assert tables.cells(capsys.readouterr().out)[1] == ["1", "units in a head", "`tsa x`", "Zeit [s] ¦ deg 3.0"]
 
 
 @pytest.mark.slow
 def test_a_measured_log_of_another_rate_is_taken(tmp_path: Path, data_dir: Path) -> None:
     findings.prepare(data_dir, tmp_path)
-    slow = next(each for each in findings.FINDINGS if "7.8 Hz" in each.found)
-    assert "samples at 7.8125 Hz" in findings.said(slow, tmp_path)
+    slow = next(each for each in findings.CASES if "7.8 Hz" in each.found)
+    assert "samples at 7.8125 Hz" in answers.said(slow, tmp_path)
     assert len(list((tmp_path / "twice").iterdir())) == 2 * len(list((tmp_path / "davinci").glob("*.csv.gz")))

@@ -204,6 +204,20 @@ MEASURES: tuple[Measure, ...] = (
     ),
     *(
         Measure(
+            f"ten-minutes-{name}",
+            f"600 s at 1 kHz diagnosed, {words}",
+            ("{root}/tools/run", "bench/hour", "--seconds", "600", "--kinds", "csv"),
+            _found(pattern),
+            "s",
+            long=True,
+        )
+        for name, words, pattern in (
+            ("wall", "from the command to the report", r"MB, ([\d.]+) s, of which"),
+            ("processor", "seconds of one processor", r"of which ([\d.]+) s"),
+        )
+    ),
+    *(
+        Measure(
             f"hour-{kind}",
             f"an hour at 1 kHz diagnosed, {words}: peak of memory",
             ("{root}/tools/run", "bench/hour"),

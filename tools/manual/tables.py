@@ -26,6 +26,7 @@ COMMANDS: Mapping[str, str] = {
     "coverage": "tools/run bench/calibrate --logs 7000",
     "stretch": "tools/run measured/stretch",
     "findings": "tools/run measured/findings",
+    "first-hour": "tools/run package/first_hour",
     "stretch-rigs": "tools/run bench/stretch --rigs 30 --seed 2",
     "blind": "tools/run bench/diagnose --short --seed 8000",
     "runaway": "tools/run campaign/runaway --rows FILE",
