@@ -28,7 +28,7 @@ class Case:
 
 
 def said(case: Case, place: Path) -> str:
-    """What the command prints in that folder that matters; SystemExit where it ends by anything but an answer."""
+    """What the command prints in that folder that matters; SystemExit where it has no answer, or another one."""
     path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
     run = subprocess.run(
         ["bash", "-c", case.line],
@@ -42,7 +42,9 @@ def said(case: Case, place: Path) -> str:
     if run.returncode not in (0, 1, 2) or "Traceback" in run.stderr:
         raise SystemExit(f"{case.line}: exit status {run.returncode}: {run.stderr[-2000:]}")
     lines = [line.strip() for line in (run.stdout + run.stderr).splitlines() if re.search(case.shown, line)]
-    return " ".join(dict.fromkeys(lines)) or f"nothing of '{case.shown}' in: {run.stdout}{run.stderr}"
+    if not lines:
+        raise SystemExit(f"{case.line}: nothing of '{case.shown}' in what it printed: {run.stdout}{run.stderr}")
+    return " ".join(dict.fromkeys(lines))
 
 
 def rows(place: Path, cases: Sequence[Case]) -> list[tuple[str, ...]]:

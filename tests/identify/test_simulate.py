@@ -13,7 +13,9 @@ import pytest
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log
+from tsa_ctrl.identify.motion import Made, in_words
 from tsa_ctrl.identify.simulate import labels, simulate, simulate_all
+from tsa_ctrl.identify.smoothing.zero_phase import LowPass
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import RigidDrive, load_model
 
@@ -259,3 +261,9 @@ def test_the_measured_linear_axis_as_given_has_the_published_error(data_dir: Pat
     found = simulate(load_log(folder / "emps.csv.gz"), load_model(folder / "emps.toml"))
     assert found.rms is not None
     assert found.rms < 1.1 * 2.4
+
+
+def test_how_a_column_was_derived_is_told_in_plain_numbers() -> None:
+    (line,) = in_words([Made("omega_m", "q_m", LowPass(2, 187.4), 7.42e-6, 6.04e-6, None)])
+    assert "low-pass at 190 Hz" in line
+    assert "7.4e-06 rad/s RMS" in line

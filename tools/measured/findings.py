@@ -29,48 +29,51 @@ CASES = (
     Case(
         1,
         "the published axis simulated at 14 N, and unexplained",
-        "tsa diagnose emps/emps.csv.gz --model emps/emps.toml",
+        "tsa diagnose emps/emps.csv.gz --model emps/emps.toml --out out/1",
         "^[A-Z].*falls",
     ),
     Case(1, "the same, by simulate", "tsa simulate emps/emps.csv.gz --model emps/emps.toml", "^RMS|omega_m is derived"),
     Case(
         2,
         "half of the time at rest: asymmetric friction, offset excluded",
-        "tsa diagnose epos/start_stop/*.csv.gz --model epos/drive.toml",
+        "tsa diagnose epos/start_stop/*.csv.gz --model epos/drive.toml --out out/2",
         "^[A-Z].*falls",
     ),
     Case(
         4,
         "one log of 20 s: a weight of 1.27 N·m, where the torque is 0.07",
-        "tsa diagnose davinci/load050_0.3Hz.csv.gz --model davinci/actuator.toml",
+        "tsa diagnose davinci/load050_0.3Hz.csv.gz --model davinci/actuator.toml --out out/3",
         "^These",
     ),
     Case(
         5,
         "50 trials, 1,000 s: the joint hardly moves",
-        "tsa diagnose twice/*.csv.gz --model davinci/actuator.toml",
+        "tsa diagnose twice/*.csv.gz --model davinci/actuator.toml --out out/4",
         "^[A-Z].*falls",
     ),
     Case(
         6,
         "a spring of 9e-11 N·m/rad that rests at 3.8e6 rad",
-        "tsa diagnose epos/steady/*.csv.gz --model epos/drive.toml",
+        "tsa diagnose epos/steady/*.csv.gz --model epos/drive.toml --out out/5",
         "^[A-Z].*falls",
     ),
     Case(
         7,
         "a weight, or an offset, or asymmetric friction",
-        "tsa diagnose bam/*.csv.gz --model bam/xl330.toml",
+        "tsa diagnose bam/*.csv.gz --model bam/xl330.toml --out out/6",
         "^[A-Z].*falls|^Excluded",
     ),
     Case(
         8,
         "a PWM for torque: one name alone, gain 93 %",
-        "tsa diagnose pwm.csv --model emps/emps.toml",
+        "tsa diagnose pwm.csv --model emps/emps.toml --out out/7",
         "^verdict|^These|^[A-Z].*(falls|held-out)",
     ),
     Case(
-        9, "a cogging map: the joint hardly moves", "tsa diagnose cogging.csv --model bam/xl330.toml", "^[A-Z].*falls"
+        9,
+        "a cogging map: the joint hardly moves",
+        "tsa diagnose cogging.csv --model bam/xl330.toml --out out/8",
+        "^[A-Z].*falls",
     ),
     Case(
         10,
@@ -97,12 +100,15 @@ CASES = (
         "samples at|^RMS",
     ),
     Case(
-        12, "recalibrated was worse, not said", "tsa diagnose emps/emps.csv.gz --model emps/emps.toml", "^Recalibration"
+        12,
+        "recalibrated was worse, not said",
+        "tsa diagnose emps/emps.csv.gz --model emps/emps.toml --out out/9",
+        "^Recalibration",
     ),
     Case(
         15,
         "what is left depends on the joint's angle",
-        "tsa diagnose davinci/*_0.3Hz.csv.gz --model davinci/actuator.toml",
+        "tsa diagnose davinci/*_0.3Hz.csv.gz --model davinci/actuator.toml --out out/10",
         "^[A-Z].*falls|^What is left",
     ),
 )

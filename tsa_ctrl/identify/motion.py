@@ -107,7 +107,7 @@ def in_words(made: Iterable[Made]) -> tuple[str, ...]:
 
 
 def _span(values: Sequence[float]) -> str:
-    low, high = f"{min(values):.2g}", f"{max(values):.2g}"
+    low, high = (f"{float(f'{value:.2g}'):g}" for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"
 
 
