@@ -2,7 +2,7 @@
 
 Draws are fixed, so a count can only change with the code. The limits are those of the targets for so few cases.
 
-Each change asks each effect once, a third of the kinds of causes outside, a log of each kind without an effect and
+Each change asks each effect once, a third of the kinds of causes outside, two logs of each kind without an effect and
 three pairs (`EACH_CHANGE`). Of a diagnosis whose share of right answers has fallen from the target to the second figure
 they tell in so many cases of a hundred, which `test_a_diagnosis_that_got_worse_fails` computes:
 
@@ -11,7 +11,7 @@ they tell in so many cases of a hundred, which `test_a_diagnosis_that_got_worse_
     noticed outside the catalogue   0.80 -> 0.4    68
     not explained away              0.95 -> 0.6    66
     both of two effects             0.90 -> 0.5    50
-    no structure without an effect  0.95 -> 0.8    32
+    no structure without an effect  0.95 -> 0.8    79
 
 `tools/test -m soak` asks two to four times as many of each (`WHOLE`).
 """
@@ -54,7 +54,7 @@ class Sample(NamedTuple):
         return self.single * len(FAMILIES["single"])
 
 
-EACH_CHANGE = Sample(10, 1, FAMILIES["outside"][::3], 3, 0.08)
+EACH_CHANGE = Sample(20, 1, FAMILIES["outside"][::3], 3, 0.08)
 WHOLE = Sample(40, 2, FAMILIES["outside"], 8, UNLIKELY)
 sampled = pytest.mark.parametrize(
     "of", [pytest.param(EACH_CHANGE, id="each change"), pytest.param(WHOLE, id="whole", marks=pytest.mark.soak)]
@@ -216,7 +216,7 @@ def test_too_few_right_answers_are_a_failure(count: int, share: float) -> None:
         pytest.param(len(EACH_CHANGE.outside), 0.80, 0.4, 0.68, id="noticed outside the catalogue"),
         pytest.param(len(EACH_CHANGE.outside), 0.95, 0.6, 0.66, id="not explained away"),
         pytest.param(EACH_CHANGE.pairs, 0.90, 0.5, 0.50, id="both of two effects"),
-        pytest.param(EACH_CHANGE.none, 0.95, 0.8, 0.32, id="no structure without an effect"),
+        pytest.param(EACH_CHANGE.none, 0.95, 0.8, 0.79, id="no structure without an effect"),
     ],
 )
 def test_a_diagnosis_that_got_worse_fails(total: int, target: float, worse: float, told: float) -> None:
