@@ -98,3 +98,13 @@ def test_a_refusal_names_the_measured_quantity_its_value_and_what_is_needed() ->
         r"its speed stands 6 times out of the velocity's noise of [\d.]+ rad/s in 0.0% of the time, [\d.]+% are needed",
         diagnose({"still.csv": still}, DRIVE).sentence,
     )
+
+
+@pytest.mark.slow
+def test_one_level_of_load_is_refused_in_a_sentence_that_is_read_at_once(data_dir: Path) -> None:
+    """35 words: a trial of the measured cable drive under one load."""
+    folder = data_dir / "davinci"
+    logs = load_logs([folder / "load050_0.3Hz.csv.gz"])
+    sentence = diagnose(logs, load_model(folder / "actuator.toml")).sentence
+    assert "rests on one level" in sentence
+    assert len(sentence.split(". ")[0].split()) <= 35

@@ -56,7 +56,7 @@ def refuse_unsuited(problem: Problem, base: Fit) -> None:
         if change < LEAST_CHANGE * level:
             raise InsufficientError(
                 f"the measured torque rests on one level, {level:.3g} N·m, and changes by {change:.3g} N·m RMS, where "
-                f"{LEAST_CHANGE * level:.3g} N·m are needed: one load does not tell friction from a sensor's gain or "
+                f"{LEAST_CHANGE * level:.3g} N·m are needed; one load does not tell friction from a sensor's gain or "
                 "zero; record several loads and give the logs together"
             )
         raise InsufficientError(UNSUITED)
