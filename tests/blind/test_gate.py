@@ -117,6 +117,17 @@ def test_no_structure_is_claimed_where_nothing_is_hidden(of: Sample) -> None:
 
 
 @pytest.mark.slow
+@none
+@sampled
+@pytest.mark.parametrize("number", ["slope", "half_loop_torque"])
+def test_what_logs_know_of_the_base_has_an_interval_that_holds_it(of: Sample, number: str) -> None:
+    """These, and not x or T_p, are what logs of one configuration tell: told by the logs, not by the file's x."""
+    held = [marks.covered[number] for _, marks, _ in answers("none", of.none) if number in marks.covered]
+    assert len(held) >= of.none // 2
+    assert likely(sum(held), len(held), 0.95, of.unlikely)
+
+
+@pytest.mark.slow
 @single
 @sampled
 @pytest.mark.parametrize(

@@ -49,6 +49,7 @@ def widened(covariance: Array, influence: Array, residual: Array, cells: NDArray
     scores = _summed(own * residual[:, None], cells, number)
     spread, turned = np.linalg.eigh(scores.T @ scores * number / max(number - 1, 1))
     told = _summed(np.square(own @ turned), cells, number)
+    told /= np.maximum(np.max(told, axis=0, initial=0.0), 1e-300)  # of a direction that is all but singular it is huge
     freedom = np.sum(told, axis=0) ** 2 / np.maximum(np.sum(told**2, axis=0), 1e-300)
     wider = np.array([half_width(max(float(each), LEAST_FREEDOM)) / half_width(NOISE) for each in freedom])
     root = units[:, None] * (vectors * np.sqrt(values)) @ turned

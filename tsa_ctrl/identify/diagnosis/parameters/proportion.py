@@ -44,7 +44,8 @@ def in_proportion(frame: Frame, reported: Refit) -> Refit:
         frame, reported.fitted, reported.fitted.point
     ):
         return reported
-    return dataclasses.replace(reported, fitted=dataclasses.replace(reported.fitted, point=point))
+    kept = dataclasses.replace(reported.fitted, point=point)
+    return dataclasses.replace(reported, fitted=kept, learned=reported.fitted.point)
 
 
 def parted(frame: Frame, reported: Refit) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
+from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.parameters.passes import states_of, widened
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.student import NOISE, half_width
@@ -28,6 +29,7 @@ WIDEST = 3.0
 # Of a coordinate of the base, where nothing is known of it: a tenth of x or T_p, within which they are still lines
 WIDEST_STEP = 0.1
 STEP = 0.05  # of a standard deviation, for derivatives of parameters
+COMBINATIONS = ("slope", "half_loop_torque")  # of x and T_p, which logs of one configuration know
 
 
 @dataclass(frozen=True)
@@ -35,12 +37,15 @@ class Refit:
     """`covariance` (p, p) of the coordinates, 0 for effects' that a bound holds; `factor`: of t for the interval.
 
     structured: whether what is left is not noise alone, so that passes over the same motion are no news (`passes`).
+    learned: coordinates (p,) of least squares where those of `fitted` keep the file's proportion of x and T_p instead
+    (`proportion`): what the logs tell is slope and half loop, and these are told by them.
     """
 
     fitted: Fit
     covariance: Array
     factor: float
     structured: bool = False
+    learned: Array | None = None
 
     def quantity(self, value: float, variance: float, unit: str, low: float, high: float) -> Quantity:
         """Interval of a derived number; a positive one with a wide interval is taken as log-normal."""
@@ -142,11 +147,22 @@ def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
     """name: (nominal, quantity) of the base model's parameters and combinations."""
     base = result.fitted.hypothesis.base
     count = len(base.coordinates())
-    point = result.fitted.point[:count]
     spread = result.covariance[:count, :count]
+    kept = _about(base, result.fitted.point[:count], spread)
+    learned = kept if result.learned is None else _about(base, result.learned[:count], spread)
+    out = {}
+    for name in kept:
+        nominal, value, unit, gradient = (learned if name in COMBINATIONS else kept)[name]
+        low = -math.inf if name == "torque_offset" else 0.0
+        out[name] = (nominal, result.quantity(value, float(gradient @ spread @ gradient), unit, low, math.inf))
+    return out
+
+
+def _about(base: Base, point: Array, spread: Array) -> dict[str, tuple[float, float, str, Array]]:
+    """name: (nominal, value, unit, gradient (k,)) of the base model's numbers at these coordinates (k,)."""
     central = base.quantities(point)
-    gradients = {name: np.zeros(count) for name in central}
-    for i in range(count):
+    gradients = {name: np.zeros(len(point)) for name in central}
+    for i in range(len(point)):
         step = min(max(STEP * math.sqrt(max(spread[i, i], 0.0)), 1e-7), WIDEST_STEP)
         up, down = point.copy(), point.copy()
         up[i] += step
@@ -154,9 +170,4 @@ def base_quantities(result: Refit) -> dict[str, tuple[float, Quantity]]:
         above, below = base.quantities(up), base.quantities(down)
         for name in central:
             gradients[name][i] = (above[name][1] - below[name][1]) / (2.0 * step)
-    out = {}
-    for name, (nominal, value, unit) in central.items():
-        variance = float(gradients[name] @ spread @ gradients[name])
-        low = -math.inf if name == "torque_offset" else 0.0
-        out[name] = (nominal, result.quantity(value, variance, unit, low, math.inf))
-    return out
+    return {name: (*central[name], gradients[name]) for name in central}
