@@ -227,6 +227,25 @@ MEASURES: tuple[Measure, ...] = (
         )
         for kind, words in (("csv", "a table of 6 columns"), ("mcap", "the daemon's own log"))
     ),
+    Measure(
+        "base-intervals",
+        "no effect hidden, 500 draws: 95 % intervals of the base model's numbers (slope, half loop) that hold them",
+        (
+            "{root}/tools/run",
+            "bench/diagnose",
+            "--short",
+            "--families",
+            "none",
+            "hidden_direction",
+            "--seed",
+            "8000",
+            *OUT,
+        ),
+        _found(r"95 % intervals of the base model cover .*?/\d+ ([\d.]+)%"),
+        "%",
+        deterministic=True,
+        long=True,
+    ),
     *(
         Measure(
             f"outside-{name}",
