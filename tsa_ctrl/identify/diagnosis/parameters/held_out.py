@@ -24,7 +24,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     models_reversals,
 )
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
-from tsa_ctrl.identify.diagnosis.selection.step import backward_step
+from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS, backward_step
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
@@ -39,7 +39,8 @@ HARDLY_SHOWN = 0.5
 class HeldOut:
     """RMS in N*m over the held-out samples at the logs' own rate; `lost` without each cause, as a share of the gain.
 
-    Of a cause that the held-out samples hardly show, `lost` is that on the others, each part left out in its turn.
+    Of a cause that the held-out samples hardly show, or beside one that moves the reversals, `lost` is that on the
+    others, each part left out in its turn.
     """
 
     as_given: float
@@ -96,7 +97,7 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
         smaller = fit_on_simulation_error(problem, backward_step(problem, extended, index), mask=split.fit)
         error = rms_over(frame, smaller.hypothesis.model(smaller.point), split.held)
         share = (error**2 - rms["extended"] ** 2) / won
-        if share <= 0.0 and _hardly_shown(problem, extended, smaller, split):
+        if share <= 0.0 and (_hardly_shown(problem, extended, smaller, split) or _is_late(found)):
             share = _among_the_learned(problem, base, found, index)
         lost.append(float(np.clip(share, 0.0, 1.0)))
     driver = "omega_j" if problem.base.target == "tau_m" else "tau_m"
@@ -114,6 +115,14 @@ def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -
     with_it, without = (problem.predicted(each.hypothesis.model(each.point)) for each in (extended, smaller))
     change = np.square(with_it - without)
     return bool(np.mean(change[split.held]) < HARDLY_SHOWN * np.mean(change[split.fit]))
+
+
+def _is_late(found: Fit) -> bool:
+    """Whether a lag or a delay moves the reversals: one that is missed by a sample or two is most of the whole error.
+
+    Then a cause that is worth less than that is judged where the moments of the reversals do not count.
+    """
+    return not models_reversals(found) and any(name in LATE_REVERSALS for name in found.names)
 
 
 def _among_the_learned(problem: Problem, base: Fit, found: Fit, index: int) -> float:
