@@ -228,6 +228,15 @@ MEASURES: tuple[Measure, ...] = (
         for kind, words in (("csv", "a table of 6 columns"), ("mcap", "the daemon's own log"))
     ),
     Measure(
+        "pairs-both",
+        "two effects hidden, 60 draws: both named, nothing else",
+        ("{root}/tools/run", "bench/diagnose", "--short", "--families", "pair", "--seed", "8000", *OUT),
+        _found(r"two effects: both named, nothing else\s+>= \d+%\s+(\d+)/60 "),
+        "of 60",
+        deterministic=True,
+        long=True,
+    ),
+    Measure(
         "base-intervals",
         "no effect hidden, 500 draws: 95 % intervals of the base model's numbers (slope, half loop) that hold them",
         (

@@ -162,7 +162,9 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "profiles": profiles,
     "quirks": quirks,
     "figures": figures,
-    "diagnosis-figures": partial(figures, "diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "base-"),
+    "diagnosis-figures": partial(
+        figures, "diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "pairs-", "base-"
+    ),
     "licences": licences,
     "hazards": hazard_table,
     **{name: partial(measured_table, name) for name in tables.COMMANDS},
