@@ -37,7 +37,6 @@ CASES = (
     Case(9, "a lost sample: cut the file", "tsa simulate hole.csv --model actuator.toml", "missing|hole|filled|^RMS"),
     Case(11, "unit 1 printed", "tsa calibrate log.csv --model actuator.toml", "slope .*[0-9]"),
     Case(15, "a file of the other kind", "tsa simulate log.csv --model controller.toml", "^tsa"),
-    Case(15, "a verb misspelt", "tsa stat", "^tsa"),
     Case(20, "--out x.mcap refused, against the manual", "tsa log convert run/tsa.mcap --out x.mcap", "^tsa"),
     Case(20, "a constant log, no word", "tsa simulate constant.csv --model actuator.toml", "one point|nothing|^RMS"),
 )
