@@ -27,10 +27,10 @@ find_python() {
 # Makes .venv and installs the project into it, with an extra (dev: what tests and tools need) where one is given, when
 # that is missing or pyproject.toml has changed since. What has an extra serves who asks for none.
 ensure_venv() { # [EXTRA]
-    local venv=$root/.venv log=$root/.cache/install.log python stamp extra=${1:-} size=600
+    local venv=$root/.venv log=$root/.cache/install.log python stamp extra=${1:-} size=570
     stamp="$root $(cksum <"$root/pyproject.toml")"
     if [[ $extra ]]; then
-        stamp+=" $extra" size=850
+        stamp+=" $extra" size=780
     fi
     mkdir -p "$root/.cache"
     exec 9>"$root/.cache/install.lock"
