@@ -147,7 +147,7 @@ HIDDEN: Mapping[str, Hidden] = {
     ),
     "torque_ripple": Hidden(lambda log, a: a * np.sin(cycles(log) * log.q + 0.7), needs_angle=True),
     "presliding_hysteresis": Hidden(presliding, needs_angle=True, range=(1e-6, 0.1)),
-    "transport_delay": Hidden(late, "delay", range=(1e-4, 0.1), follows_acceleration=True),
+    "transport_delay": Hidden(late, "delay", range=(1e-4, 0.1)),
 }
 
 
