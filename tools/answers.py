@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from tools import command
+
 LONGEST = 600.0  # s: none of these takes a third of it; one that hangs ends the table
 
 
@@ -25,6 +27,15 @@ class Case:
     found: str
     line: str  # of a shell
     shown: str
+
+
+def asked(module: str, doc: str | None, cases: Sequence[Case]) -> list[Case]:
+    """Those of the cases that the command line of a tool asks for by number; all of them by default."""
+    parser = command.parser(module, doc)
+    known = sorted({case.number for case in cases})
+    parser.add_argument("--only", type=int, nargs="+", choices=known, metavar="NUMBER", help="these rows")
+    only = parser.parse_args().only
+    return [case for case in cases if only is None or case.number in only]
 
 
 def said(case: Case, place: Path) -> str:

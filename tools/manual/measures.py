@@ -85,6 +85,14 @@ def _demo(load: str) -> tuple[str, ...]:
 OUT = ("--out", "{out}")
 CONTROL_LAWS = ("none", "(3.55)", "true")
 LOADS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
+
+
+def _drawn(name: str, words: str, families: tuple[str, ...], pattern: str, unit: str, seed: str = "8000") -> Measure:
+    """A line of the blind benchmark on short logs of these families."""
+    line = ("{root}/tools/run", "bench/diagnose", "--short", "--families", *families, "--seed", seed, *OUT)
+    return Measure(name, words, line, _found(pattern), unit, deterministic=True, long=True)
+
+
 MEASURES: tuple[Measure, ...] = (
     *(
         Measure(
@@ -227,43 +235,28 @@ MEASURES: tuple[Measure, ...] = (
         )
         for kind, words in (("csv", "a table of 6 columns"), ("mcap", "the daemon's own log"))
     ),
-    Measure(
+    _drawn(
         "pairs-both",
         "two effects hidden, 60 draws: both named, nothing else",
-        ("{root}/tools/run", "bench/diagnose", "--short", "--families", "pair", "--seed", "8000", *OUT),
-        _found(r"two effects: both named, nothing else\s+>= \d+%\s+(\d+)/60 "),
+        ("pair",),
+        r"two effects: both named, nothing else\s+>= \d+%\s+(\d+)/60 ",
         "of 60",
-        deterministic=True,
-        long=True,
     ),
-    Measure(
+    _drawn(
         "base-intervals",
         "no effect hidden, 500 draws: 95 % intervals of the base model's numbers (slope, half loop) that hold them",
-        (
-            "{root}/tools/run",
-            "bench/diagnose",
-            "--short",
-            "--families",
-            "none",
-            "hidden_direction",
-            "--seed",
-            "8000",
-            *OUT,
-        ),
-        _found(r"95 % intervals of the base model cover .*?/\d+ ([\d.]+)%"),
+        ("none", "hidden_direction"),
+        r"95 % intervals of the base model cover .*?/\d+ ([\d.]+)%",
         "%",
-        deterministic=True,
-        long=True,
     ),
     *(
-        Measure(
+        _drawn(
             f"outside-{name}",
             f"causes outside the catalogue, of {of} draws: {words}",
-            ("{root}/tools/run", "bench/diagnose", "--short", "--families", "outside:3", "--seed", "9600", *OUT),
-            _found(rf"{pattern}\s+[<>]= \d+%\s+(\d+)/{of} "),
+            ("outside:3",),
+            rf"{pattern}\s+[<>]= \d+%\s+(\d+)/{of} ",
             f"of {of}",
-            deterministic=True,
-            long=True,
+            seed="9600",
         )
         for name, words, pattern, of in (
             ("noticed", "noticed", "outside the catalogue: noticed", 42),
@@ -272,14 +265,12 @@ MEASURES: tuple[Measure, ...] = (
             ("instant", "the same of a function of an instant", "a function of an instant: the same", 18),
         )
     ),
-    Measure(
+    _drawn(
         "plain-unique",
         "plain drives, one effect hidden, of 137 draws: named uniquely",
-        ("{root}/tools/run", "bench/diagnose", "--short", "--families", "rigid", "--seed", "8000", *OUT),
-        _found(r"plain drive, one effect: named uniquely\s+>= \d+%\s+(\d+)/137 "),
+        ("rigid",),
+        r"plain drive, one effect: named uniquely\s+>= \d+%\s+(\d+)/137 ",
         "of 137",
-        deterministic=True,
-        long=True,
     ),
     Measure(
         "cycle",

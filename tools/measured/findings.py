@@ -143,15 +143,12 @@ def longest(lines: Sequence[tuple[str, ...]]) -> tuple[str, ...]:
 
 
 def main() -> int:
-    parser = command.parser(__name__, __doc__)
-    parser.add_argument("--only", type=int, nargs="+", help="these rows")
-    asked = parser.parse_args()
+    wanted = answers.asked(__name__, __doc__, CASES)
     data = command.measured_data(__name__)
     if data is None:
         return 0
     with tempfile.TemporaryDirectory() as folder:
         prepare(data.parent, Path(folder))
-        wanted = [each for each in CASES if asked.only is None or each.number in asked.only]
         lines = answers.rows(Path(folder), wanted)
     if any("diagnose" in each.line for each in wanted):
         lines.append(longest(lines))

@@ -14,7 +14,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from tools import answers, command
+from tools import answers
 from tools.answers import Case
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.system.processes import tsa
@@ -62,14 +62,10 @@ def prepare(place: Path) -> None:
 
 
 def main() -> int:
-    parser = command.parser(__name__, __doc__)
-    parser.add_argument("--only", type=int, nargs="+", help="these rows")
-    asked = parser.parse_args()
+    wanted = answers.asked(__name__, __doc__, CASES)
     with tempfile.TemporaryDirectory() as folder:
         prepare(Path(folder))
-        answers.show(
-            answers.rows(Path(folder), [each for each in CASES if asked.only is None or each.number in asked.only])
-        )
+        answers.show(answers.rows(Path(folder), wanted))
     return 0
 
 
