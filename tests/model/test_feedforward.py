@@ -66,7 +66,15 @@ INVERTIBLE: dict[str, st.SearchStrategy[dict[str, Any]]] = {
     "torque_offset": st.fixed_dictionaries({"offset": numbers(-0.3, 0.3)}),
     "custom": st.fixed_dictionaries(
         {
-            "expression": st.sampled_from(["k*sin(3*q_j)", "k*tanh(tau) + k*abs(omega_j)", "k*sign(tau)*0 + k*tau"]),
+            "expression": st.sampled_from(
+                [
+                    "k*sin(3*q_j)",
+                    "k*tanh(tau) + k*abs(omega_j)",
+                    "k*sign(tau)*0 + k*tau",
+                    "k*(tau - lag(tau, 0.2)) + 0.1*ring(q_j, 3, 0.2)",
+                    "k*(ring(tau, 6, 0.1) - tau)*cos(q_j) + 0.2*k*dahl(tau + k, 0.3)",
+                ]
+            ),
             "stage": st.sampled_from(["joint", "motor"]),
             "k": numbers(-0.4, 0.4),
         }

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
+from tests.blind import memory as blind
 from tests.blind import stretch_effects
 from tests.blind.plant import Tensions
 from tests.model.test_vectors import CASES, STATES
@@ -130,6 +132,31 @@ def test_the_plant_runs_a_formula_of_its_file(tmp_path: Path, stage: str) -> Non
         # At the motor it changes the slope's input: cosh x of these four states' actuator follows from two torques.
         slope = 1.0 if stage == "joint" else (delivered(tmp_path, {}, (tau_m + 0.1, *state[1:]), 0.0) - plain) / 0.1
         assert plain - found == pytest.approx(slope * taken, abs=5e-6)
+
+
+@pytest.mark.parametrize("stage", ["joint", "motor"])
+def test_the_plant_remembers_as_the_formula_says(tmp_path: Path, stage: str) -> None:
+    """Two lags and a hysteresis, sub-step by sub-step: against the loops of the blind benchmark, and against scipy."""
+    expression = "0.3*(tau - lag(tau, 0.05)) + 0.02*dahl(tau, 0.1) + 0.2*(ring(tau, 20, 0.3) - tau)"
+    moving = {"motion": {"kind": "sine", "ramp": 0.0}, "motor": {"inertia": 1e-5, "damping": 1e-3}}
+    plain = axis(tmp_path, **moving)
+    other = axis(tmp_path, effects={"custom": {"expression": expression, "stage": stage}}, **moving)
+    tau, taken = [], []
+    for step in range(1, 2001):
+        for each in (plain, other):
+            each.command.enabled, each.command.torque = True, 0.6 if step % 800 < 400 else -0.3
+            each.advance(1e-4 * step)
+        values = other.values()
+        tau.append(values["torque_loop"] if stage == "motor" else values["tau_j"] + values["taken"])
+        taken.append(values["taken"])
+        if stage == "joint":  # an imposed motion, so that the tendons know nothing of it
+            assert tau[-1] == pytest.approx(plain.values()["tau_j"], abs=1e-12)
+    x = np.array(tau)
+    w, h = 2.0 * math.pi * 20.0, 1e-4
+    system = (np.array([[0.0, 1.0], [-w * w, -0.6 * w]]), np.array([[0.0], [w * w]]), np.eye(1, 2), 0.0)
+    y = lsim(system, x, h * np.arange(len(x)), X0=[x[0], 0.0])[1]
+    expected = 0.3 * (x - blind.first_order_lag(x, h, 0.05)) + 0.02 * blind.bristle(x, 0.1, 0.0)
+    np.testing.assert_allclose(taken, expected + 0.2 * (y - x), atol=1e-9)
 
 
 BESIDE: dict[str, dict[str, Any]] = {

@@ -14,6 +14,7 @@ from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.state import unmoved
+from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -29,16 +30,25 @@ class Bare:
         self._gain = period / (ACCELERATION_TIME + period)
         self._period = period
         self._theta = model.bending_angle
+        custom = self._stack.custom_at("joint")
+        self._memories = Memories(()) if custom is None else custom.memories()
         self.reset()
 
+    @property
+    def remembers(self) -> bool:
+        """Whether `joint` belongs to every cycle: a formula there has a memory of its torque."""
+        return bool(self._memories.parts)
+
     def reset(self) -> None:
-        """Forget the last velocity."""
+        """Forget the last velocity, and what a formula remembers."""
+        self._memories.reset()
         self._state = unmoved(self._theta)
         self._last = math.nan
 
     def measure(self, sigma: float, omega_j: float, q_j: float, q_m: float) -> None:
         """One cycle's motion: 1, rad/s, rad, rad."""
         state = self._state
+        self._memories.begin(self._period)
         if self._last == self._last:
             state.acceleration += self._gain * ((omega_j - self._last) / self._period - state.acceleration)
         self._last = omega_j
@@ -58,7 +68,8 @@ class Bare:
         for effect in stack.joint:
             tau_j += effect.torque(SCALARS, state)
         if (custom := stack.custom_at("joint")) is not None:
-            tau_j = custom.invert(tau_j, state)
+            tau_j = custom.invert(tau_j, state, self._memories)
+            custom.accept(tau_j, state, self._memories)
         if stack.lever is not None:
             tau_j = stack.lever.invert(SCALARS, tau_j, state)
         return tau_j if stack.load is None else stack.load.invert(SCALARS, tau_j, state.sigma)

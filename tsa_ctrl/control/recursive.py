@@ -84,6 +84,8 @@ class Recursive:
         bare = self._bare
         if bare is not None:
             bare.measure(sigma, omega_j, q_j, q_m)
+            if bare.remembers:
+                bare.joint(self._load if self._motor else tau_j)
         direction = 1 if sigma > SLIDING and omega_j > self._least_speed else 0
         if sigma < -SLIDING and omega_j < -self._least_speed:
             direction = -1

@@ -15,7 +15,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects import EFFECTS
 from tsa_ctrl.model.effects.custom import NAMES
 from tsa_ctrl.model.effects.specification import Parameter, Setting, Specification, Stage
-from tsa_ctrl.model.expression import FUNCTIONS
+from tsa_ctrl.model.expression import FUNCTIONS, REMEMBERING
 
 CATALOGUE: Mapping[str, Specification] = MappingProxyType(
     {spec.name: spec for spec in map(Specification.of, EFFECTS)}  # in the order of composition
@@ -86,14 +86,22 @@ def _check_parameters(spec: Specification, given: Mapping[str, Any], where: str)
     return values
 
 
-def formula_of(parameters: Mapping[str, Any]) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Operations and numbers of a checked `[effects.custom]`, for a machine of one's own."""
+def formula_of(parameters: Mapping[str, Any]) -> list[tuple[float, ...]]:
+    """Steps of a checked `[effects.custom]`, for a machine of one's own: an operation, its number, and two more.
+
+    Of a function with a memory the number is that of the memory, and its constants follow.
+    """
     program = CATALOGUE["custom"].build(parameters).program
-    return program.operations, program.arguments
+    constants = [
+        program.memories[int(number)].constants if op in REMEMBERING.values() else ()
+        for op, number in zip(program.operations, program.arguments, strict=True)
+    ]
+    steps = zip(program.operations, program.arguments, constants, strict=True)
+    return [(op, number, *more, *[0.0] * (2 - len(more))) for op, number, more in steps]
 
 
 def _constant(key: str, value: object, where: str) -> float:
-    if key in NAMES or key in FUNCTIONS:
+    if key in NAMES or key in FUNCTIONS or key in REMEMBERING:
         raise UsageError(f"{where}: '{key}' is a signal or a function already; give the constant another name")
     if not Parameter().accepts(value):
         raise UsageError(f"{where}: {key} = {value!r}; allowed is a number")

@@ -1,6 +1,7 @@
 """A formula as text, read into a short program for a stack machine: parsed and bounded, never run as Python.
 
-    expression:  numbers, names, + - * / **, parentheses, and sin cos tanh exp abs sign sqrt of one argument
+    expression:  numbers, names, + - * / **, parentheses, sin cos tanh exp abs sign sqrt of one argument, and functions
+                 with a memory: lag(x, T), ring(x, f, d), dahl(x, w) of any x without one, and of constants (`filters`)
 
 Python's own grammar reads the text into a tree; only the nodes above are taken from it, everything else is refused. The
 program is data: whoever runs it (model, controller, plant) has a machine of a dozen operations and nothing else.
@@ -14,15 +15,18 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TypeAlias
 
 import numpy as np
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.filters import KINDS, Live, Memory, usage
 from tsa_ctrl.model.functions import Array
 
 LONGEST = 500  # characters: a formula that a person can still read
 MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
 DEEPEST = 24  # values on the stack; the plant's machine has just so many places
+MOST_MEMORIES = 4  # each is a dimension of what a controller looks through before it trusts the inverse
 LARGEST = 700.0  # exp(709.8) is the largest double; beyond it a formula saturates instead of overflowing
 
 
@@ -44,9 +48,14 @@ class Op(IntEnum):
     ABS = 12
     SIGN = 13
     SQRT = 14
+    LAG = 15  # from here on with a memory: the argument is its index
+    RING = 16
+    DAHL = 17
 
 
 FUNCTIONS = {op.name.lower(): op for op in (Op.SIN, Op.COS, Op.TANH, Op.EXP, Op.ABS, Op.SIGN, Op.SQRT)}
+REMEMBERING = {kind: Op[kind.upper()] for kind in KINDS}
+Remember: TypeAlias = Callable[[int, Array], Array]  # the value of a memory by its index and its x
 _BINARY: dict[type[ast.operator], Op] = {
     ast.Add: Op.ADD,
     ast.Sub: Op.SUBTRACT,
@@ -58,12 +67,16 @@ _BINARY: dict[type[ast.operator], Op] = {
 
 @dataclass(frozen=True)
 class Program:
-    """Steps in reverse Polish order: `operations` (k) and `arguments` (k), a constant or an index into `names`."""
+    """Steps in reverse Polish order: `operations` (k) and `arguments` (k), a constant or an index into `names`.
+
+    Of a function with a memory the argument is an index into `memories`.
+    """
 
     text: str
     names: tuple[str, ...]
     operations: tuple[int, ...]
     arguments: tuple[float, ...]
+    memories: tuple[Memory, ...] = ()
 
     def uses(self, name: str) -> bool:
         """Whether the formula's value may depend on `name`."""
@@ -72,8 +85,11 @@ class Program:
             for op, index in zip(self.operations, self.arguments, strict=True)
         )
 
-    def value(self, values: Sequence[float]) -> float:
-        """The formula at one instant, `values` in the order of `names`; nan where it has no value."""
+    def value(self, values: Sequence[float], memories: Sequence[Live] = ()) -> float:
+        """The formula at one instant, `values` in the order of `names`; nan where it has no value.
+
+        `memories`: those of the program in a loop.
+        """
         stack: list[float] = []
         for op, argument in zip(self.operations, self.arguments, strict=True):
             if op == Op.CONSTANT:
@@ -83,12 +99,17 @@ class Program:
             elif op <= Op.POWER:
                 right = stack.pop()
                 stack.append(_binary(op, stack.pop(), right))
+            elif op >= Op.LAG:
+                stack.append(memories[int(argument)].value(stack.pop()))
             else:
                 stack.append(_unary(op, stack.pop()))
         return stack[0]
 
-    def array(self, values: Sequence[Array]) -> Array:
-        """The formula over a log, `values` in the order of `names`, each (n) or 0-dimensional."""
+    def array(self, values: Sequence[Array], remember: Remember | None = None) -> Array:
+        """The formula over a log, `values` in the order of `names`, each (n) or 0-dimensional.
+
+        `remember`: needed where it has memories.
+        """
         stack: list[Array] = []
         with np.errstate(all="ignore"):
             for op, argument in zip(self.operations, self.arguments, strict=True):
@@ -99,6 +120,9 @@ class Program:
                 elif op <= Op.POWER:
                     right = stack.pop()
                     stack.append(np.asarray(_ARRAY_BINARY[op](stack.pop(), right)))
+                elif op >= Op.LAG:
+                    assert remember is not None
+                    stack.append(remember(int(argument), stack.pop()))
                 else:
                     stack.append(np.asarray(_ARRAY_UNARY[op](stack.pop())))
         return stack[0]
@@ -115,12 +139,13 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
         raise UsageError(f"{where}: '{text}' is no formula ({reason}); write for example k*sin(2*q_j)") from None
     operations: list[int] = []
     arguments: list[float] = []
+    memories: list[Memory] = []
 
     def add(op: Op, argument: float = 0.0) -> None:
         operations.append(int(op))
         arguments.append(argument)
 
-    def read(node: ast.expr, depth: int) -> None:
+    def read(node: ast.expr, depth: int, within: str = "") -> None:
         if depth > DEEPEST or len(operations) >= MOST_STEPS:
             raise UsageError(f"{where}: more than {MOST_STEPS} steps or {DEEPEST} levels; a shorter formula")
         match node:
@@ -135,22 +160,33 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
             case ast.Name(id=name) if name in names:
                 add(Op.NAME, float(names.index(name)))
             case ast.Name(id=name):
-                known = [*names, *constants, *FUNCTIONS]
+                known = [*names, *constants, *FUNCTIONS, *REMEMBERING]
                 near = difflib.get_close_matches(name, known, n=1)
                 advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(known)}"
                 raise UsageError(f"{where}: '{name}' is neither a signal nor a parameter; {advice}")
             case ast.BinOp(left=left, op=operator, right=right) if type(operator) in _BINARY:
-                read(left, depth + 1)
-                read(right, depth + 1)
+                read(left, depth + 1, within)
+                read(right, depth + 1, within)
                 add(_BINARY[type(operator)])
             case ast.UnaryOp(op=ast.USub(), operand=operand):
-                read(operand, depth + 1)
+                read(operand, depth + 1, within)
                 add(Op.NEGATE)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-                read(operand, depth + 1)
+                read(operand, depth + 1, within)
             case ast.Call(func=ast.Name(id=function), args=[argument], keywords=[]) if function in FUNCTIONS:
-                read(argument, depth + 1)
+                read(argument, depth + 1, within)
                 add(FUNCTIONS[function])
+            case ast.Call(func=ast.Name(id=kind), args=given, keywords=[]) if kind in KINDS:
+                if within:
+                    raise UsageError(
+                        f"{where}: {kind} within {within}; a function with a memory takes none with one: write it alone"
+                    )
+                memory = _memory(kind, given, constants, f"{where}: '{_source(text, node)}'")
+                read(given[0], depth + 1, kind)
+                add(REMEMBERING[kind], float(len(memories)))
+                memories.append(memory)
+                if len(memories) > MOST_MEMORIES:
+                    raise UsageError(f"{where}: more than {MOST_MEMORIES} functions with a memory; use fewer")
             case _:
                 raise _refused(text, node, where)
 
@@ -158,14 +194,46 @@ def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where
         read(tree, 0)
     except OverflowError:
         raise UsageError(f"{where}: '{text}' has a number that is too large") from None
-    return Program(text, tuple(names), tuple(operations), tuple(arguments))
+    return Program(text, tuple(names), tuple(operations), tuple(arguments), tuple(memories))
+
+
+def _memory(kind: str, given: Sequence[ast.expr], constants: Mapping[str, float], where: str) -> Memory:
+    """A function with a memory, of its constants; raises UsageError."""
+    ranges = KINDS[kind]
+    if len(given) != 1 + len(ranges):
+        raise UsageError(f"{where}: {len(given)} arguments; it is {usage(kind)}")
+    values = []
+    for allowed, node in zip(ranges, given[1:], strict=True):
+        value = _constant(node, constants)
+        if value is None:
+            raise UsageError(f"{where}: {allowed.name} is no constant; give a number or a key of the table")
+        if not allowed.low <= value <= allowed.high:
+            raise UsageError(f"{where}: {allowed.name} = {value:g}; allowed is {allowed.describe()}")
+        values.append(value)
+    return Memory(kind, tuple(values))
+
+
+def _constant(node: ast.expr, constants: Mapping[str, float]) -> float | None:
+    """A number or a named constant, with a sign; None for anything else."""
+    match node:
+        case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            return float(value)
+        case ast.Name(id=name) if name in constants:
+            return constants[name]
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            positive = _constant(operand, constants)
+            return None if positive is None else -positive
+    return None
+
+
+def _source(text: str, node: ast.expr) -> str:
+    return ast.get_source_segment(text.strip(), node) or text
 
 
 def _refused(text: str, node: ast.expr, where: str) -> UsageError:
-    part = ast.get_source_segment(text.strip(), node) or text
     return UsageError(
-        f"{where}: '{part}' is not allowed; allowed are numbers, names, + - * / ** and {' '.join(FUNCTIONS)} of one "
-        "argument"
+        f"{where}: '{_source(text, node)}' is not allowed; allowed are numbers, names, + - * / **, "
+        f"{' '.join(FUNCTIONS)} of one argument, and {', '.join(map(usage, KINDS))}"
     )
 
 

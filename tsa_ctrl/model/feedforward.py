@@ -11,9 +11,11 @@ from collections.abc import Collection
 
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
+from tsa_ctrl.model.effects.invertible import check_invertible
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
 from tsa_ctrl.model.effects.memory import PreslidingState
 from tsa_ctrl.model.effects.state import State, unmoved
+from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -37,7 +39,8 @@ class Feedforward:
         custom = Stack.of(model.effects, model.source).custom
         if custom is not None:  # up to twice what both tendons carry without slack
             largest = 4.0 * max(model.pretension, 1.0) * max(model.motor_pulley_radius, model.joint_pulley_radius)
-            custom.check_invertible(largest, model.source or "model")
+            check_invertible(custom, largest, period, model.source or "model")
+        self._memories = Memories(()) if custom is None else custom.memories()
         self.notes: tuple[str, ...] = tuple(_notes(model, signals))
         self.reset()
 
@@ -47,12 +50,14 @@ class Feedforward:
         return self._model
 
     def reset(self) -> None:
-        """Forget everything measured: the friction state, the start of the time, the held values."""
+        """Forget everything measured: the friction state, what a formula remembers, the start of the time, the held
+        values."""
         self._state = unmoved(self._model.bending_angle)
         self._started = False
         self._last_omega = math.nan
         self._presliding: PreslidingState | None = None
         self._by_motor = False
+        self._memories.reset()
         self._use_effects()
         self.friction_angle = self._model.friction_angle
         self.pretension = self._model.pretension
@@ -74,7 +79,7 @@ class Feedforward:
         """
         low, high = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
         if (custom := self._stack.custom_at("motor")) is not None:
-            low, high = custom.invert(low, self._state), custom.invert(high, self._state)
+            low, high = (custom.invert(end, self._state, self._memories) for end in (low, high))
         for effect in reversed(self._stack.motor_torque):
             low = effect.invert(SCALARS, low, self._state)
             high = effect.invert(SCALARS, high, self._state)
@@ -105,8 +110,8 @@ class Feedforward:
         """
         if not math.isfinite(tau_j_des):
             return tau_j_des  # for the limiter to refuse
-        state = self._state
-        self._measure(state, omega_j, q_j, q_m, temperature, theta, t, acceleration_j)
+        state, memories = self._state, self._memories
+        memories.begin(self._measure(state, omega_j, q_j, q_m, temperature, theta, t, acceleration_j))
         stack = self._stack  # may just have changed
         state.sigma = self._direction(state, sigma)
         angle, pretension = bending_and_pretension(SCALARS, self._model, stack, state)
@@ -117,7 +122,8 @@ class Feedforward:
         for joint_effect in stack.joint:
             torque += joint_effect.torque(SCALARS, state)
         if (custom := stack.custom_at("joint")) is not None:
-            torque = custom.invert(torque, state)
+            torque = custom.invert(torque, state, memories)
+        brought = torque
         if stack.lever is not None:
             torque = stack.lever.invert(SCALARS, torque, state)
         if stack.load is not None:
@@ -125,14 +131,25 @@ class Feedforward:
         transmission = self._transmission
         tau_m = transmission.motor_torque(torque, state.sigma, x, pretension)
         low, high = transmission.limits(state.sigma, x, pretension)
-        tau_m = low if tau_m < low else high if tau_m > high else tau_m
+        cut = low if tau_m < low else high if tau_m > high else tau_m
+        if memories.parts and (custom := stack.custom_at("joint")) is not None:
+            custom.accept(brought if cut == tau_m else self._brought(cut, x, pretension), state, memories)
+        tau_m = cut
         if (custom := stack.custom_at("motor")) is not None:
-            tau_m = custom.invert(tau_m, state)
+            tau_m = custom.invert(tau_m, state, memories)
+            custom.accept(tau_m, state, memories)
         for motor_effect in reversed(stack.motor_torque):
             tau_m = motor_effect.invert(SCALARS, tau_m, state)
         if math.isfinite(tau_m):
             return tau_m
         return _without_friction(self._model, tau_j_des)
+
+    def _brought(self, tau_m: float, x: float, pretension: float) -> float:
+        """N*m that the tendons bring to the joint of `tau_m` on the motor's pulley."""
+        stack, state = self._stack, self._state
+        torque = self._transmission.torque(SCALARS, tau_m, state.sigma, x, pretension)
+        torque = torque if stack.load is None else stack.load.apply(SCALARS, torque, state.sigma)
+        return torque if stack.lever is None else stack.lever.apply(SCALARS, torque, state)
 
     def _measure(
         self,
@@ -144,8 +161,8 @@ class Feedforward:
         theta: float,
         t: float,
         acceleration_j: float,
-    ) -> None:
-        """Take what was measured into the state; what was not keeps its last value."""
+    ) -> float:
+        """Take what was measured into the state; what was not keeps its last value. Returns s since the last update."""
         isfinite = math.isfinite
         first = False
         if isfinite(q_j):
@@ -170,7 +187,7 @@ class Feedforward:
             if not self._started:
                 self._started, state.start = True, t
         if not isfinite(omega_j):
-            return
+            return elapsed
         if isfinite(acceleration_j):
             state.acceleration = acceleration_j
         elif self._last_omega == self._last_omega:
@@ -179,6 +196,7 @@ class Feedforward:
         self._last_omega = omega_j
         lag = self._stack.velocity_lag
         state.omega = omega_j if lag is None else lag.true_velocity(omega_j, state.acceleration)
+        return elapsed
 
     def _direction(self, state: State[float], sigma: float) -> float:
         """sigma, or the friction state z where the model has one."""

@@ -53,21 +53,26 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
     played_out = None if stack.backlash is None else stack.backlash.inside(state.q_j)
     growth = _growth(model, stack, transmission, signals, state)
     tau_j = np.empty(len(signals))
+    custom = stack.custom_at("joint")
+    tendons = None if custom is None else np.empty(len(signals))  # a formula may remember: over the whole log at once
+    acting = None if stack.custom_at("motor") is None else _on_the_tendons(stack, state, signals.tau_m)
     for start in range(0, len(signals), BLOCK):
         block = slice(start, start + BLOCK)
         part = _part(state, block)
         known = None if growth is None else growth[block]
-        torque = _tendon_torque(model, stack, transmission, part, signals.tau_m[block], known)
+        tau_m = _on_the_tendons(stack, part, signals.tau_m[block]) if acting is None else acting[block]
+        torque = _tendon_torque(model, stack, transmission, part, tau_m, known)
         if played_out is not None:
             torque = np.where(played_out[block], 0.0, torque)
         if stack.lever is not None:
             torque = stack.lever.apply(ARRAYS, torque, part)
-        tendons = torque
+        if tendons is not None:
+            tendons[block] = torque
         for effect in stack.joint:
             torque = torque - effect.torque(ARRAYS, part)
-        if (custom := stack.custom_at("joint")) is not None:
-            torque = torque - custom.taken(tendons, part)
         tau_j[block] = torque
+    if custom is not None and tendons is not None:
+        tau_j -= custom.taken(tendons, state)
     return tau_j if stack.delay is None else stack.delay.apply(tau_j, signals.t)
 
 
@@ -79,8 +84,7 @@ def _tendon_torque(
     tau_m: Array,
     growth: Array | None = None,
 ) -> Array:
-    """From the reported motor torque to what friction in the joint leaves of it, N*m. `growth`: where it is known."""
-    tau_m = _on_the_tendons(stack, state, tau_m)
+    """From the torque on the pulley to what friction in the joint leaves of it, N*m. `growth`: where it is known."""
     theta, pretension = bending_and_pretension(ARRAYS, model, stack, state)
     if growth is not None and isinstance(transmission, FourTensions):
         torque = transmission.grown(ARRAYS, tau_m, growth, pretension)

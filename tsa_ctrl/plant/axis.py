@@ -14,7 +14,7 @@ from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import settle
 from tsa_ctrl.plant.chain_layout import build_chain
 from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, wound
-from tsa_ctrl.plant.formula import steps_of
+from tsa_ctrl.plant.formula import memory_of, steps_of
 from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
@@ -72,6 +72,7 @@ class Axis:
         self._start_at_once = physics.start == "power_on"
         curve = np.ascontiguousarray(np.array(_profile(settings), dtype=np.float64).T)
         _set(self.parameters, centre=_centre(curve, self.parameters[0]))
+        steps = steps_of(settings.effects)
         self._arrays = Arrays(
             ring=np.zeros((2, DELAY_SAMPLES)),
             slip=np.zeros(MAX_ELEMENTS),
@@ -80,7 +81,8 @@ class Axis:
             motion=np.ascontiguousarray(np.vstack((motion.angle, motion.speed))),
             bending=_table(settings.environment.bending),
             temperature=_table(settings.environment.temperature),
-            formula=steps_of(settings.effects),
+            formula=steps,
+            memory=memory_of(steps),
             hand=hand_table(settings.joint),
         )
         self.time = 0.0  # s since the plant's start

@@ -53,7 +53,8 @@ class Arrays(NamedTuple):
     motion: NDArray[np.float64]  # (2, n): imposed angle and speed on the grid
     bending: NDArray[np.float64]  # (2, n): times in s and factors on the bending angle
     temperature: NDArray[np.float64]  # (2, n): times in s and deg C
-    formula: NDArray[np.float64]  # (2, n): operations and numbers of the plant file's formula
+    formula: NDArray[np.float64]  # (4, n): operations and numbers of the plant file's formula
+    memory: NDArray[np.float64]  # (n, 4): what it remembers
     hand: NDArray[np.float64]  # (4, n): times in s, N*m/rad, N*m*s/rad, rad
 
 
@@ -188,7 +189,7 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     since_start = time - s.started if s.started >= 0.0 else -1.0
     torque_loop(s, p, command, enabled, max_speed, h)
     if p.formula_at_motor:
-        s.taken = formula(s, p, arrays.formula, s.tau_m, s.z, since_start)
+        s.taken = formula(s, arrays.formula, arrays.memory, s.tau_m, s.z, since_start, h)
         s.tau_m -= s.taken
     imposed = p.load == _IMPOSED
     q_j = s.q_j + h * s.omega_j
@@ -223,6 +224,6 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     arrives = _share(s, p, s.tau_tendon) * s.tau_tendon
     s.tau_j = arrives - joint_losses(p, q_j, s.omega_j, s.acceleration_j)
     if not p.formula_at_motor:
-        s.taken = formula(s, p, arrays.formula, arrives, s.z, since_start)
+        s.taken = formula(s, arrays.formula, arrays.memory, arrives, s.z, since_start, h)
         s.tau_j -= s.taken
     sense(s, p, arrays.ring, h)

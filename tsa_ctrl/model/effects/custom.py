@@ -3,7 +3,8 @@
     stage "joint": tau_J -= f(..., tau = torque of the tendons at the joint, after backlash)
     stage "motor": tau_M -= f(..., tau = motor torque after the effects of the motor's side)
 
-It comes last of its side. Where f depends on tau the inverse is solved for, which needs tau - f to grow with tau.
+It comes last of its side. Where f depends on tau the inverse is solved for, which needs tau - f to grow with tau. What
+f remembers (`filters`) begins anew with each log and each enable; while the inverse is solved it stays where it was.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects.specification import Columns, Parameter, Setting, Shown, Specification, Stage
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.expression import Program, parse
-from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.filters import Memories
+from tsa_ctrl.model.functions import Array, F
 
 NAMES = ("omega_j", "q_j", "q_m", "tau", "sigma", "t", "temperature")
 NEEDS = {"q_j": ("q_j",), "q_m": ("q_m",), "temperature": ("temperature",)}  # columns that a log may lack
@@ -29,8 +31,6 @@ MOST_DOUBLINGS, MOST_STEPS = (
     24,
     40,
 )  # of the inverse: from 1 mN*m to more than any joint bears; then halves
-GRID, POINTS = 7, 401  # points per signal, and of the torque, at which the inverse is looked at
-NEAR = 1e-6  # N*m, over which its slope is taken: local, so that no wave is missed by being met in step
 
 
 def _columns(parameters: Mapping[str, Setting]) -> Columns:
@@ -63,10 +63,18 @@ class Custom:
         """The formula read; raises UsageError."""
         return parse(self.expression, NAMES, dict(self.constants), "[effects.custom] expression")
 
+    def memories(self) -> Memories:
+        """What the formula remembers in a loop, at its beginning."""
+        return Memories(self.program.memories)
+
     def taken(self, tau: Array, state: State[Array]) -> Array:
-        """f over a log, N*m, shape (n); UsageError where the formula has no value."""
-        values = (state.omega, state.q_j, state.q_m, tau, state.sigma, state.t, state.temperature)
-        taken = np.broadcast_to(self.program.array(values), np.shape(tau))
+        """f over a whole log, N*m, shape (n); UsageError where the formula has no value."""
+        program = self.program
+
+        def remember(index: int, x: Array) -> Array:
+            return program.memories[index].over(np.broadcast_to(x, np.shape(tau)), state.t)
+
+        taken = np.broadcast_to(program.array(self._signals(tau, state), remember), np.shape(tau))
         if not np.isfinite(taken).all():
             row = int(np.argmin(np.isfinite(taken)))
             raise UsageError(
@@ -75,20 +83,20 @@ class Custom:
             )
         return taken
 
-    def invert(self, wanted: float, state: State[float]) -> float:
-        """tau with tau - f(tau) = wanted, N*m; nan where the formula has no value."""
+    def invert(self, wanted: float, state: State[float], memories: Memories) -> float:
+        """tau with tau - f(tau) = wanted, N*m; nan where the formula has no value. What is remembered stays."""
         if not math.isfinite(wanted):
             return wanted
         if not self.program.uses("tau"):
-            return wanted + self._value(0.0, state)
+            return wanted + self._value(0.0, state, memories)
         low, high, span = wanted, wanted, 1e-3 + abs(wanted)
-        below, above = self._left(low, state) - wanted, 0.0
+        below, above = self.left(low, state, memories) - wanted, 0.0
         if below == 0.0:
             return low
         for _ in range(MOST_DOUBLINGS):  # towards the side that lacks
             step = span if below < 0.0 else -span
             high = low + step
-            above = self._left(high, state) - wanted
+            above = self.left(high, state, memories) - wanted
             if below * above <= 0.0:
                 break
             low, below, span = high, above, 2.0 * span
@@ -96,7 +104,7 @@ class Custom:
             return math.nan
         for number in range(MOST_STEPS):
             middle = 0.5 * (low + high) if number % 2 else (low * above - high * below) / (above - below)
-            left = self._left(middle, state) - wanted
+            left = self.left(middle, state, memories) - wanted
             if abs(left) < CLOSE:
                 return middle
             if left * below > 0.0:
@@ -105,31 +113,18 @@ class Custom:
                 high, above = middle, left
         return 0.5 * (low + high)
 
-    def check_invertible(self, largest: float, where: str) -> None:
-        """Raise UsageError unless tau - f grows with tau everywhere up to `largest` N*m, on a grid of the signals."""
-        if not self.program.uses("tau"):
-            return
-        tau = np.linspace(-largest, largest, POINTS)
-        axes = {"omega_j": 10.0, "q_j": math.pi, "q_m": math.pi, "sigma": 1.0, "t": 1.0, "temperature": 60.0}
-        used = [name for name in axes if self.program.uses(name)]
-        spans = [np.linspace(-axes[name], axes[name], GRID if len(used) < 4 else 3) for name in used]
-        for point in np.array(np.meshgrid(*spans)).reshape(len(used), -1).T if used else np.zeros((1, 0)):
-            known = dict(zip(used, point, strict=True))
-            below, above = (
-                at - self.program.array([at if name == "tau" else np.asarray(known.get(name, 0.0)) for name in NAMES])
-                for at in (tau, tau + NEAR)
-            )
-            grows = above > below
-            if not grows.all():
-                worst = tau[int(np.argmin(grows))]
-                place = ", ".join(f"{name} = {value:.3g}" for name, value in known.items())
-                raise UsageError(
-                    f"{where}: [effects.custom] cannot be inverted: at tau = {worst:.3g} N*m ({place or 'anywhere'}) "
-                    "more torque going in gives no more coming out; a controller needs a formula that takes less"
-                )
+    def accept(self, tau: float, state: State[float], memories: Memories) -> None:
+        """This cycle's torque is `tau`, N*m: what is remembered follows it when the next one begins."""
+        if memories.parts and math.isfinite(tau):
+            self._value(tau, state, memories)
+            memories.accept()
 
-    def _left(self, tau: float, state: State[float]) -> float:
-        return tau - self._value(tau, state)
+    def left(self, tau: float, state: State[float], memories: Memories) -> float:
+        """tau - f(tau), N*m; nan where the formula has no value."""
+        return tau - self._value(tau, state, memories)
 
-    def _value(self, tau: float, state: State[float]) -> float:
-        return self.program.value((state.omega, state.q_j, state.q_m, tau, state.sigma, state.t, state.temperature))
+    def _value(self, tau: float, state: State[float], memories: Memories) -> float:
+        return self.program.value(self._signals(tau, state), memories.parts)
+
+    def _signals(self, tau: F, state: State[F]) -> tuple[F, ...]:
+        return (state.omega, state.q_j, state.q_m, tau, state.sigma, state.t, state.temperature)

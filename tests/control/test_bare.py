@@ -1,0 +1,48 @@
+"""Torques at the tendons, of torques measured behind a joint whose formula remembers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.blind.memory import bristle, first_order_lag
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.control.bare import Bare
+from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.recursive import Recursive
+
+PERIOD = 1e-3
+EXPRESSION = "0.4*(tau - lag(tau, 0.2)) + 0.03*dahl(tau, 0.3)"
+
+
+def test_a_formula_with_a_memory_is_taken_off_cycle_by_cycle() -> None:
+    """However often a cycle asks, and however it began before the last reset."""
+    tendons = 0.6 * np.sin(7.0 * PERIOD * np.arange(800)) + 0.1
+    taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2)) + 0.03 * bristle(tendons, 0.3, 0.0)
+    bare = Bare(ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}}), PERIOD)
+    assert bare.remembers
+    for _ in range(2):
+        bare.reset()
+        for left, brought in zip((tendons - taken).tolist(), tendons.tolist(), strict=True):
+            bare.measure(1.0, 0.5, 0.1, 0.1)
+            bare.joint(left + 0.2)
+            assert bare.joint(left) == pytest.approx(brought, abs=1e-9)
+
+
+def test_the_estimator_follows_it_through_cycles_that_it_does_not_learn_from() -> None:
+    """The half loop of a joint that swings is that of its tendons, though what is learned from is steady sliding."""
+    model = ACTUATOR.with_effects({"custom": {"expression": EXPRESSION}})
+    estimators = [Recursive(each, EstimatorSettings(kind="sensor", use=True), PERIOD) for each in (ACTUATOR, model)]
+    t = PERIOD * np.arange(12000)
+    omega = 0.8 * np.sign(np.sin(2.0 * t)) * np.minimum(1.0, 20.0 * np.abs(np.sin(2.0 * t)))
+    sigma = np.sign(omega)
+    tau_m = 0.4 * np.sin(3.0 * t)
+    x, r_m, r_j = ACTUATOR.friction_angle, ACTUATOR.motor_pulley_radius, ACTUATOR.joint_pulley_radius
+    tendons = r_j / r_m * np.cosh(x) * tau_m - 2.0 * ACTUATOR.pretension * r_j * np.sinh(x) * sigma
+    taken = 0.4 * (tendons - first_order_lag(tendons, PERIOD, 0.2)) + 0.03 * bristle(tendons, 0.3, 0.0)
+    for estimator, measured in zip(estimators, (tendons, tendons - taken), strict=True):
+        for row in zip(sigma.tolist(), omega.tolist(), tau_m.tolist(), measured.tolist(), strict=True):
+            estimator.update(Sample(row[0], row[1], 0.0, row[2], row[3], True, 0.1, 0.1))
+    plain, remembering = estimators
+    assert plain.state == remembering.state == EstimateState.ESTIMATED
+    assert remembering.half_loop == pytest.approx(plain.half_loop, rel=1e-6)
