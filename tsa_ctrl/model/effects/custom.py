@@ -102,15 +102,16 @@ class Custom:
             low, below, span = high, above, 2.0 * span
         else:
             return math.nan
-        for number in range(MOST_STEPS):
-            middle = 0.5 * (low + high) if number % 2 else (low * above - high * below) / (above - below)
+        for number in range(MOST_STEPS):  # secants that leave no end behind (Illinois), and halves where f jumps
+            middle = 0.5 * (low + high) if number % 4 == 3 else (low * above - high * below) / (above - below)
             left = self.left(middle, state, memories) - wanted
             if abs(left) < CLOSE:
                 return middle
-            if left * below > 0.0:
-                low, below = middle, left
-            else:
-                high, above = middle, left
+            if left * above < 0.0:
+                low, below = high, above
+            elif number % 4 != 3:
+                below *= 0.5
+            high, above = middle, left
         return 0.5 * (low + high)
 
     def accept(self, tau: float, state: State[float], memories: Memories) -> None:
