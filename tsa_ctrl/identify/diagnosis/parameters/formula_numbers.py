@@ -1,0 +1,136 @@
+"""The numbers of a formula that was chosen, fitted together with all else, and how well the logs know them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, bounded_step
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.parameters.terms import ONE, Term
+from tsa_ctrl.model.effects.specification import Setting
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import Model
+
+TRIAL = 1e-3  # coefficient at which a term's response is computed; it is linear but for a load's friction
+SINGULAR = 1e-9  # of a column's square, added to the normal equations: twins among the terms
+# Times all numbers are solved for anew, each from the last: a base that has taken up much of the formula is far from
+# where it belongs, and not linear in friction and pretension; steps of Gauss and Newton double the digits
+REFITS = 8
+HALVINGS = 4  # of a step that goes too far: a sixteenth of it still gains, or the numbers stay
+SETTLED = 1e-4  # of the squares: a step that gains less ends the search
+CONSTANTS = "abcdefghijkl"  # two coefficients and two numbers inside, of each term
+
+
+@dataclass(frozen=True)
+class Sought:
+    """A formula whose numbers are sought: its names, where they begin, and how far they may go, (constants,)."""
+
+    expression: str
+    names: tuple[str, ...]
+    start: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, parts: Sequence[tuple[Term, int]], values: Array) -> Sought:
+        """The sum of these parts of terms, with coefficients that begin at `values`."""
+        names, texts = iter(CONSTANTS), []
+        numbers: list[tuple[str, float, float, float]] = []
+        inside: dict[int, list[str]] = {}
+        for (term, index), value in zip(parts, values.tolist(), strict=True):
+            coefficient = next(names)
+            numbers.append((coefficient, value, -np.inf, np.inf))
+            if id(term) not in inside:
+                inside[id(term)] = [next(names) for _ in term.inside]
+                numbers += zip(inside[id(term)], term.inside, term.low, term.high, strict=True)
+            texts.append(f"{coefficient}*{term.texts(inside[id(term)])[index]}".removesuffix(f"*{ONE}"))
+        told, *ends = zip(*numbers, strict=True)
+        return cls(" + ".join(texts), told, *(np.array(end) for end in ends))
+
+    def custom(self, constants: Array) -> dict[str, Setting]:
+        """The effect of a model with these numbers."""
+        return {
+            "expression": self.expression,
+            "stage": "joint",
+            **dict(zip(self.names, constants.tolist(), strict=True)),
+        }
+
+    def tangents(self, problem: Problem, model: Model, constants: Array, predicted: Array) -> Array:
+        """d prediction / d constant, (n, constants): `predicted` with the formula."""
+        columns = []
+        for i, value in enumerate(constants):
+            there = constants.copy()
+            there[i] += (step := TRIAL * max(abs(value), TRIAL))
+            columns.append((problem.predicted(with_custom(model, self.custom(there))) - predicted) / step)
+        return np.column_stack(columns)
+
+
+def refitted(problem: Problem, learned: Fit, sought: Sought, fitting: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The coordinates and the formula's constants of least error on the samples of `fitting`, sought together.
+
+    What a bound held before may be free beside the formula.
+    """
+    hypothesis, target = learned.hypothesis, problem.frame.target[fitting]
+    at, split = np.concatenate([learned.point, sought.start]), len(learned.point)
+    low, high = np.concatenate([hypothesis.low, sought.low]), np.concatenate([hypothesis.high, sought.high])
+
+    def simulated(there: Array) -> Array:
+        model = hypothesis.model(there[:split])
+        return problem.predicted(with_custom(model, sought.custom(there[split:])))
+
+    now = simulated(at)
+    for _ in range(REFITS):
+        every = tangents_of(problem, learned, at[:split], sought.custom(at[split:]), now)
+        own = sought.tangents(problem, hypothesis.model(at[:split]), at[split:], now)
+        left = target - now[fitting]
+        step = bounded_step(np.column_stack([every, own])[fitting], left, low - at, high - at, SINGULAR)
+        for _ in range(HALVINGS):
+            further = simulated(at + step)
+            if np.sum((target - further[fitting]) ** 2) < np.sum(left**2):
+                break
+            step = 0.5 * step
+        else:
+            break
+        gained = 1.0 - np.sum((target - further[fitting]) ** 2) / np.sum(left**2)
+        at, now = at + step, further
+        if gained < SETTLED:
+            break
+    return at[:split], at[split:]
+
+
+def with_custom(model: Model, custom: Mapping[str, Setting]) -> Model:
+    """The model with these settings of `[effects.custom]`."""
+    return dataclasses.replace(model, effects={**model.effects, "custom": custom})
+
+
+def tangents_of(problem: Problem, learned: Fit, point: Array, custom: Mapping[str, Setting], predicted: Array) -> Array:
+    """d prediction / d coordinate, (n, coordinates): what other numbers can do about the rest.
+
+    At `point`, with the formula in the model where there is one; `predicted` there.
+    """
+    columns = [np.zeros((len(predicted), 0))]
+    for i in range(len(point)):
+        step = learned.hypothesis.steps[i]
+        step = step if point[i] + step <= learned.hypothesis.high[i] else -step  # beyond a bound there is no model
+        there = point.copy()
+        there[i] += step
+        model = learned.hypothesis.model(there)
+        moved = problem.predicted(with_custom(model, custom) if custom else model)
+        columns.append(((moved - predicted) / step)[:, None])
+    return np.concatenate(columns, axis=1)
+
+
+def regressed(columns: Array, residual: Array, blocks: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Least squares with standard deviations from the scatter between blocks."""
+    bread = np.linalg.pinv(columns.T @ columns)
+    values = bread @ columns.T @ residual
+    number = int(blocks[-1]) + 1
+    scores = np.zeros((number, columns.shape[1]))
+    np.add.at(scores, blocks, columns * (residual - columns @ values)[:, None])
+    moved = scores @ bread  # what each block does to the values
+    return values, np.sqrt(np.sum(moved**2, axis=0) * number / max(number - 1, 1))
