@@ -8,17 +8,19 @@ import numpy as np
 import pytest
 
 from tools import command
-from tools.bench import hidden_effects, measured
+from tools.bench import hidden_effects, measured, untouched
 from tools.bench.results import Row
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import RigidDrive
+
+NUMBER = {"value": 2.0, "low": 1.0, "high": 3.0, "unit": "N*m"}
 
 
 def report(*claims: tuple[str, ...]) -> Row:
     return {
         "verdict": "explained",
         "causes": [
-            {"effect": effect, "alternatives": list(others), "parameters": {"amplitude": {"low": 1.0, "high": 3.0}}}
+            {"effect": effect, "alternatives": list(others), "parameters": {"amplitude": NUMBER}}
             for effect, *others in claims
         ],
         "rms": {"noise_floor": 2.0},
@@ -60,8 +62,52 @@ def test_the_table_has_limits_answers_and_halves() -> None:
         ("all", "above its limit", "named, alone or in a group", "1 of 1", ""),
         ("all", "below its limit", "no other name", "1 of 1", ""),
         ("all", "above its limit", "another name", "0 of 1", ""),
-        ("all", "its number told", "interval holds it", "1 of 1", ""),
     ]
+
+
+def test_an_interval_holds_what_was_hidden_and_what_the_logs_have_already_or_one_of_them() -> None:
+    """The interval is 1 to 3 and 2 is hidden: of its own 0.5 leaves the sum inside, 1.5 does not."""
+    for already, held in ((0.5, "1 of 1"), (1.5, "0 of 1")):
+        number = {"value": already, "low": already - 0.1, "high": already + 0.1}
+        mine = {"set": "emps", "effect": "gravity_load", "size": measured.OWN, "own": {"all": number, "moving": number}}
+        _, lines = measured.intervals([row("gravity_load", 4.0, ("gravity_load",)), row("gravity_load", 8.0), mine])
+        shown = f"{already} ({already - 0.1:.2g} to {already + 0.1:.2g}) N·m"
+        assert lines == [
+            ("emps", "gravity_load", shown, shown, "1 of 1", held),
+            ("all", "", "", "", "1 of 1", held),
+        ]
+    assert measured.intervals([row("gravity_load", 4.0, ("gravity_load",))])[1][-1] == (
+        "all",
+        *[""] * 3,
+        "1 of 1",
+        "0 of 0",
+    )
+
+
+@pytest.mark.parametrize("late", [-0.4e-3, 0.0, 2.3e-3])
+def test_the_lead_of_an_untouched_log_is_measured_by_least_squares(late: float) -> None:
+    """Torque that shows the motion so much later, with noise: the interval holds it, and is no wider than a sample."""
+    found = untouched.own("emps", [drive(late)], "transport_delay")
+    assert found.low < late < found.high
+    assert found.high - found.low < 0.5e-3
+
+
+def test_of_a_linear_effect_the_untouched_log_has_its_column() -> None:
+    found = untouched.own("epos", [drive(0.0)], "direction_asymmetric_friction")
+    assert found.low < 0.05 < found.high
+    assert found.high - found.low < 0.02
+
+
+def drive(late: float) -> Dataset:
+    """Half a minute at 1 kHz by formula, encoder counts of 1 urad; torque so many seconds late, noise of 0.02 N*m."""
+    t, rng = np.arange(0.0, 30.0, 1e-3), np.random.default_rng(4)
+    pairs = ((1.0, 2.0), (0.4, 5.3), (0.1, 17.0))
+    s = t - late
+    omega = sum(a * w * np.cos(w * s) for a, w in pairs)
+    acceleration = sum(-a * w * w * np.sin(w * s) for a, w in pairs)
+    torque = 0.4 * np.sign(omega) + 0.1 * omega + 0.02 * acceleration - 0.1 + 0.05 * np.abs(omega)
+    q = np.round(sum(a * np.sin(w * t) for a, w in pairs) / 1e-6) * 1e-6
+    return Dataset.from_arrays({"t": t, "tau_m": torque + 0.02 * rng.normal(size=t.size), "q_m": q}, "a.csv")
 
 
 def test_what_the_base_model_has_is_no_size_of_an_effect() -> None:
