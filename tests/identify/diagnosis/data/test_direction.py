@@ -16,7 +16,8 @@ from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.audit import audit
-from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
+from tsa_ctrl.identify.diagnosis.data.direction import _hidden, with_hidden_direction
+from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.prepare import prepare
 from tsa_ctrl.identify.diagnosis.data.split import Split, split
 from tsa_ctrl.identify.diagnosis.noise.nuisance import uncertain
@@ -64,6 +65,44 @@ def test_a_log_that_moves_is_left_as_it_is() -> None:
     log = Dataset.from_arrays({"t": t, "tau_m": tau_m, "tau_j": 0.8 * tau_m - 0.1 * np.sign(omega), "omega_j": omega})
     data = split(prepare([log], ACTUATOR), None)
     assert with_hidden_direction(data, ACTUATOR) is data
+
+
+def _run(omega: Array, error: float) -> Run:
+    """A log of this velocity, (n) at RATE, whose error is told to be `error` rad/s."""
+    t = np.arange(len(omega)) / RATE
+    log = Dataset.from_arrays({"t": t, "tau_m": np.sin(t), "tau_j": np.sin(t), "omega_j": omega})
+    run = prepare([log], ACTUATOR)[0]
+    signals = dataclasses.replace(run.signals, omega_j=omega)
+    return dataclasses.replace(run, signals=signals, velocity_error=np.full(len(omega), error))
+
+
+@pytest.mark.parametrize(
+    ("speed", "seconds", "sure"),
+    [
+        pytest.param(0.03, 0.04, False, id="noise makes as much of a rest now and then"),
+        pytest.param(0.05, 0.04, True, id="as much it never makes"),
+        pytest.param(0.03, 0.2, True, id="nor for so long"),
+    ],
+)
+def test_what_noise_takes_out_of_a_slow_stretch_has_no_direction(speed: float, seconds: float, sure: bool) -> None:
+    omega = np.full(round(10.0 * RATE), 0.002)
+    start = round(4.0 * RATE)
+    omega[start : start + round(seconds * RATE)] = speed
+    run = _run(omega, 0.01)
+    unknown = uncertain(run, omega)
+    inside = unknown[start + 2 : start + round(seconds * RATE) - 2]
+    assert bool(np.any(inside)) is not sure
+    assert np.all(unknown[: start - 2])
+
+
+def test_a_log_may_begin_and_end_without_a_direction() -> None:
+    omega = np.full(round(20.0 * RATE), 0.002)
+    middle = slice(round(4.0 * RATE), round(16.0 * RATE))
+    omega[middle] = np.sin(3.0 * np.arange(middle.stop - middle.start) / RATE)
+    slow = _hidden(_run(omega, 0.01), rigid=False)
+    assert slow[0]
+    assert slow[-1]
+    assert not np.any(slow[middle.start + 10 : middle.start + 100])
 
 
 def _stop_and_go(offset: float) -> dict[str, Array]:

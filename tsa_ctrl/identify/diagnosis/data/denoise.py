@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.motion import SURE, directed, with_sure_signs
 from tsa_ctrl.identify.smoothing import Smoothed
+from tsa_ctrl.identify.smoothing.averaged import plateau
+from tsa_ctrl.identify.smoothing.smoother import TOP
+from tsa_ctrl.identify.smoothing.spectrum import band_densities, bands
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass
@@ -54,12 +57,12 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
         if column is None or name in clean or name in log.derived or (name not in log and "omega_m" in log.derived):
             continue
         highest = VELOCITY_HIGHEST if name.startswith("omega") else SHARP
-        smooth, left = _low_passed(column, log.period, highest)
+        smooth, left, at_ends = _low_passed(column, log.period, highest)
         if name == "omega_j":
             as_it_is = _about_standstill(column, log.period) | _about_jumps(column - smooth, log.period)
             smooth = np.where(as_it_is, column, smooth)
             noise = max(left, STEP_NOISE * _count(column))
-            error = np.hypot(noise, _distortion(smooth, log.period, highest))
+            error = np.hypot(np.hypot(noise, _distortion(smooth, log.period, highest)), at_ends)
             smooth, error = _turned_once(smooth, column, log.period, noise, error)
         clean[name] = smooth
     return dataclasses.replace(signals, **clean), noise, error
@@ -131,20 +134,40 @@ def _count(omega: Array) -> float:
     return resolution(omega) if len(values) < 0.2 * len(omega) else 0.0
 
 
-def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float]:
+def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, Array]:
     """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of what is left of the noise.
 
-    `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is.
+    `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is. Beside them what more is left at
+    the ends (n): the low-pass carries a log on about its first and last sample, whose noise stays.
     """
     if len(y) < 128 or not np.ptp(y) > 0.0:
-        return y, 0.0
+        return y, 0.0, np.zeros(len(y))
     frequency, density, edge, floor = _spectrum(y, period)
     cutoff = min(highest, max(LOWEST, 1.5 * edge))
     if cutoff > 0.2 / period:
-        return y, float(np.sqrt(floor * 0.5 / period))
+        return y, float(np.sqrt(floor * 0.5 / period)), np.zeros(len(y))
     passed = density[(frequency > 0.5 * cutoff) & (frequency < cutoff)]  # noise that was averaged sinks beyond
     floor = max(floor, float(np.median(passed))) if passed.size else floor
-    return low_pass(y, period, cutoff), float(np.sqrt(floor * cutoff))
+    left = max(float(np.sqrt(floor * cutoff)), _averaged(y, period, cutoff))
+    first = np.zeros(len(y))
+    first[0] = 1.0
+    share = low_pass(first, period, cutoff)  # of the first sample's noise
+    smooth = low_pass(y, period, cutoff)
+    return smooth, left, float(np.std(y - smooth)) * np.hypot(share, share[::-1])
+
+
+def _averaged(y: Array, period: float, cutoff: float) -> float:
+    """The noise that a low-pass at `cutoff` Hz leaves of one that the drive averaged before; 0 where it did not.
+
+    Below the cut-off there is more of it than higher frequencies show.
+    """
+    measured, _ = band_densities(y, period)
+    level, shape = plateau(measured, len(y), period, TOP)
+    if float(shape.min()) == 1.0:
+        return 0.0
+    edges = bands(len(y), period)
+    gain = 1.0 / (1.0 + (np.sqrt(edges[1:] * edges[:-1]) / cutoff) ** 4)  # of model.signals.low_pass
+    return float(np.sqrt(level * np.sum(shape * gain**2 * np.diff(edges))))
 
 
 def _distortion(smooth: Array, period: float, cutoff: float) -> Array:

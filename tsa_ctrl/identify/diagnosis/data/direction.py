@@ -71,8 +71,10 @@ def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
         slow &= omega != 0.0
         if "omega_j" in run.raw.derived:
             return np.zeros(len(omega), dtype=np.bool_)
-    stretch = np.ones(max(1, round(LONG / run.signals.period)), dtype=np.bool_)
-    hidden = np.asarray(binary_closing(binary_opening(slow, stretch), stretch))
+    size = max(1, round(LONG / run.signals.period))
+    stretch = np.ones(size, dtype=np.bool_)
+    around = np.pad(binary_opening(slow, stretch), size, mode="edge")  # what begins slowly was slow before
+    hidden = np.asarray(binary_closing(around, stretch))[size:-size]
     return hidden & ~_creeping(run, hidden) if rigid else hidden
 
 

@@ -26,6 +26,7 @@ from scipy.special import erf
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
+from tsa_ctrl.identify.motion import SURE
 from tsa_ctrl.model.effects.memory import TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.functions import Array
@@ -36,6 +37,7 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 # Of the velocity noise: as estimated, and where that is too little; of 40 null logs 31 had a false Stribeck without
 NOISE_FACTORS = (1.0, 2.5)
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
+TURNED = 0.1  # s: at ordinary speed a joint turns in less, and between two rests it does not move for less
 FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
 FASTEST = (3.0, 12.0, 25.0)  # Hz, further edges where nothing but structure is looked for
 STEP_CUTOFF = 8.0  # Hz, to tell steps from noise: the least that joints' motion is left with (denoise.LOWEST)
@@ -193,6 +195,7 @@ def _expected(run: Run, omega: Array, weight: Array, factor: float) -> Array:
 def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     """Where the direction is not known, (n) at the compute rate: slower than the noise, and beside each reversal."""
     out = np.abs(omega) < UNKNOWN * run.velocity_error
+    out |= _by_chance(out, np.abs(omega) > SURE * run.velocity_error, run.signals.period)
     still = np.append(omega == 0.0, False)
     late = np.zeros(len(omega), dtype=np.bool_)
     margin = max(1, round(RESTART / run.signals.period))
@@ -203,6 +206,15 @@ def uncertain(run: Run, omega: Array) -> NDArray[np.bool_]:
     out[flips] = True
     out[np.minimum(flips + 1, len(omega) - 1)] = True
     return np.asarray(out)
+
+
+def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: float) -> NDArray[np.bool_]:
+    """Samples (n) that noise alone took out of an unknown stretch: too few for a joint to turn in, and none sure."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], unknown, [True]]).astype(np.int8)))
+    out = np.zeros(len(unknown), dtype=np.bool_)
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        out[start:stop] = (stop - start) * period < TURNED and not sure[start:stop].any()
+    return out
 
 
 def _moments(frame: Frame, patterns: list[Array]) -> tuple[Moment, ...]:

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
@@ -18,6 +20,7 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import simulation_erro
 from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue
 from tsa_ctrl.identify.diagnosis.noise.nuisance import FASTEST, fast
 from tsa_ctrl.identify.diagnosis.residual import changes, features
+from tsa_ctrl.identify.diagnosis.residual.changes import BURST
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
@@ -87,7 +90,11 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     findings.append(changes.lines(fitted.residual, masked, frame.period))
     findings.append(changes.bursts(fitted.residual, frame.period))
     rest = frame.target - predicted
-    findings.append(changes.drift(_interpolated(problem, rest), mask, frame.slices, frame.period, problem.noise.rms))
+    findings.append(
+        changes.drift(
+            _interpolated(rest, _told(problem), frame.period), mask, frame.slices, frame.period, problem.noise.rms
+        )
+    )
     return findings
 
 
@@ -100,10 +107,23 @@ def _explained(problem: Problem, fitted: Fit) -> Array:
     return np.concatenate(columns, axis=1)
 
 
-def _interpolated(problem: Problem, residual: Array) -> Array:
-    """A residual (n,) in N*m with the moments of unknown direction filled by straight lines."""
-    inside = np.ones(len(residual), dtype=np.bool_)
+def _told(problem: Problem) -> NDArray[np.bool_]:
+    """Samples (n) outside the moments of unknown direction."""
+    out = np.ones(len(problem.frame), dtype=np.bool_)
     for moment in problem.nuisance.moments:
-        inside[moment.start : moment.start + len(moment.values)] = False
+        out[moment.start : moment.start + len(moment.values)] = False
+    return out
+
+
+def _interpolated(residual: Array, told: NDArray[np.bool_], period: float) -> Array:
+    """A residual (n,) in N*m, what is not told filled by straight lines between means beside it.
+
+    One sample on either side of seconds that are not known would be a drift by itself.
+    """
+    if not told.any():
+        return residual
+    width = max(1, round(BURST / period))
+    share = np.maximum(uniform_filter1d(told.astype(np.float64), width), 0.5 / width)
+    means = uniform_filter1d(np.where(told, residual, 0.0), width) / share
     index = np.arange(len(residual))
-    return np.where(inside, residual, np.interp(index, index[inside], residual[inside])) if inside.any() else residual
+    return np.where(told, residual, np.interp(index, index[told], means[told]))
