@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
+from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.report.experiment import _parting_most
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Experiment, Rms, Verdict
 from tsa_ctrl.identify.diagnosis.report.words import insufficient_sentence, sentence, spoken
@@ -21,10 +24,11 @@ LONG = Cause(
 PLAIN = Cause("torque_offset", (), 1.0, {"offset": Quantity(0.0003487, 0.00029, 0.000407, "N*m")}, 1.0)
 
 
-def told(verdict: Verdict, *causes: Cause, left: str = "") -> str:
+def told(verdict: Verdict, *causes: Cause, left: str = "", formula: Formula | None = None) -> str:
     rms = Rms(0.06, 0.05, 0.01, 0.009, 0.06)
     nothing = Experiment("")
-    return sentence(Diagnosis(verdict, "", causes, {}, left, {}, {}, nothing, rms, 0.9, RigidDrive()))
+    found = Diagnosis(verdict, "", causes, {}, left, {}, {}, nothing, rms, 0.9, RigidDrive())
+    return sentence(dataclasses.replace(found, formula=formula))
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])
@@ -44,6 +48,17 @@ def test_what_is_simple_is_told_whole() -> None:
 def test_a_long_list_of_what_is_left_is_cut_from_the_first_sentence() -> None:
     left = "what is left depends on several signals at once (44% of its mean square); it also depends on the load"
     assert len(told(Verdict.UNEXPLAINED, left=left).split()) <= 35
+
+
+@pytest.mark.parametrize("text", ["a*tau**3", " + ".join(["a*sin(q_j)*tau"] * 9)], ids=["short", "long"])
+def test_a_formula_that_takes_most_of_what_is_left_comes_first(text: str) -> None:
+    formula = Formula(text, {}, RigidDrive(), 0.96, (0.05, 0.01), 1, 1, 1)
+    found = told(Verdict.UNEXPLAINED, left="what is left is a slow drift (100% of its mean square)", formula=formula)
+    assert "no effect explains it; a formula takes 96% of it" in found
+    assert (text in found) == (len(text) < 20)
+    assert len(found.split()) <= 35
+    little = dataclasses.replace(formula, gain=0.3)
+    assert "slow drift" in told(Verdict.UNEXPLAINED, left="what is left is a slow drift", formula=little)
 
 
 def test_a_long_reason_goes_on_in_a_second_sentence() -> None:

@@ -56,6 +56,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     verdict = _verdict(named=bool(causes), left=bool(left))
     worse = not by_torque and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
     extended = model if worse else reported.fitted.hypothesis.model(reported.fitted.point)
+    formula = _formula(outcome, worse)
     result = Diagnosis(
         verdict=verdict,
         sentence="",
@@ -64,13 +65,15 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         unexplained=what_is_left(left, () if by_torque else outcome.audit.suspicions),
         not_testable=dict(sorted(not_testable.items())),
         detection_limit=dict(sorted(outcome.limits.sizes.items())),
-        experiment=advice(model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque),
+        experiment=advice(
+            model, verdict, causes, outcome.audit, not_testable, outcome.scales.torque, formula is not None
+        ),
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
         gain=min(errors.gain, 1.0) if by_torque else 0.0,
         model=_with_more(extended, beside.effects),
         at_bounds={} if worse else at_bounds(reported),
         stretch=None if beside.rms is None else StretchRms(*beside.rms),
-        formula=_formula(outcome, worse),
+        formula=formula,
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
     )
     return dataclasses.replace(result, sentence=sentence(result))

@@ -25,6 +25,7 @@ LEVELS = (0.25, 0.5, 1.0)  # of the torque seen in the logs
 CYCLES = 3  # at each frequency and level
 LONGEST = 12.0  # s at one frequency and level
 REPEAT = "repeat the very same motion ten times, so that the noise floor is measured and not estimated"
+ELSEWHERE = "other speeds, loads and angles than in these logs: a formula that holds there, too, is a law of the drive"
 FEWEST_REVERSALS = 8  # each way four: fewer do not part the directions' scatter from a difference
 
 
@@ -35,10 +36,11 @@ def advice(
     found: Audit,
     not_testable: Mapping[str, str],
     torque: float,
+    formula: bool = False,
 ) -> Experiment:
     """The one thing to record next: what parts most names; with a set-point that excites what a torque can excite.
 
-    torque: RMS of the measured torque's change, N*m.
+    torque: RMS of the measured torque's change, N*m. formula: whether one describes what is left.
     """
     pairs = [pair for cause in causes for pair in itertools.combinations((cause.effect, *cause.alternatives), 2)]
     if pairs:
@@ -46,7 +48,7 @@ def advice(
         told = " or ".join(dict.fromkeys(name.replace("_", " ") for pair in parted for name in pair))
         text = f"{motion.value}: this would tell {told}"
     elif verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
-        text = REPEAT
+        text = ELSEWHERE if formula else REPEAT
     else:
         text = _gap(found, not_testable, rigid=isinstance(model, RigidDrive))
     return _playable(text, _setpoint(torque))

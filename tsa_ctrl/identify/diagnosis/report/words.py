@@ -13,6 +13,7 @@ from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
 EXCLUDED = 3  # names in the remarks; the report has them all
+MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
 SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
 
@@ -55,6 +56,9 @@ def sentence(result: Diagnosis) -> str:
         return f"Nothing is wrong with the model beyond its parameters: {how}, {off}, which is noise."
     if result.verdict is Verdict.UNEXPLAINED:
         noise = f"{how.capitalize()}, {off} where noise is {told_torque(rms.noise_floor)}, and no effect explains it"
+        if result.formula and result.formula.gain > MOSTLY:
+            follows = f"{noise}; a formula takes {result.formula.gain:.0%} of it"
+            return _short(f"{follows}: {result.formula.expression}.", f"{follows}.")
         return _short(f"{noise}: {result.unexplained.split(';')[0]}.", f"{noise}.")
     if not result.of_torque and result.stretch is not None:
         return _of_the_stretch(result)
