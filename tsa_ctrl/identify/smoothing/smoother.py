@@ -22,6 +22,7 @@ from tsa_ctrl.system.twin import at_once
 
 DRAWS = 4  # of positions between the counts: what the noise's density is the mean of; of short logs more
 DRAWN = 65_536  # samples in all draws at least: a minute at 1 kHz
+HELD = 2_000_000  # samples in all draws at most that are held at once: of an hour they would take 120 MB
 ROUNDS = 8  # of rounding again at most; two or three are enough but for encoders of a few counts
 MORE = 4.0  # times the noise that rounding can be, to begin with: from below, no stair is taken for motion
 FEWEST = 64  # samples: a shorter signal has no spectrum to speak of and stays as it is
@@ -151,6 +152,7 @@ def _noise(
         return noise
     tried: set[LowPass] = set()
     count = max(DRAWS, -(-DRAWN // len(y)))
+    together = count if count * len(y) < HELD else 1
     for _ in range(ROUNDS):
         rng = np.random.default_rng(0)  # the same draws in each round, so that they end
         motion = motion_density(measured, values, noise)
@@ -160,8 +162,11 @@ def _noise(
         tried.add(low_pass)
         path = filtered(y, period, low_pass)[0]
         deviation = float(np.sqrt(white * 0.5 / period))
-        errors = [_rounded_again(path, step, deviation, rng) for _ in range(count)]
-        draws = np.array(at_once([partial(_densities, error, period) for error in errors]))
+        found: list[Array] = []
+        for _ in range(0, count, together):
+            errors = [_rounded_again(path, step, deviation, rng) for _ in range(together)]
+            found += at_once([partial(_densities, error, period) for error in errors])
+        draws = np.array(found)
         density = draws.mean(axis=0)
         more = float(np.median(measured[top]) - np.median(density[top]))
         if more > WORTH * float(np.median(density[top])):
