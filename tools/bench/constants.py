@@ -4,43 +4,47 @@ Usage: tools/run bench/constants [NAME ...] [--seed 7000] [--until HH:MM] [--out
 
 NAME is a module below tsa_ctrl/identify and a constant in it, as diagnosis.selection.entry.BLOCK_T; a module alone
 stands for all of its numbers; without any those that decide are asked. The logs are twelve blind ones (tests/blind),
-short, of every family and the same for every value; where an effect is hidden, the weakest of ten draws, since that is
-where thresholds decide. Each is diagnosed with the number as it is, halved and doubled (whole numbers stay whole; of a
-pair all are changed alike; what is made of a number at import, as ASIDE of MOST_SPREAD, stays: it is a number of its
+short, of every family and the same for every value. Where something is hidden it is the weakest of ten draws, and the
+torque sensor has more noise, in steps of sqrt 2, as long as the answer is right: every other log stands at the last of
+these steps, the others one beyond, for it is there that thresholds decide. Each is diagnosed with the number as it is,
+halved and doubled (whole numbers stay whole; of a pair all are changed alike; what is
+made of a number at import, as ASIDE of MOST_SPREAD, stays: it is a number of its
 own). A row says of how many logs the answer was right, on which it named something else than with the number as it is,
 and on how many anything in the report was another. Rows are kept in --out (default: the file that the manual's table is
-written from), and not made again unless the code is another: comments do not count.
+written from), and not made again unless the code is another: comments do not count. A log is left out where every
+comparison of a number with anything comes out the same (`watched`).
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import importlib
 import json
-import pkgutil
+import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from tests.blind import FAMILIES, Case, case
 from tests.blind.score import mark
 from tools import command
+from tools.bench import watched
 from tools.bench.diagnose import SILENT, ask
 from tools.bench.results import Results, Row, read_rows
+from tools.bench.thresholds import Constant, asked_for, changed, import_all, replaced, scaled, tree_of, users_of
 from tools.manual.measure import here
 
-ROOT = "tsa_ctrl.identify"
 FACTORS = {"half": 0.5, "double": 2.0}
 COUNTS = {"none": 1, "hidden_direction": 1, "single": 3, "pair": 2, "outside": 2, "confounded": 1, "rigid": 2}
 DRAWN = 10  # seeds, of which the one with the weakest effect is taken
+LOUDEST = 8  # steps of sqrt 2 of the sensor's noise: sixteen times of it, below which every effect is lost
 SHOWN = 3  # names of hidden causes in a cell of the table, before only their number is said
 FILE = command.ROOT / "tools" / "manual" / "constants.jsonl"
 RIGHT = {"single": "unique", "pair": "both", "outside": "flagged", "confounded": "grouped", "rigid": "unique"}
@@ -56,105 +60,6 @@ DECIDING = tuple(  # in the order in which they are asked
         *("fitting.fit", "data.denoise", "data.gross_motion", "data.prepare", "data.frame", "hypotheses.base"),
     )
 )
-NO_CHOICE = ("SHRINK", "SINGULAR", "TRIAL", "AT_BOUND", "RIDGE")  # of geometry and of rounding: nothing is decided
-
-
-@dataclass(frozen=True)
-class Constant:
-    """A number, or several, at the head of a module."""
-
-    module: str
-    name: str
-
-    def __str__(self) -> str:
-        return f"{self.module.removeprefix(ROOT + '.')}.{self.name}"
-
-    @property
-    def value(self) -> Any:
-        return getattr(importlib.import_module(self.module), self.name)
-
-
-def constants_in(path: Path) -> list[str]:
-    """Names in capitals at the head of a module that hold numbers, none of them a truth value or a text."""
-    names = []
-    for statement in ast.parse(path.read_text(encoding="utf-8")).body:
-        target = statement.targets[0] if isinstance(statement, ast.Assign) else getattr(statement, "target", None)
-        value = getattr(statement, "value", None)
-        if not isinstance(statement, ast.Assign | ast.AnnAssign) or target is None or value is None:
-            continue
-        numbers = [each.value for each in ast.walk(value) if isinstance(each, ast.Constant)]
-        if any(isinstance(number, int | float) and not isinstance(number, bool) for number in numbers):
-            names += [each.id for each in ast.walk(target) if isinstance(each, ast.Name) and each.id.isupper()]
-    return [name for name in names if name not in NO_CHOICE]
-
-
-def asked_for(text: str) -> list[Constant]:
-    """The constants that a name stands for. Raises SystemExit where there is none."""
-    folder = command.ROOT / ROOT.replace(".", "/")
-    parts = text.split(".")
-    for cut, chosen in ((len(parts), None), (len(parts) - 1, parts[-1])):
-        path = folder.joinpath(*parts[:cut]).with_suffix(".py")
-        if cut and path.is_file():
-            module = ".".join([ROOT, *parts[:cut]])
-            names = [name for name in constants_in(path) if chosen in (None, name)]
-            if names:
-                return [Constant(module, name) for name in names]
-    raise SystemExit(
-        f"tools/run bench/constants: {text}: no number of that name; name one as selection/entry.py has it"
-    )
-
-
-def scaled(value: Any, factor: float) -> Any:
-    """The number, or each of a tuple, times a factor; whole ones stay whole, and above 0. TypeError for others."""
-    if isinstance(value, tuple):
-        return tuple(scaled(each, factor) for each in value)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    return max(1, round(value * factor)) if isinstance(value, int) and value > 0 else value * factor
-
-
-@contextmanager
-def changed(constant: Constant, factor: float) -> Iterator[None]:
-    """The constant scaled in its module, in those that import it from there, and in defaults of their functions."""
-    old, new = constant.value, scaled(constant.value, factor)
-    users = [module for name, module in list(sys.modules.items()) if _uses(name, module, constant)]
-    defaults = [(each, each.__defaults__) for module in users for each in _defaulting(module, constant)]
-    for module in users:
-        setattr(module, constant.name, new)
-    for function, values in defaults:
-        function.__defaults__ = tuple(new if each is old else each for each in values)
-    try:
-        yield
-    finally:
-        for module in users:
-            setattr(module, constant.name, old)
-        for function, values in defaults:
-            function.__defaults__ = values
-
-
-def _uses(name: str, module: Any, constant: Constant) -> bool:
-    if not name.startswith(ROOT) or not hasattr(module, constant.name):
-        return False
-    found = [each for each in _tree(module).body if isinstance(each, ast.ImportFrom) and each.module == constant.module]
-    return name == constant.module or any(alias.name == constant.name for each in found for alias in each.names)
-
-
-def _tree(module: Any) -> ast.Module:
-    return ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
-
-
-def _defaulting(module: Any, constant: Constant) -> list[Any]:
-    """The functions of a module of which a default argument is the constant."""
-    functions = [each for each in _tree(module).body if isinstance(each, ast.FunctionDef)]
-    by = {each.name: [part.id for part in each.args.defaults if isinstance(part, ast.Name)] for each in functions}
-    return [getattr(module, name) for name, defaults in by.items() if constant.name in defaults]
-
-
-def import_all() -> None:
-    """Every module that may use a constant: one that is imported while it is changed would keep what it found."""
-    root = importlib.import_module(ROOT)
-    for module in pkgutil.walk_packages(root.__path__, f"{ROOT}."):
-        importlib.import_module(module.name)
 
 
 def version() -> str:
@@ -166,16 +71,46 @@ def version() -> str:
     return digest.hexdigest()[:12]
 
 
+def commit() -> str:
+    """The last commit that changed what is tested or what tests it."""
+    line = ["git", "log", "-1", "--format=%h", "--", *(f"{folder}/*.py" for folder in CODE)]
+    return subprocess.run(line, cwd=command.ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
 def draw(seed: int) -> list[Case]:
     """The twelve: names of a family at even distances, of each the weakest draw; of two of one name the two weakest."""
-    found = []
+    found: list[Case] = []
     for family, count in COUNTS.items():
         names = [FAMILIES[family][k * len(FAMILIES[family]) // count] for k in range(count)]
         for name in dict.fromkeys(names):
             seeds = range(seed, seed + (DRAWN if family in RIGHT else 1))
             drawn = [case(family, name, each, True) for each in seeds]
             found += sorted(drawn, key=lambda each: each.truth.size / each.truth.noise)[: names.count(name)]
-    return found
+    hidden = [each for each in found if each.truth.effects or each.truth.outside]
+    edge = {id(each): at_the_edge(each, beyond=k % 2 == 1) for k, each in enumerate(hidden)}
+    return [edge.get(id(each), each) for each in found]
+
+
+def at_the_edge(hidden: Case, beyond: bool) -> Case:
+    """With as much noise as leaves the answer right, in steps; `beyond`: one more."""
+    last = hidden
+    for step in range(LOUDEST + 1):
+        louder = noisier(hidden, 2.0 ** (0.5 * step))
+        if not answers([louder])[0]["right"]:
+            return louder if beyond else last
+        last = louder
+    return last
+
+
+def noisier(hidden: Case, factor: float) -> Case:
+    """The same with so many times the noise of its torque sensor."""
+    rng = np.random.default_rng(int(1000 * factor))
+    logs, more = [], hidden.truth.noise * np.sqrt(factor**2 - 1.0)
+    for log in hidden.logs:
+        name = "tau_m" if hidden.family == "rigid" else "tau_j"
+        torque = log.columns[name] + more * rng.standard_normal(len(log.columns[name]))
+        logs.append(replace(log, columns={**log.columns, name: torque}))
+    return replace(hidden, logs=logs)
 
 
 def spoken(hidden: Case) -> str:
@@ -203,8 +138,32 @@ def answers(cases: Sequence[Case]) -> list[Row]:
     return out
 
 
+def in_question(
+    cases: Sequence[Case], base: Sequence[Row], constants: Sequence[Constant]
+) -> dict[watched.Key, set[int]]:
+    """The logs, by place, to which half or double of a number may do anything: of those that are only compared.
+
+    All are watched in one run of each log. Of a number that is not in the result every log is in question.
+    """
+    compared_only = [
+        each for each in constants if watched.only_compared([tree_of(m) for m in users_of(each)], each.name)
+    ]
+    keys = {(str(each), factor): each for each in compared_only for factor in FACTORS.values()}
+    found: dict[watched.Key, set[int]] = {key: set() for key in keys}
+    for place, hidden in enumerate(cases):
+        otherwise: set[watched.Key] = set()
+        with ExitStack() as stack:
+            for each in compared_only:
+                instead = {(str(each), factor): scaled(each.value, factor) for factor in FACTORS.values()}
+                stack.enter_context(replaced(each, watched.Watched(each.value, instead, otherwise)))
+            said = answers([hidden])[0]["said"]
+        for key in keys if said != base[place]["said"] else otherwise:
+            found[key].add(place)
+    return found
+
+
 def compared(told: Sequence[Row], base: Sequence[Row]) -> Row:
-    """How many are right, which are named otherwise, of how many any word or figure differs, and the time, of its."""
+    """How many are right, which are named otherwise, and of how many any word or figure is another."""
     pairs = list(zip(told, base, strict=True))
     return {
         "right": sum(row["right"] for row in told),
@@ -212,30 +171,44 @@ def compared(told: Sequence[Row], base: Sequence[Row]) -> Row:
         "won": [a["hidden"] for a, b in pairs if a["right"] and not b["right"]],
         "renamed": [a["hidden"] for a, b in pairs if a["named"] != b["named"]],
         "touched": sum(a["said"] != b["said"] for a, b in pairs),
-        "time": round(sum(row["seconds"] for row in told) / sum(row["seconds"] for row in base), 2),
     }
 
 
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows: the number as it is, then of half and double what is right, named otherwise and touched at all.
 
-    Of the newest version of the code alone; those that decide come in their own order.
+    Of the newest version of the code alone, first the numbers by which an answer is another, then those that touch one.
     """
     base = [row for row in rows if row["factor"] == 1.0][-1]
     by = {(row["constant"], row["factor"]): row for row in rows if row["version"] == base["version"]}
+    order = {name: k for k, name in enumerate(dict.fromkeys(name for name, factor in by if factor != 1.0))}
+    whole = [name for name in order if all((name, factor) in by for factor in FACTORS.values())]
     lines = []
-    for name in dict.fromkeys(name for name, factor in by if factor != 1.0):
-        found = [by[name, factor] for factor in FACTORS.values() if (name, factor) in by]
-        if len(found) == len(FACTORS):
-            cells = [f"{row['right']}, {len(row['renamed'])}, {row['touched']}" for row in found]
-            which = list(dict.fromkeys(hidden for row in found for hidden in row["renamed"]))
-            told = ", ".join(which) if len(which) <= SHOWN else f"{len(which)} logs"
-            lines.append((f"`{name.removeprefix('diagnosis.')}`", found[0]["value"], *cells, told))
-    count = len(base["answers"])
+    for name in sorted(whole, key=lambda name: (_acts([by[name, factor] for factor in FACTORS.values()]), order[name])):
+        found = [by[name, factor] for factor in FACTORS.values()]
+        cells = [f"{row['right']}, {len(row['renamed'])}, {row['touched']}" for row in found]
+        which = list(dict.fromkeys(hidden for row in found for hidden in _other(row)))
+        told = ", ".join(which) if len(which) <= SHOWN else f"{len(which)} logs"
+        lines.append((f"`{name.removeprefix('diagnosis.')}`", _short(found[0]["value"]), *cells, told))
     same = f"{sum(row['right'] for row in base['answers'])}, 0, 0"
-    stamp = f"{base['date']}, {base['commit']}"
-    lines.append((f"all of {count} logs as it is ({stamp})", "", same, same, ""))
-    return ("number", "is", "half: right, renamed, touched", "double: right, renamed, touched", "renamed"), lines
+    about = f"{len(base['answers'])} logs; {len(whole)} numbers; {base['date']}, {base['commit']}"
+    lines.append((f"all as they are: {about}", "", same, same, ""))
+    return ("number", "is", "half: right, renamed, touched", "double: right, renamed, touched", "which"), lines
+
+
+def _other(row: Row) -> list[str]:
+    """The logs that are named otherwise, or of which the answer is right or wrong by its verdict alone."""
+    return [*row["renamed"], *row["lost"], *row["won"]]
+
+
+def _acts(found: Sequence[Row]) -> int:
+    """0 where half or double answers a log otherwise, 1 where it touches one, 2 where nothing is another."""
+    return 0 if any(_other(row) for row in found) else 1 if any(row["touched"] for row in found) else 2
+
+
+def _short(value: str) -> str:
+    """A number in few digits; several as they are."""
+    return value if value.startswith("(") else f"{float(value):.4g}"
 
 
 def late(until: str | None) -> bool:
@@ -266,24 +239,33 @@ def run(constants: Sequence[Constant], seed: int, until: str | None, out: Path) 
     """Add the rows that are not known; the answers as it is are made once."""
     import_all()
     code, cases = version(), draw(seed)
-    stamp = {"seed": seed, "version": code, **here()}
+    stamp = {"seed": seed, "version": code, **here(), "commit": commit()}
     results = Results(out, lambda row: (row["constant"], row["factor"]), lambda row: stamp.items() >= _of(row).items())
     if ("", 1.0) not in results:
         results.add({"constant": "", "factor": 1.0, "answers": answers(cases), **stamp})
     base = results["", 1.0]["answers"]
-    for constant in constants:
+    numbers = [each for each in constants if _is_number(each)]
+    asked = in_question(cases, base, numbers)
+    for constant in numbers:
         for word, factor in FACTORS.items():
-            if (str(constant), factor) in results or late(until):
+            key = (str(constant), factor)
+            places = sorted(asked.get(key, range(len(cases))))
+            if key in results or (late(until) and places):
                 continue
-            try:
-                with changed(constant, factor):
-                    told = answers(cases)
-            except TypeError:
-                print(f"{constant}: no number, left out", file=sys.stderr)
-                break
-            row = {"constant": str(constant), "factor": factor, "value": repr(constant.value)}
-            results.add({**row, **compared(told, base), **stamp})
-            print(f"{constant} {word}: {compared(told, base)}", file=sys.stderr)
+            with changed(constant, factor):
+                others = dict(zip(places, answers([cases[place] for place in places]), strict=True))
+            row = compared([others.get(place, each) for place, each in enumerate(base)], base)
+            results.add({"constant": key[0], "factor": factor, "value": repr(constant.value), **row, **stamp})
+            print(f"{constant} {word}: {len(places)} run, {row}", file=sys.stderr)
+
+
+def _is_number(constant: Constant) -> bool:
+    try:
+        scaled(constant.value, 1.0)
+    except TypeError:
+        print(f"{constant}: no number, left out", file=sys.stderr)
+        return False
+    return True
 
 
 def _of(row: Row) -> Row:

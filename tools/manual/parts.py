@@ -162,6 +162,13 @@ def held_in_measured() -> str:
     return table(*measured.intervals(read_rows(measured.FILE)))
 
 
+def constants_table() -> str:
+    """What half and double of the diagnosis' thresholds do to hidden logs."""
+    from tools.bench import constants  # the diagnosis with it: slow to import
+
+    return table(*constants.table(read_rows(constants.FILE)))
+
+
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -179,4 +186,5 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "folds": folds_table,
     "hidden-in-measured": hidden_in_measured,
     "held-in-measured": held_in_measured,
+    "constants": constants_table,
 }
