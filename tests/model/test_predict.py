@@ -158,14 +158,16 @@ class TestComposition:
         np.testing.assert_array_equal(forward, backward)
         np.testing.assert_allclose(forward, SLOPE * (1.1 * T - 0.05) - LOSS, rtol=1e-12)
 
-    def test_models_without_memory_do_not_load_the_compiler(self) -> None:
-        """Start-up of the commands that predict stays quick."""
+    def test_no_prediction_loads_the_compiler(self) -> None:
+        """Start-up of the commands that predict stays quick, also with effects that remember."""
         script = (
             "import sys, numpy as np\n"
             "from tests.model.actuator import ACTUATOR, signals\n"
             "from tsa_ctrl.model.predict import predict\n"
             "from tsa_ctrl.model.feedforward import Feedforward\n"
-            "predict(ACTUATOR, signals(np.arange(2.0), np.ones(2)))\n"
+            "memory = {'presliding_hysteresis': {'presliding_distance': 0.1}, 'backlash': {'gap': 0.1}}\n"
+            "for model in (ACTUATOR, ACTUATOR.with_effects(memory)):\n"
+            "    predict(model, signals(np.arange(2.0), np.ones(2), q_j=np.arange(2.0)))\n"
             "sys.exit('numba' in sys.modules or 'scipy' in sys.modules)\n"
         )
         assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

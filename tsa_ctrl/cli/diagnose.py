@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -55,6 +56,10 @@ def command(
     Several logs are diagnosed together, as one drive. Of a folder each log is diagnosed by itself: the answers go to
     one table, verdicts.csv, and the same command goes on where it was interrupted.
     """
+    # Before numpy is loaded: of matrices this narrow a product's second thread mostly waits for the first, at a core's
+    # whole expense, and the order of its sums would hang on the number of cores
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
     if example:
         _example(logs, model, out, seed, as_json)
         return
@@ -127,6 +132,7 @@ def _diagnose(
     from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
     from tsa_ctrl.system.memory import give_back_large
+    from tsa_ctrl.system.twin import twins
 
     give_back_large()
     given = load_model(model)
@@ -134,7 +140,7 @@ def _diagnose(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     hidden = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=hidden)
-    with outputs.sole_writer(out), drawing() as plot, bar as progress:
+    with outputs.sole_writer(out), drawing() as plot, bar as progress, twins():
         task = progress.add_task("reading logs", total=None)
 
         def say(stage: str) -> None:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.legs import Legs, dahl
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,11 @@ class Memory:
 
     def over(self, x: Array, t: Array) -> Array:
         """Its value along a log, (n,), for x and t (s) of (n,); the steps may be uneven."""
+        if self.kind == "dahl":
+            return dahl(Legs.of(x), self.constants[0], 0.0)
         from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
 
         x, t = np.require(x, requirements=["C", "W"]), np.require(t, requirements=["C", "W"])
-        if self.kind == "dahl":
-            return np.asarray(kernels.dahl(x, self.constants[0], 0.0))
         return np.asarray(getattr(kernels, self.kind)(x, t, *self.constants))
 
     def live(self) -> Live:

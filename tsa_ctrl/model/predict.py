@@ -1,7 +1,6 @@
 """What a model expects for a log: the joint torque of a tendon-sheath, or the motor torque of a plain drive.
 
-Source: (3.55) with the effects in their order of composition. All SI. Memoryless models are plain numpy; effects with
-memory load compiled loops when first used.
+Source: (3.55) with the effects in their order of composition. All SI, plain numpy.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
-from tsa_ctrl.model.effects.memory import integrate
+from tsa_ctrl.model.effects.memory import Backlash, integrate
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import FourTensions, Transmission
@@ -50,7 +49,10 @@ def predict_each(model: Model, logs: Sequence[Signals]) -> list[Array]:
 def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmission, signals: Signals) -> Array:
     _require_columns(model, signals)
     state = _joint_state(model, stack, signals)
-    played_out = None if stack.backlash is None else stack.backlash.inside(state.q_j)
+    played_out = None
+    if stack.backlash is not None:
+        reversal = _kept(signals, "reversal", lambda: Backlash.last_reversal(state.q_j))
+        played_out = stack.backlash.inside(state.q_j, reversal)
     growth = _growth(model, stack, transmission, signals, state)
     tau_j = np.empty(len(signals))
     custom = stack.custom_at("joint")
@@ -223,7 +225,7 @@ def _sliding(stack: Stack, signals: Signals, omega: Array, path: Array | None) -
         if stack.presliding is None:
             return hold_direction(omega)
         assert path is not None
-        return stack.presliding.state(path, stack.presliding.start(path, signals.t, omega))
+        return stack.presliding.state(signals.legs(path), stack.presliding.start(path, signals.t, omega))
 
     return _kept(signals, ("sigma", stack.velocity_lag, stack.presliding), compute)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,9 +17,11 @@ import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.legs import Legs
 
 DERIVATIVE_CUTOFF = 20.0  # Hz, 3 dB of the zero-phase low-pass; joints move below 5 Hz
 _RUN_IN = 3.0  # periods of the cutoff by which the ends are mirrored; what is left of them is below 1e-5
+_LARGEST = 8_000_000  # bytes of the legs of a path that are kept: an hour at 1 kHz must stay below a gigabyte
 _SHORTEST_FILTERED = 64  # samples; below this the filter's run-in is longer than the log
 
 
@@ -63,6 +66,19 @@ class Signals:
     def memo(self) -> dict[Hashable, Array]:
         """What a prediction may want again, by what it depends on beside the signals."""
         return {}
+
+    def legs(self, path: Array) -> Legs:
+        """A column's legs, which a search asks for with every distance that it tries: those of two short ones stay."""
+        known = next((legs for legs in self._legs if legs.path is path), None)
+        if known is None:
+            known = Legs.of(path)
+            if known.nbytes < _LARGEST:
+                self._legs.append(known)
+        return known
+
+    @cached_property
+    def _legs(self) -> deque[Legs]:
+        return deque(maxlen=2)
 
     @property
     def period(self) -> float:

@@ -14,7 +14,6 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate.combinations import combinations, from_tensions
@@ -171,6 +170,8 @@ def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[Prepar
 
 
 def _blocks(logs: list[PreparedLog]) -> tuple[list[PreparedLog], list[PreparedLog]]:
+    from scipy.ndimage import maximum_filter1d  # slow to import
+
     train, test = [], []
     for log in logs:
         n = log.tau_j.size

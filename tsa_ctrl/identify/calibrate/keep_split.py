@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq, least_squares
 
 from tsa_ctrl.identify.calibrate.prepared import PreparedLog
 from tsa_ctrl.identify.quantity import Quantity
@@ -47,7 +47,7 @@ def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tu
         return diameter * t0 * math.exp(s * wt) * math.sinh(x0 * math.exp(s * wx)) - half_loop.value
 
     if excess(-1.0) < 0.0 < excess(1.0):
-        s = float(brentq(excess, -1.0, 1.0))
+        s = _root(excess)
     else:
         s = -1.0 if excess(-1.0) >= 0.0 else 1.0
         notes.append(f"the half loop {half_loop} cannot be reached within [uncertainty]; the nearest corner is used")
@@ -62,12 +62,25 @@ def keep_split(model: TendonSheath, half_loop: Quantity, notes: list[str]) -> tu
     )
 
 
+def _root(rising: Callable[[float], float]) -> float:
+    """Where a function that rises from below 0 at -1 to above 0 at 1 is 0: halved until no number lies between."""
+    low, high = -1.0, 1.0
+    while low < (middle := 0.5 * (low + high)) < high:
+        if rising(middle) < 0.0:
+            low = middle
+        else:
+            high = middle
+    return high
+
+
 def least_error(logs: list[PreparedLog], model: TendonSheath) -> tuple[Quantity, Quantity]:
     """x and T_p0 within [uncertainty] by least simulation error; the bounds are their intervals.
 
     Over the admitted samples: at rest friction is anything up to the half loop, and the sign of a velocity that is
     noise would make the least friction the best (a weight that stands between strokes: 0.38 instead of 0.61 N*m).
     """
+    from scipy.optimize import least_squares  # slow to import
+
     (low_x, high_x), (low_t, high_t) = bounds(model)
 
     def residual(p: FloatArray) -> FloatArray:

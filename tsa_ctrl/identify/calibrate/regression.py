@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
-from scipy.ndimage import uniform_filter1d
 
 from tsa_ctrl.identify.student import LEVEL, half_width
 
@@ -102,6 +101,8 @@ def choose_lag(signals: list[FloatArray], residuals: list[FloatArray], limit: in
 
 
 def _correlation_lag(residual: FloatArray, limit: int) -> int:
+    from scipy.ndimage import uniform_filter1d  # slow to import
+
     window = min(4 * limit, residual.size)
     fast = residual - uniform_filter1d(residual, window, mode="nearest")
     spectrum = np.abs(np.fft.rfft(fast, next_fast_len(2 * fast.size, real=True))) ** 2
@@ -116,6 +117,8 @@ def _loss(signal: FloatArray, lag: int) -> float:
     """Share of the correlation with itself that a signal loses at a lag; noise, which is to be lost, is averaged."""
     if 4 * lag >= signal.size:
         return 1.0
+    from scipy.ndimage import uniform_filter1d  # slow to import
+
     signal = uniform_filter1d(signal, lag, mode="nearest")
     a, b = signal - signal.mean(), lagged(signal, lag)
     b = b - b.mean()

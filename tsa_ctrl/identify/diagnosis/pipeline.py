@@ -39,6 +39,7 @@ from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select
 from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.system.twin import both
 
 Progress = Callable[[str], None]
 
@@ -84,8 +85,13 @@ def diagnose(
         claimed = claims(selection, groups, base, data, share)
         selection, errors, formula = claimed.selection, claimed.errors, claimed.formula
         beside = by_stretch(selection, scales)
-        reported = profile_refined(selection.problem, refit(selection.problem, selection.fitted, share > 0.0))
-        reported = in_proportion(data.frame, reported)
+        chosen = selection
+        reported, limits = both(
+            lambda: in_proportion(
+                data.frame, profile_refined(chosen.problem, refit(chosen.problem, chosen.fitted, share > 0.0))
+            ),
+            lambda: detection_limits(chosen, share),
+        )
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)
         if formula is not None:  # what follows a formula is no noise
@@ -94,7 +100,6 @@ def diagnose(
         return insufficient(model, audited, str(refusal), testable.not_testable)
     except OverflowError:  # a friction angle beyond anything
         return insufficient(model, audited, UNSUITED, testable.not_testable)
-    limits = detection_limits(selection, share)
     return conclude(
         model,
         Outcome(

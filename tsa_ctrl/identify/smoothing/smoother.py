@@ -9,7 +9,7 @@ low-pass that follows is the one that it began with. What the highest frequencie
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from tsa_ctrl.identify.smoothing.bandwidth import Choice, Noise, choose, motion_
 from tsa_ctrl.identify.smoothing.spectrum import band_densities, bands
 from tsa_ctrl.identify.smoothing.zero_phase import LowPass, filtered
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.system.twin import at_once
 
 DRAWS = 4  # of positions between the counts: what the noise's density is the mean of; of short logs more
 DRAWN = 65_536  # samples in all draws at least: a minute at 1 kHz
+HELD = 2_000_000  # samples in all draws at most that are held at once: of an hour they would take 120 MB
 ROUNDS = 8  # of rounding again at most; two or three are enough but for encoders of a few counts
 MORE = 4.0  # times the noise that rounding can be, to begin with: from below, no stair is taken for motion
 FEWEST = 64  # samples: a shorter signal has no spectrum to speak of and stays as it is
@@ -150,6 +152,7 @@ def _noise(
         return noise
     tried: set[LowPass] = set()
     count = max(DRAWS, -(-DRAWN // len(y)))
+    together = count if count * len(y) < HELD else 1
     for _ in range(ROUNDS):
         rng = np.random.default_rng(0)  # the same draws in each round, so that they end
         motion = motion_density(measured, values, noise)
@@ -159,7 +162,11 @@ def _noise(
         tried.add(low_pass)
         path = filtered(y, period, low_pass)[0]
         deviation = float(np.sqrt(white * 0.5 / period))
-        draws = np.array([band_densities(_rounded_again(path, step, deviation, rng), period)[0] for _ in range(count)])
+        found: list[Array] = []
+        for _ in range(0, count, together):
+            errors = [_rounded_again(path, step, deviation, rng) for _ in range(together)]
+            found += at_once([partial(_densities, error, period) for error in errors])
+        draws = np.array(found)
         density = draws.mean(axis=0)
         more = float(np.median(measured[top]) - np.median(density[top]))
         if more > WORTH * float(np.median(density[top])):
@@ -167,6 +174,10 @@ def _noise(
             density = density + more
         noise = Noise(density, draws.std(axis=0))
     return noise
+
+
+def _densities(y: Array, period: float) -> Array:
+    return band_densities(y, period)[0]
 
 
 def _rounded_again(path: Array, step: float, deviation: float, rng: np.random.Generator) -> Array:

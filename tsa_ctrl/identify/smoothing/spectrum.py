@@ -61,14 +61,19 @@ def _density(y: Array, period: float, length: int) -> Array:
     count = max(1, min(wanted, COVERED // length))
     starts = np.unique(np.linspace(0, len(y) - length, count).round().astype(np.int64))
     segments = np.lib.stride_tricks.sliding_window_view(y, length)[starts]
-    line = np.linspace(-1.0, 1.0, length)
-    segments = segments - segments.mean(axis=1, keepdims=True)
-    segments -= np.outer(segments @ line / float(line @ line), line)
-    power = np.abs(np.fft.rfft(segments * _window(length), axis=1)) ** 2
-    return np.asarray(2.0 * period * power.mean(axis=0))
+    line, window, sloped = _window(length)
+    trend = np.stack([segments.mean(axis=1), segments @ line / float(line @ line)], axis=1)
+    segments *= window
+    segments -= trend @ np.stack([window, sloped])
+    parts = np.fft.rfft(segments, axis=1).view(np.float64)  # real and imaginary in turn
+    squares = np.einsum("ij,ij->j", parts, parts).reshape(-1, 2)
+    return np.asarray(2.0 * period / len(starts) * (squares[:, 0] + squares[:, 1]))
 
 
 @lru_cache(maxsize=32)
-def _window(length: int) -> Array:
+def _window(length: int) -> tuple[Array, Array, Array]:
+    """A line from -1 to 1, the window of power 1, and the line as the window leaves it."""
+    line = np.linspace(-1.0, 1.0, length)
     window = np.kaiser(length, SHAPE)
-    return np.asarray(window / np.sqrt(float(window @ window)))
+    window /= np.sqrt(float(window @ window))
+    return line, window, line * window

@@ -25,6 +25,7 @@ from tsa_ctrl.model.effects.specification import (
     positive,
 )
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.legs import Legs, dahl, last_reversal, maxwell_slip
 from tsa_ctrl.model.signals import Signals
 
 _GRID_TOLERANCE = 0.02  # of a step: how far an encoder's counts may be off whole numbers, and be counts
@@ -95,14 +96,12 @@ class PreslidingHysteresis:
         """
         return float(np.sign(omega[0])) if _moves_at_start(displacement, t) else 0.0
 
-    def state(self, displacement: Array, start: float) -> Array:
+    def state(self, displacement: Array | Legs, start: float) -> Array:
         """z, shape (n,), along a displacement of shape (n,)."""
-        from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
-
-        displacement = np.ascontiguousarray(displacement)
+        legs = displacement if isinstance(displacement, Legs) else Legs.of(displacement)
         if self.elements == 1:
-            return np.asarray(kernels.dahl(displacement, self.presliding_distance, start))
-        return np.asarray(kernels.maxwell_slip(displacement, self.presliding_distance, self.elements, start))
+            return dahl(legs, self.presliding_distance, start)
+        return maxwell_slip(legs, self.presliding_distance, self.elements, start)
 
 
 class PreslidingState:
@@ -166,11 +165,14 @@ class Backlash:
         shown=Shown({"gap": 0.03}, "since", "tendon part 0 while |q − q_r| < gap", short=True),
     )
 
-    def inside(self, q_j: Array) -> npt.NDArray[np.bool_]:
-        """Mask, shape (n,): where the play is open. A reversal counts beyond two encoder counts."""
-        from tsa_ctrl.model.effects import kernels  # numba: not worth its import where there is no memory
+    @staticmethod
+    def last_reversal(q_j: Array) -> Array:
+        """The angle of the joint's last reversal, (n,), nan before the first. It counts beyond two encoder counts."""
+        return last_reversal(Legs.of(q_j), _REVERSAL * resolution(q_j))
 
-        return np.asarray(kernels.within_gap(np.ascontiguousarray(q_j), self.gap, _REVERSAL * resolution(q_j)))
+    def inside(self, q_j: Array, reversal: Array) -> npt.NDArray[np.bool_]:
+        """Mask, shape (n,): where the play is open. `reversal`: as of `last_reversal`."""
+        return np.asarray(np.abs(q_j - reversal) < self.gap)
 
 
 def _delays(name: str, s: Scales) -> list[Variant]:

@@ -57,6 +57,10 @@ def test_what_is_left_is_told_as_a_formula_with_its_gain_on_other_logs(found: Di
     assert (found.formula.better, found.formula.logs) == (2, 2)
     assert found.to_dict()["formula"]["expression"] == found.formula.expression
     assert all(value.low < value.value < value.high for value in found.formula.constants.values())
+    assert found.details is not None
+    for curves in found.details.curves:  # what the pictures show
+        assert curves.described is not None
+        assert np.std(curves.measured - curves.described) < 0.6 * np.std(curves.measured - curves.extended)
 
 
 @pytest.mark.slow

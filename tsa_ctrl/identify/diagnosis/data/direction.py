@@ -17,11 +17,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_closing, binary_dilation, binary_opening, uniform_filter1d
 from scipy.special import log_ndtr
 
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.data.split import Split
+from tsa_ctrl.identify.diagnosis.data.stretches import joined, long
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import hold_direction
@@ -71,10 +71,9 @@ def _hidden(run: Run, rigid: bool) -> NDArray[np.bool_]:
         slow &= omega != 0.0
         if "omega_j" in run.raw.derived:
             return np.zeros(len(omega), dtype=np.bool_)
-    size = max(1, round(LONG / run.signals.period))
-    stretch = np.ones(size, dtype=np.bool_)
-    around = np.pad(binary_opening(slow, stretch), size, mode="edge")  # what begins slowly was slow before
-    hidden = np.asarray(binary_closing(around, stretch))[size:-size]
+    least = max(1, round(LONG / run.signals.period))
+    around = np.pad(long(slow, least), least, mode="edge")  # what begins slowly was slow before
+    hidden = joined(around, least)[least:-least]
     return hidden & ~_creeping(run, hidden) if rigid else hidden
 
 
@@ -146,6 +145,8 @@ def _directed(run: Run, hidden: NDArray[np.bool_], odds: Array, off: Array) -> R
     """The run with the likelier direction in its hidden stretches, and no error of the velocity where it is known."""
     if not hidden.any():
         return run
+    from scipy.ndimage import binary_dilation, uniform_filter1d  # slow to import
+
     omega = np.where(hidden, np.copysign(np.abs(run.signals.omega_j), odds), run.signals.omega_j)
     factor = run.full_bin // run.bin
     whole = run.full.omega_j.copy()

@@ -7,6 +7,7 @@ refined by a fit afterwards.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.system.twin import both
 
 # Amplitude (in units of the torque) of a nearly linear response: small, so that it is linear; far above rounding
 TRIAL = 0.02
@@ -45,7 +47,22 @@ class Score:
 
 def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> list[Response]:
     """The responses of each start of each variant beside the effects of `fitted`; impossible combinations left out."""
+    variants = list(variants)
     present = problem.predicted(fitted.hypothesis.model(fitted.point))
+    # Those without an amplitude look for the same states with each fit, which are kept where they are computed
+    late = [variant for variant in variants if variant.amplitude]
+    first, second = both(
+        lambda: _responses(problem, fitted, present, [variant for variant in variants if not variant.amplitude]),
+        lambda: _responses(problem, fitted, present, late),
+        late,
+    )
+    by_variant: dict[int, list[Response]] = defaultdict(list)
+    for response in (*first, *second):
+        by_variant[id(response.variant)].append(response)
+    return [response for variant in variants for response in by_variant[id(variant)]]
+
+
+def _responses(problem: Problem, fitted: Fit, present: Array, variants: Sequence[Variant]) -> list[Response]:
     out = []
     for variant in variants:
         hypothesis = fitted.hypothesis.plus(variant)
@@ -82,8 +99,21 @@ def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Sco
         return []
     basis = orthonormal(fitted.jacobian)
     residual = fitted.residual - basis @ (basis.T @ fitted.residual)
-    white = problem.whiten(np.concatenate([response.columns for response in found], axis=1))
-    white -= basis @ (basis.T @ white)
+
+    def whitened(part: Sequence[Response]) -> Array:
+        white = problem.whiten(np.concatenate([response.columns for response in part], axis=1))
+        white -= basis @ (basis.T @ white)
+        return white
+
+    _ = problem.measured  # what it needs of the noise and the nuisance, once and not in both processes
+    halves = found[: (len(found) + 1) // 2], found[(len(found) + 1) // 2 :]
+    if not halves[1]:
+        return _scored(halves[0], whitened(halves[0]), residual)
+    whites = both(lambda: whitened(halves[0]), lambda: whitened(halves[1]))
+    return [score for half, white in zip(halves, whites, strict=True) for score in _scored(half, white, residual)]
+
+
+def _scored(found: Sequence[Response], white: Array, residual: Array) -> list[Score]:
     out, at = [], 0
     for response in found:
         columns = white[:, at : at + response.columns.shape[1]]

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len, rfft
 from scipy.linalg import cholesky, solve_toeplitz, toeplitz
 from scipy.linalg.lapack import dtrtrs
 
@@ -118,8 +118,11 @@ def _filtered(taps: Array, y: Array) -> Array:
     if y.shape[1] < FEW_COLUMNS:
         return np.column_stack([_filtered(taps, column) for column in y.T])
     length = next_fast_len(len(y) + len(taps) - 1, real=True)
-    product = rfft(y, length, axis=0) * rfft(taps, length)[:, None]
-    return np.asarray(irfft(product, length, axis=0)[: len(y)])
+    rows = np.zeros((y.shape[1], length))  # one column after another takes two thirds of the time for all side by side
+    rows[:, : len(y)] = y.T
+    product = np.fft.rfft(rows)
+    product *= np.fft.rfft(taps, length)
+    return np.asarray(np.fft.irfft(product, length)[:, : len(y)].T)
 
 
 def white_noise(deviation: float) -> Noise:

@@ -75,6 +75,7 @@ class Curves:
     as_given: Array
     recalibrated: Array
     extended: Array
+    described: Array | None  # by the formula of what is left, where there is one
     omega: Array
     sigma: Array
     angle: Array
@@ -123,7 +124,7 @@ def details(outcome: Outcome, grouped: Sequence[Group], lost: Sequence[float]) -
     )
     return Details(
         target=base.hypothesis.base.target,
-        curves=tuple(_curves(run, models) for run in data.frame.runs),
+        curves=tuple(_curves(run, models, outcome.formula) for run in data.frame.runs),
         noise=outcome.errors.noise_floor,
         period=data.frame.period,
         ranking=_causes(grouped, lost) if grouped else _ranking(selection),
@@ -145,7 +146,7 @@ def _excluded(grouped: Sequence[Group]) -> tuple[str, ...]:
     return tuple(name for name in names if name not in possible)
 
 
-def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
+def _curves(run: Run, models: tuple[Model, Model, Model], formula: Formula | None) -> Curves:
     s = run.signals
     as_given, recalibrated, extended = (run.average(predict(model, s)) for model in models)
     elapsed, distance = run.since_reversal()
@@ -156,6 +157,7 @@ def _curves(run: Run, models: tuple[Model, Model, Model]) -> Curves:
         as_given=as_given,
         recalibrated=recalibrated,
         extended=extended,
+        described=None if formula is None else run.average(predict(formula.model, s)),
         omega=run.average(s.omega_j),
         sigma=np.sign(run.average(hold_direction(s.omega_j))),
         angle=run.average(run.angle),

@@ -24,6 +24,7 @@ BINS = 40  # of a residual against a signal
 DOTS = 4000  # at most, of a scatter
 RANKED = 12  # lines that can still be read
 MEASURED, GIVEN, CALIBRATED, EXTENDED = "black", "tab:red", "tab:orange", "tab:blue"
+DESCRIBED = "tab:green"
 
 Draw = Callable[[Diagnosis, Details], Figure]
 
@@ -76,13 +77,16 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
     for each, (curves, part) in zip(axes, segments, strict=True):
         t = curves.t[part]
         band = 2.0 * details.noise
-        middle = curves.extended[part]
-        each.fill_between(t, middle - band, middle + band, color=EXTENDED, alpha=0.15, lw=0, label="noise, 2 sigma")
+        middle = curves.extended[part] if curves.described is None else curves.described[part]
+        colour = EXTENDED if curves.described is None else DESCRIBED
+        each.fill_between(t, middle - band, middle + band, color=colour, alpha=0.15, lw=0, label="noise, 2 sigma")
         each.plot(t, curves.measured[part], color=MEASURED, lw=1.6, label="measured")
         each.plot(t, curves.as_given[part], color=GIVEN, lw=1.0, ls=":", label="as given")
         each.plot(t, curves.recalibrated[part], color=CALIBRATED, lw=1.0, label="recalibrated")
         if result.of_torque:
-            each.plot(t, middle, color=EXTENDED, lw=1.0, label="extended")
+            each.plot(t, curves.extended[part], color=EXTENDED, lw=1.0, label="extended")
+        if curves.described is not None:
+            each.plot(t, middle, color=DESCRIBED, lw=1.0, label="with the formula")
         each.set_ylabel(f"{details.target} (N·m)")
         each.set_title(curves.name, loc="left", fontsize=9)
     axes[-1].set_xlabel("t (s)")
@@ -107,6 +111,8 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
     steps = [("as given", result.rms.as_given, GIVEN), ("recalibrated", result.rms.recalibrated, CALIBRATED)]
     if result.of_torque:
         steps.append(("extended", result.rms.extended, EXTENDED))
+    if result.formula is not None:
+        steps.append(("with the formula", result.formula.rms[1], DESCRIBED))
     steps.append(("noise floor", result.rms.noise_floor, "grey"))
     factor, unit = torque_scale(result.rms)
     figure, (axes,) = _figure(1, 1, 2.8)

@@ -24,6 +24,7 @@ from tsa_ctrl.identify.diagnosis.residual.changes import BURST
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.system.twin import both
 
 # Share of what is left that is structure: from half on it is more than the noise, which then no longer decides
 STRUCTURE = 0.5
@@ -78,10 +79,13 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     families = features.families(frame, predicted, rng)
     families["time"] = features.time_family(frame, sigma, load)
     sizes = [family.shape[1] for family in families.values()]
-    white = problem.whiten(np.concatenate(list(families.values()), axis=1))
-    pieces = np.split(white, np.cumsum(sizes)[:-1], axis=1)
+    raw = np.concatenate(list(families.values()), axis=1)
+    half = raw.shape[1] // 2
+    (known, first), second = both(
+        lambda: (_explained(problem, fitted), problem.whiten(raw[:, :half])), lambda: problem.whiten(raw[:, half:])
+    )
+    pieces = np.split(np.concatenate([first, second], axis=1), np.cumsum(sizes)[:-1], axis=1)
     columns = dict(zip(families, pieces, strict=True))
-    known = _explained(problem, fitted)
     findings = dependence(fitted.residual, known, columns, problem.blocks, rng)
     mask = problem.mask
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}

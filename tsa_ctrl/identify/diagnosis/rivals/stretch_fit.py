@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from tsa_ctrl.identify.diagnosis.rivals.stretch import (
     LIKELY,
@@ -193,6 +192,8 @@ class Stretch:
         place, (_, coordinate) = alike.index(best.shape[0]), best.variant.coordinates
         low = alike[place - 1] if place else coordinate.low
         high = alike[place + 1] if place + 1 < len(alike) else coordinate.high
+
+        from scipy.optimize import minimize_scalar  # slow to import
 
         def left(at: float) -> float:
             return -self._gain(found, best.at(at))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
 from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
+from tsa_ctrl.system.twin import at_once
 
 LATE_REVERSALS = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
 FITTED = 5  # best candidates that are refined, and fitted in full: one of them enters, and the others are asked again
@@ -77,12 +79,14 @@ def best_steps(
     variants = all_but(names, catalogue)
     found = responses(problem, smaller, variants)
     best = best_scores(problem, smaller, scores(problem, smaller, found), found)
-    fits = []
-    for score in [*best[:most], *(score for score in best[most:] if score.variant.effect in always)]:
-        step = forward_step(problem, smaller, score)
-        if step is not None:
-            fits.append(step)
-    return sorted(fits, key=lambda f: f.rss)
+    tried = [*best[:most], *(score for score in best[most:] if score.variant.effect in always)]
+    fits = at_once([partial(forward_step, problem, smaller, score) for score in tried], parts_of(smaller, variants))
+    return sorted((step for step in fits if step is not None), key=lambda f: f.rss)
+
+
+def parts_of(fitted: Fit, variants: Iterable[Variant]) -> list[object]:
+    """What fits with one of these effects more share with `fitted`: functions, which are the same in two processes."""
+    return [fitted.hypothesis.base, *fitted.hypothesis.variants, *variants]
 
 
 def best_scores(
@@ -101,7 +105,9 @@ def best_scores(
         number = id(score.variant)
         if score.variant.effect in names and (number not in by_variant or score.whole > by_variant[number].whole):
             by_variant[number] = score
-    finer = [_refined(problem, fitted, score, found) for score in by_variant.values()]
+    coarse = list(by_variant.values())
+    searched = [partial(_refined, problem, fitted, score, found) for score in coarse]
+    finer = at_once(searched, [*coarse, *(score.variant for score in coarse)])
     others = [score for score in best_by_effect(scored) if score.variant.effect not in names]
     return finer if each else best_by_effect([*finer, *others])
 

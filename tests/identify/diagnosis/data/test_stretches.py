@@ -1,0 +1,26 @@
+"""Long stretches and joined ones, against the morphology of scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from numpy.typing import NDArray
+from scipy.ndimage import binary_closing, binary_opening
+
+from tsa_ctrl.identify.diagnosis.data.stretches import joined, long
+
+masks = arrays.arrays(np.bool_, st.integers(1, 60))
+
+
+@given(masks, st.integers(1, 9))
+def test_long_is_an_opening(mask: NDArray[np.bool_], least: int) -> None:
+    """By a window of so many samples."""
+    np.testing.assert_array_equal(long(mask, least), binary_opening(mask, np.ones(least)))
+
+
+@given(masks, st.integers(1, 9))
+def test_joined_is_a_closing(mask: NDArray[np.bool_], window: int) -> None:
+    """As scipy's it takes what lies beyond both ends for no stretch."""
+    np.testing.assert_array_equal(joined(mask, window), binary_closing(mask, np.ones(window)))

@@ -1,0 +1,103 @@
+"""What friction and play remember along a path, against what they are defined by: loops from sample to sample."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.legs import Legs, dahl, last_reversal, maxwell_slip
+
+counted = arrays.arrays(np.int64, st.integers(1, 80), elements=st.integers(-4, 4))  # stands, and comes back to a place
+sharp = arrays.arrays(np.float64, st.integers(1, 80), elements=st.floats(-1.0, 1.0, allow_subnormal=False))
+paths = st.one_of(counted.map(lambda counts: 0.1 * np.cumsum(counts)), sharp)
+starts = st.sampled_from([-1.0, 0.0, 1.0])
+
+
+def dahl_by_steps(path: Array, distance: float, start: float) -> Array:
+    """dz/ds = (1 - sign(ds) z)/q_p over each sample's step."""
+    z = [start]
+    for step in np.diff(path):
+        way = math.copysign(1.0, step)
+        z.append(way + (z[-1] - way) * math.exp(-abs(step) / distance))
+    return np.array(z)
+
+
+def maxwell_by_steps(path: Array, distance: float, elements: int, start: float) -> Array:
+    """Springs that slip at +-1."""
+    states, z = [start] * elements, [start]
+    for step in np.diff(path):
+        stiffness = [elements / (distance * (k + 1)) for k in range(elements)]
+        states = [min(1.0, max(-1.0, state + step * each)) for state, each in zip(states, stiffness, strict=True)]
+        z.append(sum(states) / elements)
+    return np.array(z)
+
+
+def reversals_by_steps(path: Array, threshold: float) -> Array:
+    """The extreme from which the path has come back by more than `threshold`, from the sample behind it on."""
+    out = np.full(len(path), math.nan)
+    extreme, since, direction = path[0], 0, 0
+    for i, place in enumerate(path):
+        away = place - extreme
+        if direction == 0 and abs(away) > threshold:
+            direction = 1 if away > 0.0 else -1
+        if direction == 0:
+            continue
+        if away * direction >= 0.0:
+            extreme, since = place, i
+        elif -away * direction > threshold:
+            out[since + 1 :] = extreme
+            direction = -direction
+            extreme, since = place, i
+    return out
+
+
+@given(paths, st.floats(0.01, 3.0), starts)
+def test_dahl(path: Array, distance: float, start: float) -> None:
+    """The closed form of each leg is the sum of its steps."""
+    np.testing.assert_allclose(dahl(Legs.of(path), distance, start), dahl_by_steps(path, distance, start), atol=1e-12)
+
+
+@given(paths, st.floats(0.01, 3.0), st.integers(1, 8), starts)
+def test_maxwell_slip(path: Array, distance: float, elements: int, start: float) -> None:
+    """An element that slips slips to the end of its leg."""
+    found = maxwell_slip(Legs.of(path), distance, elements, start)
+    np.testing.assert_allclose(found, maxwell_by_steps(path, distance, elements, start), atol=1e-11)
+
+
+@given(paths, st.sampled_from([0.0, 0.05, 0.15, 0.25, 1.0]))
+def test_last_reversal(path: Array, threshold: float) -> None:
+    """Bit for bit: the places are the path's own."""
+    np.testing.assert_array_equal(last_reversal(Legs.of(path), threshold), reversals_by_steps(path, threshold))
+
+
+@pytest.mark.parametrize("legs", [2, 3, 16, 17, 1000])
+def test_state_passes_through_many_legs(legs: int) -> None:
+    """However many blocks the maps are composed in, the last sample knows the first one."""
+    rng = np.random.default_rng(legs)
+    path = np.cumsum(rng.uniform(0.1, 1.0, legs) * (-1.0) ** np.arange(legs)) * 1e-3
+    found = dahl(Legs.of(path), 10.0, 1.0), maxwell_slip(Legs.of(path), 10.0, 4, 1.0)
+    np.testing.assert_allclose(found[0], dahl_by_steps(path, 10.0, 1.0), atol=1e-12)
+    np.testing.assert_allclose(found[1], maxwell_by_steps(path, 10.0, 4, 1.0), atol=1e-12)
+
+
+def test_a_leg_ends_where_the_path_turns_and_goes_on_through_a_standstill() -> None:
+    """Two samples at the top belong to the way up."""
+    legs = Legs.of(np.array([0.0, 0.0, 1.0, 1.0, 2.0, 2.0, 1.0, 1.5]))
+    assert legs.first.tolist() == [0, 5, 6]
+    assert legs.way.tolist() == [1.0, -1.0, 1.0]
+    assert legs.leg.tolist() == [0, 0, 0, 0, 0, 0, 1, 2]
+
+
+def test_a_path_that_stands_has_one_leg() -> None:
+    """And its state stays."""
+    legs = Legs.of(np.full(5, 0.3))
+    assert legs.first.tolist() == [0]
+    np.testing.assert_array_equal(dahl(legs, 0.1, 0.0), np.zeros(5))
+    np.testing.assert_array_equal(maxwell_slip(legs, 0.1, 3, 1.0), np.ones(5))
+    assert np.isnan(last_reversal(legs, 0.0)).all()
