@@ -232,8 +232,7 @@ STRANGERS: dict[str, Stranger] = {
     "bridge_asymmetry": Stranger("the torque sensor has two gains", _bridge, 0.05, 0.3, {}),
 }
 
-# Those that are a function of what a log has at one instant; the others have a memory or a clock of their own, which no
-# formula in the log's signals has
+# Those that are a function of what a log has at one instant; the others have a memory or a clock of their own
 OF_AN_INSTANT = (
     "sensor_clipping",
     "temperature_crosstalk",
@@ -242,6 +241,10 @@ OF_AN_INSTANT = (
     "oval_pulley",
     "bridge_asymmetry",
 )
+
+
+# Those whose memory is that of a filter of the load itself, which a formula may have, too
+OF_A_FILTER = ("viscoelastic_tendon", "sensor_resonance", "sensor_hysteresis")
 
 
 class CatalogueSpan:

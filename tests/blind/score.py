@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from .cases import Case
-from .outside import OF_AN_INSTANT
+from .outside import OF_A_FILTER, OF_AN_INSTANT
 
 MOST_ALTERNATIVES = 2
 LEAST_DESCRIBED = 0.7  # of what is left, that a formula must take to count as a description of it
@@ -173,9 +173,9 @@ TARGETS = (
 )
 
 
-def _described_of_an_instant(result: dict[str, Any]) -> bool | None:
-    """Whether a formula takes most of what is left; None of a cause with a memory or a clock of its own."""
-    return bool(result["mark"]["described"]) if result["name"] in OF_AN_INSTANT else None
+def _described_of(names: Sequence[str]) -> Callable[[dict[str, Any]], bool | None]:
+    """Whether a formula takes most of what is left; None of a cause that is none of these."""
+    return lambda result: bool(result["mark"]["described"]) if result["name"] in names else None
 
 
 QUIET = ("consistent", "insufficient")
@@ -194,7 +194,8 @@ FURTHER = (
     Target("two effects: both within two alternatives", "pair", _key("both_within"), 0.90),
     Target("outside the catalogue: a confident name", "outside", _key("wrong"), 0.05, at_most=True),
     Target("outside the catalogue: a formula takes 70 % of what is left", "outside", _key("described"), 0.60),
-    Target("of these, a function of an instant: the same", "outside", _described_of_an_instant, 0.60),
+    Target("of these, a function of an instant: the same", "outside", _described_of(OF_AN_INSTANT), 0.60),
+    Target("of these, with a filter's memory of the load: the same", "outside", _described_of(OF_A_FILTER), 0.60),
     Target("exactly confounded: a confident name", "confounded", _key("wrong"), 0.0, at_most=True),
 )
 

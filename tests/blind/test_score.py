@@ -144,8 +144,11 @@ def test_only_the_family_of_a_target_counts() -> None:
     assert counted(TARGETS[0], [wrong, other]) == (1, 1)
 
 
-def test_what_has_a_memory_is_no_miss_of_a_formula_of_an_instant() -> None:
-    target = next(target for target in FURTHER if target.text.startswith("of these, a function of an instant"))
-    marks = [("bridge_asymmetry", True), ("oval_pulley", False), ("sensor_resonance", False)]
+@pytest.mark.parametrize(
+    ("begins", "counts"), [("a function of an instant", (1, 2)), ("with a filter's memory", (1, 1))]
+)
+def test_a_line_of_some_kinds_counts_these_alone(begins: str, counts: tuple[int, int]) -> None:
+    target = next(target for target in FURTHER if target.text.startswith(f"of these, {begins}"))
+    marks = [("bridge_asymmetry", True), ("oval_pulley", False), ("sensor_resonance", True), ("zero_drift", False)]
     rows = [{"family": "outside", "name": name, "mark": {"described": told}} for name, told in marks]
-    assert counted(target, rows) == (1, 2)
+    assert counted(target, rows) == counts

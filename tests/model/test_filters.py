@@ -151,7 +151,4 @@ def test_a_formula_runs_its_memories_over_a_log() -> None:
     program = parse("2*lag(tau + 1, T) - ring(tau, 4, d)*dahl(3, 1)", ("tau",), {"T": 0.3, "d": 0.1}, "x")
     assert program.memories == (Memory("lag", (0.3,)), Memory("ring", (4.0, 0.1)), Memory("dahl", (1.0,)))
 
-    def remember(index: int, y: Array) -> Array:
-        return program.memories[index].over(np.broadcast_to(y, t.shape), t)
-
-    np.testing.assert_allclose(program.array([x], remember), 2.0 * reference(EVERY[0], x + 1.0, t), atol=1e-12)
+    np.testing.assert_allclose(program.over([x], t), 2.0 * reference(EVERY[0], x + 1.0, t), atol=1e-12)

@@ -263,6 +263,7 @@ MEASURES: tuple[Measure, ...] = (
             ("wrong", "a single wrong name beside it", "outside the catalogue: a confident name", 42),
             ("formula", "a formula takes 70 % of what is left", "a formula takes 70 % of what is left", 42),
             ("instant", "the same of a function of an instant", "a function of an instant: the same", 18),
+            ("filter", "the same of what has a filter's memory", "a filter's memory of the load: the same", 9),
         )
     ),
     _drawn(

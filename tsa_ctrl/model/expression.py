@@ -127,6 +127,10 @@ class Program:
                     stack.append(np.asarray(_ARRAY_UNARY[op](stack.pop())))
         return stack[0]
 
+    def over(self, values: Sequence[Array], t: Array) -> Array:
+        """`array` along a log whose memories begin with it; t in s, (n,)."""
+        return self.array(values, lambda index, x: self.memories[index].over(np.broadcast_to(x, t.shape), t))
+
 
 def parse(text: str, names: Sequence[str], constants: Mapping[str, float], where: str) -> Program:
     """Read a formula in `names` and `constants` (parameters, put in as numbers); raises UsageError in one line."""

@@ -69,12 +69,7 @@ class Custom:
 
     def taken(self, tau: Array, state: State[Array]) -> Array:
         """f over a whole log, N*m, shape (n); UsageError where the formula has no value."""
-        program = self.program
-
-        def remember(index: int, x: Array) -> Array:
-            return program.memories[index].over(np.broadcast_to(x, np.shape(tau)), state.t)
-
-        taken = np.broadcast_to(program.array(self._signals(tau, state), remember), np.shape(tau))
+        taken = np.broadcast_to(self.program.over(self._signals(tau, state), state.t), np.shape(tau))
         if not np.isfinite(taken).all():
             row = int(np.argmin(np.isfinite(taken)))
             raise UsageError(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -13,7 +15,10 @@ from tests.blind import case
 from tests.blind.score import mark
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
-from tsa_ctrl.identify.diagnosis.parameters.formula import _selected
+from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.noise.nuisance import Moment, Nuisance
+from tsa_ctrl.identify.diagnosis.parameters.formula import _selected, with_direction
 from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import regressed
 from tsa_ctrl.model.parameters import RigidDrive, load_model, model_from, save_model
 from tsa_ctrl.model.predict import predict
@@ -130,6 +135,9 @@ def test_deviations_of_twin_terms_are_numbers(values: float, sure: bool) -> None
         pytest.param("sensor_clipping", 9101, "a*tau**3", marks=pytest.mark.soak),
         ("sheath_kink", 9101, "a*sigma*exp(-((q_j - "),
         ("sensor_dead_zone", 9601, "a*(abs(tau + b) - abs(tau - b))"),  # refused as another log's before
+        ("viscoelastic_tendon", 9702, "a*(tau - lag(tau, b))"),
+        pytest.param("sensor_resonance", 9701, "a*(tau - ring(tau, b, c))", marks=pytest.mark.soak),
+        pytest.param("sensor_hysteresis", 9700, "a*dahl(tau, b)", marks=pytest.mark.soak),
     ],
 )
 def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: int, starts: str) -> None:
@@ -141,3 +149,15 @@ def test_a_cause_outside_the_catalogue_is_told_as_its_formula(kind: str, seed: i
     assert found.formula is not None
     assert found.formula.expression.startswith(starts)
     assert mark(hidden, found.to_dict()).described
+
+
+def test_samples_of_an_unknown_direction_teach_no_formula() -> None:
+    """As long as most others are left; a model of the reversals says what happens in them."""
+    moments = (Moment(10, np.ones(3)), Moment(50, np.ones(1)))
+    problem = cast(Problem, SimpleNamespace(nuisance=Nuisance(np.zeros((100, 0)), moments)))
+    plain, presliding = (cast(Fit, SimpleNamespace(names=names)) for names in ((), ("presliding_hysteresis",)))
+    mask = np.arange(100) >= 11
+    assert np.flatnonzero(mask & ~with_direction(problem, plain, mask)).tolist() == [11, 12, 50]
+    assert with_direction(problem, presliding, mask).sum() == 89
+    few = np.arange(100) == 50
+    assert with_direction(problem, plain, few).sum() == 1

@@ -1,9 +1,9 @@
 """What is left as a plain formula in the log's signals, which a model file can take as `[effects.custom]`.
 
 Sparse regression (forward selection of terms; Brunton, Proctor, Kutz, PNAS 2016, ask the same of a whole model): the
-causes stay as they are, and each term (`terms`) must take its part of the simulation error on logs or blocks that it
-was not fitted on. What is chosen is fitted with the numbers inside it, the place of a bump or the width of a dead zone.
-A formula is a description, no name.
+causes stay as they are, and each term (`terms`; `memory_terms`) must take its part of the simulation error on logs or
+blocks that it was not fitted on. What is chosen is fitted with the numbers inside it, the place of a bump, the width of
+a dead zone or the time of a lag. A formula is a description, no name.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error, models_reversals
 from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import (
     SINGULAR,
     TRIAL,
@@ -29,6 +29,7 @@ from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import (
     with_custom,
 )
 from tsa_ctrl.identify.diagnosis.parameters.held_out import rms_over
+from tsa_ctrl.identify.diagnosis.parameters.memory_terms import memory_terms
 from tsa_ctrl.identify.diagnosis.parameters.terms import Term, terms
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, FOLDS
 from tsa_ctrl.identify.quantity import Quantity
@@ -77,10 +78,11 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
         return None
     predicted = problem.predicted(model)
     residual = problem.frame.target - predicted
-    parts, columns, units = _responses(problem, model, predicted)
-    fitting = split.fit & problem.mask
+    fitting = with_direction(problem, found, split.fit & problem.mask)
     blocks = np.unique(split.frame.blocks[fitting], return_inverse=True)[1]
     tangents = tangents_of(problem, learned, learned.point, {}, predicted)[:, learned.free]
+    asked = [*terms(problem, model, predicted), *memory_terms(problem, model, fitting, residual, tangents)]
+    parts, columns, units = _responses(problem, model, asked, predicted)
     folds = _folds(problem, fitting, blocks)
     chosen = _selected(columns[fitting], residual[fitting], folds, tangents[fitting], units)
     while chosen:
@@ -121,8 +123,19 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     )
 
 
+def with_direction(problem: Problem, found: Fit, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Of the samples of `mask`, (n,), those of which the log tells the direction, as long as most of them are such.
+
+    One sample of a wrong direction leaves twice the friction, hundreds of times what a formula takes.
+    """
+    known = mask.copy()
+    for moment in () if models_reversals(found) else problem.nuisance.moments:
+        known[moment.start : moment.start + len(moment.values)] = False
+    return known if 2 * int(known.sum()) > int(mask.sum()) else mask
+
+
 def _responses(
-    problem: Problem, model: Model, predicted: Array
+    problem: Problem, model: Model, asked: Sequence[Term], predicted: Array
 ) -> tuple[list[tuple[Term, int]], Array, list[tuple[int, ...]]]:
     """Parts of the terms, and what each adds to the prediction per unit of its coefficient: (n, parts) N*m.
 
@@ -130,7 +143,7 @@ def _responses(
     """
     parts: list[tuple[Term, int]] = []
     columns, units = [], []
-    for term in terms(problem, model, predicted):
+    for term in asked:
         unit = []
         for index, text in enumerate(term.texts([f"{number:.6g}" for number in term.inside])):
             with_it = with_custom(model, {"expression": f"{TRIAL}*{text}", "stage": "joint"})

@@ -1,9 +1,10 @@
 """Names that a plain formula does clearly better than: they stand for something that the catalogue lacks.
 
-A torque sensor with two gains is fitted by sheaths that differ, a zero that follows the temperature by an offset, and
-what the name leaves is told as structure. Where a formula without the name leaves visibly less on data that neither has
-seen than the name does with all that a formula adds to it, or as little with fewer terms, the name is no claim, and the
-formula is told alone. An effect of the catalogue is described no better, and by no fewer terms, than by itself.
+A torque sensor with two gains is fitted by sheaths that differ, a zero that follows the temperature by an offset, a
+tendon that creeps by a spring, and what the name leaves is told as structure. Where a formula without the name leaves
+visibly less on data that neither has seen than the name does with all that a formula adds to it, or as little with
+fewer terms, the name is no claim, and the formula is told alone. An effect of the catalogue is described no better, and
+by no fewer terms, than by itself.
 """
 
 from __future__ import annotations
@@ -11,12 +12,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
-from tsa_ctrl.identify.diagnosis.parameters.formula import LEAST_GAIN, Formula, formula_of_what_is_left
+from tsa_ctrl.identify.diagnosis.parameters.formula import (
+    LEAST_GAIN,
+    Formula,
+    formula_of_what_is_left,
+    with_direction,
+)
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
 from tsa_ctrl.identify.diagnosis.rivals.groups import Group
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
@@ -28,23 +35,30 @@ BLOCKS = 24  # of the held-out samples: as many as the evidence of a cause is ta
 def stand_in(
     problem: Problem, found: Fit, groups: Sequence[Group], split: Split, formula: Formula | None
 ) -> int | None:
-    """Number of a cause without alternatives in whose place a formula does clearly better; None where none is.
+    """Number of a cause in whose place a formula does clearly better; None where none is.
 
-    formula: what `found` leaves, told beside it.
+    formula: what `found` leaves, told beside it. A cause with alternatives says less, and gives way only where a single
+    term beside it is as good alone.
     """
-    alone = [index for index, group in enumerate(groups) if not group.alternatives]
-    if not alone:
+    single = formula is not None and formula.terms == 1
+    asked = [index for index, group in enumerate(groups) if single or not group.alternatives]
+    if not asked:
         return None
-    present = _held(problem, _learned(problem, found, split) if formula is None else formula.model, split)
+    held = with_direction(problem, found, split.held)
+    present = _squares(problem, _learned(problem, found, split) if formula is None else formula.model, held)
     terms = 1 if formula is None else 1 + formula.terms
     best, least = None, np.inf
-    for index in alone:
+    for index in asked:
         described = formula_of_what_is_left(problem, backward_step(problem, found, index), split)
         if described is None:
             continue
-        error = _held(problem, described.model, split)
+        error = _squares(problem, described.model, held)
         as_good = described.terms < terms and (1.0 - LEAST_GAIN) * error.error <= present.error
-        if (as_good or error.clearly_beats(present)) and error.error < least:
+        if groups[index].alternatives:
+            better = as_good and described.terms == 1
+        else:
+            better = as_good or error.clearly_beats(present)
+        if better and error.error < least:
             best, least = index, error.error
     return best
 
@@ -55,8 +69,8 @@ def _learned(problem: Problem, found: Fit, split: Split) -> Model:
     return learned.hypothesis.model(learned.point)
 
 
-def _held(problem: Problem, model: Model, split: Split) -> Elsewhere:
+def _squares(problem: Problem, model: Model, held: NDArray[np.bool_]) -> Elsewhere:
     """Squares of the simulation error over the held-out samples, in blocks of time."""
-    left = (problem.frame.target - problem.predicted(model))[split.held]
+    left = (problem.frame.target - problem.predicted(model))[held]
     blocks = np.arange(len(left)) * BLOCKS // max(len(left), 1)
     return Elsewhere(np.bincount(blocks, left**2, BLOCKS).astype(np.float64))
