@@ -245,6 +245,8 @@ OF_AN_INSTANT = (
 
 # Those whose memory is that of a filter of the load itself, which a formula may have, too
 OF_A_FILTER = ("viscoelastic_tendon", "sensor_resonance", "sensor_hysteresis")
+# Those that a clock tells: from one moment on, or in a rhythm of their own
+OF_A_CLOCK = ("anchor_slip", "tension_beating")
 
 
 class CatalogueSpan:

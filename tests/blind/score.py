@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 from .cases import Case
-from .outside import OF_A_FILTER, OF_AN_INSTANT
+from .outside import OF_A_CLOCK, OF_A_FILTER, OF_AN_INSTANT
 
 MOST_ALTERNATIVES = 2
 LEAST_DESCRIBED = 0.7  # of what is left, that a formula must take to count as a description of it
@@ -196,6 +196,7 @@ FURTHER = (
     Target("outside the catalogue: a formula takes 70 % of what is left", "outside", _key("described"), 0.60),
     Target("of these, a function of an instant: the same", "outside", _described_of(OF_AN_INSTANT), 0.60),
     Target("of these, with a filter's memory of the load: the same", "outside", _described_of(OF_A_FILTER), 0.60),
+    Target("of these, by a clock: the same", "outside", _described_of(OF_A_CLOCK), 0.60),
     Target("exactly confounded: a confident name", "confounded", _key("wrong"), 0.0, at_most=True),
 )
 

@@ -145,10 +145,17 @@ def test_only_the_family_of_a_target_counts() -> None:
 
 
 @pytest.mark.parametrize(
-    ("begins", "counts"), [("a function of an instant", (1, 2)), ("with a filter's memory", (1, 1))]
+    ("begins", "counts"),
+    [("a function of an instant", (1, 2)), ("with a filter's memory", (1, 1)), ("by a clock", (0, 1))],
 )
 def test_a_line_of_some_kinds_counts_these_alone(begins: str, counts: tuple[int, int]) -> None:
     target = next(target for target in FURTHER if target.text.startswith(f"of these, {begins}"))
-    marks = [("bridge_asymmetry", True), ("oval_pulley", False), ("sensor_resonance", True), ("zero_drift", False)]
+    marks = [
+        ("bridge_asymmetry", True),
+        ("oval_pulley", False),
+        ("sensor_resonance", True),
+        ("zero_drift", False),
+        ("anchor_slip", False),
+    ]
     rows = [{"family": "outside", "name": name, "mark": {"described": told}} for name, told in marks]
     assert counted(target, rows) == counts

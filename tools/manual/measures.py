@@ -264,6 +264,7 @@ MEASURES: tuple[Measure, ...] = (
             ("formula", "a formula takes 70 % of what is left", "a formula takes 70 % of what is left", 42),
             ("instant", "the same of a function of an instant", "a function of an instant: the same", 18),
             ("filter", "the same of what has a filter's memory", "a filter's memory of the load: the same", 9),
+            ("clock", "the same of what a clock tells", "by a clock: the same", 6),
         )
     ),
     _drawn(

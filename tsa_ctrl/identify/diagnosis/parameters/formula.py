@@ -8,6 +8,7 @@ a dead zone or the time of a lag. A formula is a description, no name.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -31,6 +32,7 @@ from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import (
 from tsa_ctrl.identify.diagnosis.parameters.held_out import rms_over
 from tsa_ctrl.identify.diagnosis.parameters.memory_terms import memory_terms
 from tsa_ctrl.identify.diagnosis.parameters.terms import Term, terms
+from tsa_ctrl.identify.diagnosis.parameters.time_terms import time_terms
 from tsa_ctrl.identify.diagnosis.selection.entry import BLOCK_T, FOLDS
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.student import half_width
@@ -65,9 +67,16 @@ class Formula:
         """The table of a model file."""
         lines = [
             f'expression = "{self.expression}"',
-            *(f"{name} = {q.value:.6g}" for name, q in self.constants.items()),
+            *(f"{name} = {_exact(q)}" for name, q in self.constants.items()),
         ]
         return "\n".join(["[effects.custom]", *lines])
+
+
+def _exact(q: Quantity) -> str:
+    """The number with digits down to a hundredth of its interval: a moment of a clock needs more than six."""
+    span = q.high - q.low
+    digits = math.ceil(math.log10(abs(q.value) / span)) + 3 if span > 0.0 and q.value != 0.0 else 6
+    return f"{q.value:.{max(6, min(digits, 15))}g}"
 
 
 def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formula | None:
@@ -81,7 +90,11 @@ def formula_of_what_is_left(problem: Problem, found: Fit, split: Split) -> Formu
     fitting = with_direction(problem, found, split.fit & problem.mask)
     blocks = np.unique(split.frame.blocks[fitting], return_inverse=True)[1]
     tangents = tangents_of(problem, learned, learned.point, {}, predicted)[:, learned.free]
-    asked = [*terms(problem, model, predicted), *memory_terms(problem, model, fitting, residual, tangents)]
+    asked = [
+        *terms(problem, model, predicted),
+        *memory_terms(problem, model, fitting, residual, tangents),
+        *time_terms(problem, predicted, fitting, residual, tangents),
+    ]
     parts, columns, units = _responses(problem, model, asked, predicted)
     folds = _folds(problem, fitting, blocks)
     chosen = _selected(columns[fitting], residual[fitting], folds, tangents[fitting], units)
@@ -145,7 +158,7 @@ def _responses(
     columns, units = [], []
     for term in asked:
         unit = []
-        for index, text in enumerate(term.texts([f"{number:.6g}" for number in term.inside])):
+        for index, text in enumerate(term.texts([f"{number:.12g}" for number in term.inside])):
             with_it = with_custom(model, {"expression": f"{TRIAL}*{text}", "stage": "joint"})
             try:
                 column = (problem.predicted(with_it) - predicted) / TRIAL

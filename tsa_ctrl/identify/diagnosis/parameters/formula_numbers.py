@@ -63,9 +63,10 @@ class Sought:
     def tangents(self, problem: Problem, model: Model, constants: Array, predicted: Array) -> Array:
         """d prediction / d constant, (n, constants): `predicted` with the formula."""
         columns = []
+        reach = self.high - self.low  # within a term: no moment of a clock is moved by a share of it
         for i, value in enumerate(constants):
             there = constants.copy()
-            there[i] += (step := TRIAL * max(abs(value), TRIAL))
+            there[i] += (step := TRIAL * (reach[i] if np.isfinite(reach[i]) else max(abs(value), TRIAL)))
             columns.append((problem.predicted(with_custom(model, self.custom(there))) - predicted) / step)
         return np.column_stack(columns)
 

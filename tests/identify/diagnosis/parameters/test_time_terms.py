@@ -1,0 +1,88 @@
+"""A step and a wave in time are found with their moment and their rhythm; a zero that walks has none. Data by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report.words import remarks
+
+Array = NDArray[np.float64]
+PERIOD, NOISE = 4e-3, 4e-3  # s, N*m
+X, RATIO = ACTUATOR.friction_angle, ACTUATOR.joint_pulley_radius / ACTUATOR.motor_pulley_radius
+HALF_LOOP = 2.0 * ACTUATOR.pretension * ACTUATOR.joint_pulley_radius * math.sinh(X)
+
+
+def slipped(t: Array) -> tuple[Array, Array]:
+    """An anchor slips after 12.3 s (of stretches that are learned from): a quarter of the friction is gone."""
+    return np.where(t > 12.3, 0.75, 1.0), np.zeros(len(t))
+
+
+def beating(t: Array) -> tuple[Array, Array]:
+    """The pretension beats at 0.63 Hz."""
+    return 1.0 + 0.2 * np.sin(2.0 * np.pi * 0.63 * t + 1.0), np.zeros(len(t))
+
+
+def walking(t: Array) -> tuple[Array, Array]:
+    """The torque sensor's zero walks."""
+    return np.ones(len(t)), np.cumsum(np.random.default_rng(8).normal(0.0, 8e-4, len(t)))
+
+
+def diagnosed(change: Callable[[Array], tuple[Array, Array]], start: float = 0.0) -> Diagnosis:
+    """A log of 24 s from `start` on, the clock's; `change`: factor of the friction and N*m beside, by the time."""
+    rng = np.random.default_rng(6)
+    t = PERIOD * np.arange(6000)
+    q, omega = np.zeros(len(t)), np.zeros(len(t))
+    for w in rng.uniform(1.5, 6.0, 3):
+        a, phase = rng.uniform(0.2, 0.4), rng.uniform(0.0, 6.0)
+        q += a * np.sin(w * t + phase)
+        omega += a * w * np.cos(w * t + phase)
+    tau_m = sum(0.25 * np.sin(w * t + rng.uniform(0.0, 6.0)) for w in rng.uniform(0.7, 5.0, 3))
+    factor, beside = change(t)
+    tau_j = RATIO * math.cosh(X) * tau_m - HALF_LOOP * factor * np.sign(omega) + beside
+    columns = {
+        "t": start + t,
+        "tau_m": tau_m,
+        "tau_j": tau_j + rng.normal(0.0, NOISE, len(t)),
+        "omega_j": omega,
+        "q_j": q,
+    }
+    return diagnose({"log.csv": columns}, dataclasses.replace(ACTUATOR, source="nominal.toml"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", [0.0, pytest.param(1.7e9, marks=pytest.mark.soak)], ids=["from 0", "Unix time"])
+def test_a_step_is_told_with_its_moment(start: float) -> None:
+    found = diagnosed(slipped, start)
+    assert all(cause.alternatives for cause in found.causes)
+    assert found.formula is not None
+    assert found.formula.expression == "a*(1 + tanh((t - b)/0.05))*sigma"
+    assert found.formula.gain > 0.8
+    told = tomllib.loads(found.formula.toml())["effects"]["custom"]
+    assert told["a"] == pytest.approx(-0.125 * HALF_LOOP, rel=0.05)
+    assert told["b"] - start == pytest.approx(12.3, abs=0.1)
+    assert "no law for a controller" in " ".join(remarks(found))
+
+
+@pytest.mark.slow
+def test_a_wave_is_told_with_its_frequency() -> None:
+    found = diagnosed(beating)
+    assert found.formula is not None
+    assert found.formula.expression.startswith("a*sin(6.283185*b*(t - 0))*sigma + c*cos(")
+    assert found.formula.constants["b"].value == pytest.approx(0.63, rel=0.01)
+    a, c = (found.formula.constants[name].value for name in "ac")
+    assert math.hypot(a, c) == pytest.approx(0.2 * HALF_LOOP, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_zero_that_walks_has_no_rhythm() -> None:
+    found = diagnosed(walking)
+    assert found.formula is None or "t" not in found.formula.expression.replace("tau", "").replace("tanh", "")
