@@ -242,13 +242,6 @@ MEASURES: tuple[Measure, ...] = (
         r"two effects: both named, nothing else\s+>= \d+%\s+(\d+)/60 ",
         "of 60",
     ),
-    _drawn(
-        "base-intervals",
-        "no effect hidden, 500 draws: 95 % intervals of the base model's numbers (slope, half loop) that hold them",
-        ("none", "hidden_direction"),
-        r"95 % intervals of the base model cover .*?/\d+ ([\d.]+)%",
-        "%",
-    ),
     *(
         _drawn(
             f"outside-{name}",

@@ -75,12 +75,37 @@ def test_a_cause_that_the_held_out_load_shows_is_judged_there() -> None:
     assert found.worthless == 1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [8022, pytest.param(8026, marks=pytest.mark.soak)])  # another cause beside it
-def test_a_cause_beside_a_lag_is_not_thrown_out_for_reversals_that_are_missed_by_a_sample(seed: int) -> None:
-    """Both were named alone with the lag: the other takes a twentieth of what the reversals leave of the error."""
-    hidden = case("pair", "any", seed=seed, short=True)
+def _named(family: str, name: str, seed: int) -> tuple[set[str], set[str]]:
+    """The names told of a blind log, and what was hidden in it."""
+    hidden = case(family, name, seed=seed, short=True)
     logs = {log.name: log.columns for log in hidden.logs}
     found = diagnose(logs, model_from(tomllib.loads(hidden.model), "nominal.toml"))
-    assert "velocity_lag" in hidden.truth.effects
-    assert {cause.effect for cause in found.causes} == set(hidden.truth.effects)
+    return {cause.effect for cause in found.causes}, set(hidden.truth.effects)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("late", "seed"),
+    [
+        ("velocity_lag", 8022),
+        pytest.param("velocity_lag", 8026, marks=pytest.mark.soak),  # another cause beside it
+        pytest.param("velocity_lag", 8035, marks=pytest.mark.soak),  # a third name: fits that wandered along the lag
+        ("backlash", 8045),
+    ],
+)
+def test_a_cause_beside_what_moves_reversals_is_judged_without_those_missed_by_a_sample(late: str, seed: int) -> None:
+    """The other takes a twentieth of what the reversals leave of the error."""
+    named, hidden = _named("pair", "any", seed)
+    assert late in hidden
+    assert named == hidden
+
+
+def test_what_is_late_does_not_give_way_to_a_formula_that_knows_no_reversal() -> None:
+    """Away from reversals a hysteresis of the load leaves as little."""
+    named, hidden = _named("single", "transport_delay", 8009)
+    assert named == hidden
+
+
+def test_a_delay_that_free_moments_hide_shows_in_all_reversals() -> None:
+    named, hidden = _named("confounded", "late_at_one_speed", 8005)
+    assert named == hidden

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.data.split import Split
-from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
+from tsa_ctrl.identify.diagnosis.fitting.fit import ENOUGH, Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     fit_on_simulation_error,
@@ -94,10 +94,10 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
         if len(found.names) == 1:
             lost.append(1.0)
             continue
-        smaller = fit_on_simulation_error(problem, backward_step(problem, extended, index), mask=split.fit)
+        smaller = _without(problem, extended, found, index, split)
         error = rms_over(frame, smaller.hypothesis.model(smaller.point), split.held)
         share = (error**2 - rms["extended"] ** 2) / won
-        if share <= 0.0 and (_hardly_shown(problem, extended, smaller, split) or _is_late(found)):
+        if share <= 0.0 and (_is_late(found) or _hardly_shown(problem, extended, smaller, split)):
             share = _among_the_learned(problem, base, found, index)
         lost.append(float(np.clip(share, 0.0, 1.0)))
     driver = "omega_j" if problem.base.target == "tau_m" else "tau_m"
@@ -110,6 +110,16 @@ def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_sh
     )
 
 
+def _without(problem: Problem, extended: Fit, found: Fit, index: int, split: Split) -> Fit:
+    """The fit without a cause, begun where all samples have it; begun at `extended` where that is better.
+
+    Without the moments of reversals little holds a lag: a fit may move far along it and gain nothing.
+    """
+    starts = (backward_step(problem, each, index) for each in (found, extended))
+    own, other = (fit_on_simulation_error(problem, start, mask=split.fit) for start in starts)
+    return other if other.rss < own.rss - ENOUGH else own
+
+
 def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -> bool:
     """Whether a cause changes much less of the torque in the held-out samples than in those that were fitted on."""
     with_it, without = (problem.predicted(each.hypothesis.model(each.point)) for each in (extended, smaller))
@@ -118,11 +128,11 @@ def _hardly_shown(problem: Problem, extended: Fit, smaller: Fit, split: Split) -
 
 
 def _is_late(found: Fit) -> bool:
-    """Whether a lag or a delay moves the reversals: one that is missed by a sample or two is most of the whole error.
+    """Whether a lag, a delay or play moves the reversals: one that is missed by a sample or two is most of the error.
 
     Then a cause that is worth less than that is judged where the moments of the reversals do not count.
     """
-    return not models_reversals(found) and any(name in LATE_REVERSALS for name in found.names)
+    return not models_reversals(found) and any(name in (*LATE_REVERSALS, "backlash") for name in found.names)
 
 
 def _among_the_learned(problem: Problem, base: Fit, found: Fit, index: int) -> float:

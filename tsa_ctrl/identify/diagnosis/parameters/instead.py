@@ -44,7 +44,8 @@ def stand_in(
     of a single term.
     """
     held = with_direction(problem, found, split.held)
-    present = _squares(problem, _learned(problem, found, split) if formula is None else formula.model, held)
+    model = _learned(problem, found, split) if formula is None else formula.model
+    present, whole = (_squares(problem, model, mask) for mask in (held, split.held))
     terms = 1 if formula is None else 1 + formula.terms
     best, least = None, np.inf
     for index, group in enumerate(groups):
@@ -54,6 +55,8 @@ def stand_in(
         error = _squares(problem, described.model, held)
         as_good = described.terms < terms and (1.0 - LEAST_GAIN) * error.error <= present.error
         better = as_good or error.clearly_beats(present) or FAR * error.error < present.error
+        if better and (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
+            continue  # what is late shows in the reversals, whose direction is unknown, and nowhere else
         if better and error.error < least:
             best, least = index, error.error
     return best

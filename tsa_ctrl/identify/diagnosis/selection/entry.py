@@ -31,6 +31,7 @@ DRAWS = 300  # of the best of all candidates: its tail is a Gumbel law of their 
 FAMILY_LEVEL = 0.002
 FOLDS = 6  # parts left out: each is a sixth, so that what is learned from the others is hardly less than all
 BLOCK_T = 4.0  # t of 23 degrees of freedom: 0.06 % two-sided
+LATE_T = 3.0  # the same of what is late beside moments that are free, before it is asked whether they show it: 0.6 %
 # Share of the gain that holds on blocks not fitted on: fitted noise keeps none, a cause all but its own
 LEAST_CROSS_VALIDATED = 0.4
 LEAST_OUTSIDE = 0.12  # share of the gain left without the best block: an even one of 24 leaves 0.96, a burst none
@@ -141,13 +142,20 @@ def enters(problem: Problem, before: Fit, found: Fit, threshold: float) -> bool:
         return False
     needed = max(threshold, SMALLEST_GAIN * problem.count)
     proof = evidence(problem, before, found)
-    if not (proof.holds and proof.gain > needed):
-        return transfers(problem, before, found)
-    if _is_broad_and_large(problem, before, found, proof, needed):
+    holds = proof.holds and proof.gain > needed
+    if holds and _is_broad_and_large(problem, before, found, proof, needed):
         return True
-    if before.names or found.names[-1] not in LATE_REVERSALS:
-        return False
-    # Few reversals show a lateness of a sample or two beside moments that are free; all do when they are not.
+    late = not before.names and found.names[-1] in LATE_REVERSALS
+    if late and proof.gain > needed and proof.block_t > LATE_T and _in_all_reversals(problem, before, found, needed):
+        return True
+    return not holds and transfers(problem, before, found)
+
+
+def _in_all_reversals(problem: Problem, before: Fit, found: Fit, needed: float) -> bool:
+    """Whether a lateness shows where the moments of reversals are not free.
+
+    Few reversals show one of a sample or two beside moments that are; all do when they are not.
+    """
     bare = dataclasses.replace(problem, nuisance=Nuisance(problem.nuisance.smooth))
     smaller, larger = (fit(bare, each.hypothesis, each.point) for each in (before, found))
     proof = evidence(bare, smaller, larger)
