@@ -77,13 +77,15 @@ def refuse_unrelated(
 
     held (n): samples that no fit has seen; structure: share of what is left that is no noise. What a formula in the
     logs' own signals brings near on held-out data is of this drive, however far off it is without (a sensor with a wide
-    dead zone).
+    dead zone); not what one brings near by the clock, which follows whatever swings.
     """
     if problem.base.target == "tau_m" or structure <= 0.0:
         return
     torque = float(np.sqrt(np.mean(np.square(problem.frame.target[held]))))
     enough = LEAST_IMPROVEMENT * errors.recalibrated
-    described = formula is not None and formula.rms[1] <= enough  # some of it a formula takes of strange columns, too
+    described = (
+        formula is not None and not formula.tells_when and formula.rms[1] <= enough
+    )  # some of it a formula takes of strange columns, too
     if errors.extended > UNRELATED * torque and errors.extended > enough and not described:
         raise InsufficientError(STRANGE)
 

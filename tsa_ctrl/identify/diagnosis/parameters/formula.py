@@ -9,6 +9,7 @@ a dead zone or the time of a lag. A formula is a description, no name.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -44,6 +45,9 @@ LEAST_PART = 0.05  # of the mean square left, that a term must take elsewhere: l
 LEAST_GAIN = 0.1  # of the mean square left on held-out data, to be told: less is not seen in a picture of it
 
 
+TIME = re.compile(r"\bt\b")
+
+
 @dataclass(frozen=True)
 class Formula:
     """tau_J -= f (of a plain drive tau_M += f) with f = `expression`; `constants` with their 95 % intervals.
@@ -62,6 +66,11 @@ class Formula:
     better: int
     logs: int
     terms: int
+
+    @property
+    def tells_when(self) -> bool:
+        """Whether it has the time of the logs in it: it tells when something happened, and is no law of the drive."""
+        return TIME.search(self.expression) is not None
 
     def toml(self) -> str:
         """The table of a model file."""

@@ -23,20 +23,21 @@ WAVES: tuple[tuple[str, ...], ...] = (("sin({0})", "cos({0})"), ("sin(2*{0})", "
 COURSES: tuple[tuple[str, ...], ...] = (*WAVES, ("{0}",), ("{0}**2",))
 FACTORS = ("", "*tau", "*sigma", "*sigma*abs(tau)")
 LOADS = ("tau", "abs(tau)", "tau*abs(tau)", "tau**3", "sigma", "sigma*tau", "sigma*abs(tau)", "sigma*tau**2")
-# What a dead zone takes of a torque: all of it up to a limit (of that share of its RMS), and no more beyond
+# What a dead zone takes of a torque: all of it up to a limit, and no more beyond
 DEAD_ZONE = "(abs(tau + {0}) - abs(tau - {0}))"
-DEAD_ZONES = (0.1, 0.3)
-# What is cut off a torque beyond a limit, and the share of the samples that is: fewer tell no law, more are most of it
+DEAD_ZONES = (
+    0.1,
+    0.3,
+)  # of the RMS torque, limits: below a tenth it is an offset of either sign, above most is cut off
+# What is cut off a torque beyond a limit
 CUT = "sign(tau)*(abs(tau) - {0} + abs(abs(tau) - {0}))"
-CUTS = (0.05, 0.2)
+CUTS = (0.05, 0.2)  # of the samples, that lie beyond it: of fewer no law shows, and more are no limit of a sensor
 # Friction at one place: a bump as wide as the way between two of so many places over the range of the angle
 PLACES, RUB = 9, "sigma*exp(-((q_j - {0})/{1})**2)"
 SPEEDS = ("omega_j", "abs(omega_j)", "omega_j*abs(omega_j)", "omega_j*abs(tau)", "tau*abs(omega_j)")
 WARMTH = ("*sigma", "*omega_j", "*tau")
 ONE = "1"
-FURTHER = (
-    3.0  # times narrower or wider than where the search began that a width may come out: else it is another term's
-)
+FURTHER = 3.0  # times narrower or wider than at the beginning that a width may come out: beyond is another term
 
 
 @dataclass(frozen=True)

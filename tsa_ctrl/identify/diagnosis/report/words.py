@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
@@ -14,7 +13,6 @@ from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR
 MOST_WORDS = 35  # of the first sentence: more is not read at once
 ALIKE = 1.5  # ratio of the largest to the smallest size that would have been seen, which one number tells
 EXCLUDED = 3  # names in the remarks; the report has them all
-TIME = re.compile(r"\bt\b")
 MOSTLY = 0.5  # of the mean square that is left: a formula that takes more is the first thing to be told
 SMALL = 0.1  # N*m, RMS below which torques are told in mN*m
 
@@ -114,7 +112,7 @@ def remarks(result: Diagnosis) -> tuple[str, ...]:
             f"As a formula, what is left follows {found.expression}, which takes {found.gain:.0%} of it on held-out "
             f"data ({found.better} of {found.logs} log{'s' if found.logs > 1 else ''} better)."
         )
-        if TIME.search(found.expression):
+        if found.tells_when:
             out.append("It has the time t of these logs in it: it tells when, and is no law for a controller.")
     ruled_out = [spoken(name) for name in result.details.excluded[:EXCLUDED]] if result.details else []
     if ruled_out:
