@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.signal import lsim
 
 from tests.blind.memory import bristle, first_order_lag
+from tests.identify.diagnosis.parameters.swinging import swinging
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.model.parameters import TendonSheath
@@ -46,12 +47,7 @@ def diagnosed(sensor: object, seed: int = 3) -> Diagnosis:
     for k in range(2):
         rng = np.random.default_rng([seed, k])
         t = PERIOD * np.arange(5000)
-        q, omega = np.zeros(len(t)), np.zeros(len(t))
-        for w in rng.uniform(1.5, 6.0, 3):
-            a, phase = rng.uniform(0.2, 0.4), rng.uniform(0.0, 6.0)
-            q += a * np.sin(w * t + phase)
-            omega += a * w * np.cos(w * t + phase)
-        tau_m = sum(0.25 * np.sin(w * t + rng.uniform(0.0, 6.0)) for w in rng.uniform(0.7, 5.0, 3))
+        q, omega, tau_m = swinging(rng, t)
         tendons = RATIO * math.cosh(X) * tau_m - HALF_LOOP * np.sign(omega)
         measured = sensor(tendons) + rng.normal(0.0, NOISE, len(t))  # type: ignore[operator]
         logs[f"{k}.csv"] = {"t": t, "tau_m": tau_m, "tau_j": measured, "omega_j": omega, "q_j": q}

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.identify.diagnosis.parameters.swinging import swinging
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.report.words import remarks
@@ -40,12 +41,7 @@ def diagnosed(change: Callable[[Array], tuple[Array, Array]], start: float = 0.0
     """A log of 24 s from `start` on, the clock's; `change`: factor of the friction and N*m beside, by the time."""
     rng = np.random.default_rng(6)
     t = PERIOD * np.arange(6000)
-    q, omega = np.zeros(len(t)), np.zeros(len(t))
-    for w in rng.uniform(1.5, 6.0, 3):
-        a, phase = rng.uniform(0.2, 0.4), rng.uniform(0.0, 6.0)
-        q += a * np.sin(w * t + phase)
-        omega += a * w * np.cos(w * t + phase)
-    tau_m = sum(0.25 * np.sin(w * t + rng.uniform(0.0, 6.0)) for w in rng.uniform(0.7, 5.0, 3))
+    q, omega, tau_m = swinging(rng, t)
     factor, beside = change(t)
     tau_j = RATIO * math.cosh(X) * tau_m - HALF_LOOP * factor * np.sign(omega) + beside
     columns = {

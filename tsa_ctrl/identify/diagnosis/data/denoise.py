@@ -57,8 +57,11 @@ def denoised(log: Dataset) -> tuple[Signals, float, Array]:
         if column is None or name in clean or name in log.derived or (name not in log and "omega_m" in log.derived):
             continue
         highest = VELOCITY_HIGHEST if name.startswith("omega") else SHARP
-        smooth, left, at_ends = _low_passed(column, log.period, highest)
+        smooth, left, cutoff = _low_passed(column, log.period, highest)
         if name == "omega_j":
+            if cutoff is not None:
+                left = max(left, _averaged(column, log.period, cutoff))
+            at_ends = 0.0 if cutoff is None else _at_ends(column, smooth, log.period, cutoff)
             as_it_is = _about_standstill(column, log.period) | _about_jumps(column - smooth, log.period)
             smooth = np.where(as_it_is, column, smooth)
             noise = max(left, STEP_NOISE * _count(column))
@@ -134,26 +137,29 @@ def _count(omega: Array) -> float:
     return resolution(omega) if len(values) < 0.2 * len(omega) else 0.0
 
 
-def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, Array]:
+def _low_passed(y: Array, period: float, highest: float) -> tuple[Array, float, float | None]:
     """`y` low-passed where its spectrum sinks into its noise, and the standard deviation of what is left of the noise.
 
-    `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is. Beside them what more is left at
-    the ends (n): the low-pass carries a log on about its first and last sample, whose noise stays.
+    `highest`: Hz, cut-off at most. A cut-off near half the rate leaves `y` as it is. The last: the cut-off in Hz, None
+    where there is none.
     """
     if len(y) < 128 or not np.ptp(y) > 0.0:
-        return y, 0.0, np.zeros(len(y))
+        return y, 0.0, None
     frequency, density, edge, floor = _spectrum(y, period)
     cutoff = min(highest, max(LOWEST, 1.5 * edge))
     if cutoff > 0.2 / period:
-        return y, float(np.sqrt(floor * 0.5 / period)), np.zeros(len(y))
+        return y, float(np.sqrt(floor * 0.5 / period)), None
     passed = density[(frequency > 0.5 * cutoff) & (frequency < cutoff)]  # noise that was averaged sinks beyond
     floor = max(floor, float(np.median(passed))) if passed.size else floor
-    left = max(float(np.sqrt(floor * cutoff)), _averaged(y, period, cutoff))
+    return low_pass(y, period, cutoff), float(np.sqrt(floor * cutoff)), cutoff
+
+
+def _at_ends(y: Array, smooth: Array, period: float, cutoff: float) -> Array:
+    """Noise left at both ends (n): the low-pass carries a log on about its first and last sample as they are."""
     first = np.zeros(len(y))
     first[0] = 1.0
     share = low_pass(first, period, cutoff)  # of the first sample's noise
-    smooth = low_pass(y, period, cutoff)
-    return smooth, left, float(np.std(y - smooth)) * np.hypot(share, share[::-1])
+    return np.asarray(float(np.std(y - smooth)) * np.hypot(share, share[::-1]))
 
 
 def _averaged(y: Array, period: float, cutoff: float) -> float:

@@ -23,6 +23,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csc_matrix, csr_matrix
 from scipy.special import erf
 
+from tsa_ctrl.identify.diagnosis.data.direction import LONG
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.noise.autoregressive import Noise
@@ -37,7 +38,6 @@ from tsa_ctrl.model.signals import hold_direction, low_pass
 # Of the velocity noise: as estimated, and where that is too little; of 40 null logs 31 had a false Stribeck without
 NOISE_FACTORS = (1.0, 2.5)
 UNKNOWN = 2.5  # times the velocity noise: a slower motion has no sure direction
-TURNED = 0.1  # s: at ordinary speed a joint turns in less, and between two rests it does not move for less
 FAST = (0.5, 1.5, 6.0)  # Hz, above which a motor torque's content may be noise
 FASTEST = (3.0, 12.0, 25.0)  # Hz, further edges where nothing but structure is looked for
 STEP_CUTOFF = 8.0  # Hz, to tell steps from noise: the least that joints' motion is left with (denoise.LOWEST)
@@ -62,6 +62,13 @@ class Nuisance:
 
     smooth: Array
     moments: tuple[Moment, ...] = ()
+
+    def told(self, count: int) -> NDArray[np.bool_]:
+        """Of `count` score samples those outside the short columns, (count,): where the direction is known."""
+        out = np.ones(count, dtype=np.bool_)
+        for moment in self.moments:
+            out[moment.start : moment.start + len(moment.values)] = False
+        return out
 
     def projection(self, noise: Noise, mask: NDArray[np.bool_], slices: Sequence[slice]) -> Projection:
         """What takes all columns out of vectors that are whitened and masked."""
@@ -213,7 +220,7 @@ def _by_chance(unknown: NDArray[np.bool_], sure: NDArray[np.bool_], period: floa
     edges = np.flatnonzero(np.diff(np.concatenate([[True], unknown, [True]]).astype(np.int8)))
     out = np.zeros(len(unknown), dtype=np.bool_)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
-        out[start:stop] = (stop - start) * period < TURNED and not sure[start:stop].any()
+        out[start:stop] = (stop - start) * period < LONG and not sure[start:stop].any()
     return out
 
 

@@ -150,9 +150,7 @@ def with_direction(problem: Problem, found: Fit, mask: NDArray[np.bool_]) -> NDA
 
     One sample of a wrong direction leaves twice the friction, hundreds of times what a formula takes.
     """
-    known = mask.copy()
-    for moment in () if models_reversals(found) else problem.nuisance.moments:
-        known[moment.start : moment.start + len(moment.values)] = False
+    known = mask if models_reversals(found) else mask & problem.nuisance.told(len(mask))
     return known if 2 * int(known.sum()) > int(mask.sum()) else mask
 
 

@@ -96,7 +96,11 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     rest = frame.target - predicted
     findings.append(
         changes.drift(
-            _interpolated(rest, _told(problem), frame.period), mask, frame.slices, frame.period, problem.noise.rms
+            _interpolated(rest, problem.nuisance.told(len(frame)), frame.period),
+            mask,
+            frame.slices,
+            frame.period,
+            problem.noise.rms,
         )
     )
     return findings
@@ -109,14 +113,6 @@ def _explained(problem: Problem, fitted: Fit) -> Array:
         frame = problem.frame
         columns.append(problem.whiten(np.column_stack([frame.stack(fast(frame, edge)) for edge in FASTEST])))
     return np.concatenate(columns, axis=1)
-
-
-def _told(problem: Problem) -> NDArray[np.bool_]:
-    """Samples (n) outside the moments of unknown direction."""
-    out = np.ones(len(problem.frame), dtype=np.bool_)
-    for moment in problem.nuisance.moments:
-        out[moment.start : moment.start + len(moment.values)] = False
-    return out
 
 
 def _interpolated(residual: Array, told: NDArray[np.bool_], period: float) -> Array:
