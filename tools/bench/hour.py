@@ -3,11 +3,13 @@
 Usage: tools/run bench/hour [--seconds 3600] [--seed 0] [--kinds csv mcap]
 
 The hour is a minute of the blind benchmark (tests/blind), gone through again and again between two moments at which
-its motion is the same. The peak is that of the verb's largest process, the one that reads and diagnoses.
+its motion is the same. The peak is that of all processes of the verb together: of what several share each has its part
+(proportional set size, /proc/PID/smaps_rollup), looked at every tenth of a second.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -30,6 +32,7 @@ from tsa_ctrl.system.processes import tsa
 
 RATE = 1000  # Hz
 CHUNK = 1000  # records in one chunk, as the daemon writes them
+LOOK = 0.1  # s between two looks at the memory
 SEAM = 0.2  # of the minute at either end, in which the two moments are looked for
 MOTION = ("q_j", "q_m", "omega_j", "omega_m")
 
@@ -70,20 +73,45 @@ def made(log: Path, model: Path, seconds: float, seed: int) -> int:
     return len(columns)
 
 
+def family(pid: int) -> list[int]:
+    """A process and all that it has started, and these."""
+    found = [pid]
+    for each in found:
+        with contextlib.suppress(OSError):  # it has ended
+            for task in Path(f"/proc/{each}/task").iterdir():
+                found += [int(child) for child in (task / "children").read_text().split()]
+    return found
+
+
+def held(pid: int) -> float:
+    """Memory of a process in MB, its part of what it shares; 0 of one that has ended."""
+    with contextlib.suppress(OSError):
+        for line in Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines():
+            if line.startswith("Pss:"):
+                return float(line.split()[1]) * 1024 / 1e6
+    return 0.0
+
+
 def diagnosed(log: Path, model: Path) -> tuple[str, float, float, float]:
     """Cause that was named, seconds, processor seconds, and peak in MB."""
     out = log.with_suffix("")
     verb = tsa("diagnose", str(log), "--model", str(model), "--out", str(out))
     began = time.perf_counter()
+    peak = 0.0
     with subprocess.Popen(verb, stdout=subprocess.DEVNULL) as process:
-        _, status, used = os.wait4(process.pid, 0)
+        while True:
+            pid, status, used = os.wait4(process.pid, os.WNOHANG)
+            if pid:
+                break
+            peak = max(peak, sum(map(held, family(process.pid))))
+            time.sleep(LOOK)
         process.returncode = os.waitstatus_to_exitcode(status)
     seconds = time.perf_counter() - began
     if process.returncode:
         raise SystemExit(f"tools/run bench/hour: tsa diagnose {log.name} ended with status {process.returncode}")
     causes = json.loads((out / "diagnosis.json").read_text())["causes"]
     named = ", ".join(cause["effect"] for cause in causes) or "nothing"
-    return named, seconds, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6
+    return named, seconds, used.ru_utime + used.ru_stime, peak
 
 
 def main() -> int:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
     from tsa_ctrl.identify.quantity import Quantity
 
+# Up to which two processes diagnose: each needs as much memory, and both a gigabyte with twelve minutes at 1 kHz
+MOST_SAMPLES = 720_000
 EXAMPLES = """\b
 Examples:
   tsa diagnose a.csv b.csv --model actuator.toml --out out/diagnosis
@@ -123,16 +125,22 @@ def _diagnose(
     cutoff: float | None,
 ) -> Diagnosis:
     """Read, diagnose and write, with what is being done on stderr."""
+    from tsa_ctrl.system.forkserver import loading
+
+    if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to load as all else together
+        loading("tsa_ctrl.identify.diagnosis.report.pictures")
+
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+    import tsa_ctrl.system.lean  # noqa: F401 (before all that imports scipy)
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
     from tsa_ctrl.identify.diagnosis.report.beside import drawing
     from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
     from tsa_ctrl.system.memory import give_back_large
-    from tsa_ctrl.system.twin import twins
+    from tsa_ctrl.system.twin import in_step
 
     give_back_large()
     given = load_model(model)
@@ -140,14 +148,18 @@ def _diagnose(
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     hidden = not console.is_terminal
     bar = Progress(*columns, console=console, transient=True, disable=hidden)
-    with outputs.sole_writer(out), drawing() as plot, bar as progress, twins():
+    with outputs.sole_writer(out), drawing() as plot, bar as progress:
         task = progress.add_task("reading logs", total=None)
 
         def say(stage: str) -> None:
             progress.update(task, description=stage)
 
         datasets = load_logs(logs, strict, cutoff)
-        result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
+
+        def work(leads: bool) -> Diagnosis:
+            return diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say if leads else None)
+
+        result = in_step(work) if sum(map(len, datasets)) <= MOST_SAMPLES else work(True)
         say("report")
         for name in (JSON, MODEL):
             outputs.keep(out / name)

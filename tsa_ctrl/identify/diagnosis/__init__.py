@@ -19,8 +19,9 @@ refusals    logs that cannot tell, which is the verdict `insufficient` and no er
 report      `conclude`: the `result` as data; `words`, `page` and `pictures` of it, these drawn
             `beside` the search by processes of their own, and the next `experiment`
 
-Inside `system.twin.twins`, as the verb runs it, what is independent (responses, whitening, fits, draws) is computed in
-two halves at once, the second by a fork; a caller gets no process, and the halves are the same where there is one core.
+Inside `system.twin.in_step`, as the verb runs it, two processes go through the same stages in step, and what is
+independent (responses, whitening, fits, draws) is computed in two halves at once, one by each; a caller gets no
+process, and the halves are the same where there is one core.
 
 To add a stage: a module in the folder of what it needs last, with one public function from what is there to a frozen
 record (arrays with shape and unit, nothing drawn but from the generator that it is given); one line in

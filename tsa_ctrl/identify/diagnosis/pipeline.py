@@ -38,6 +38,7 @@ from tsa_ctrl.identify.diagnosis.rivals.by_stretch import by_stretch
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select
+from tsa_ctrl.identify.diagnosis.selection.step import parts_of
 from tsa_ctrl.model.parameters import Model
 from tsa_ctrl.system.twin import both
 
@@ -84,13 +85,16 @@ def diagnose(
         share = structure_share(findings)
         claimed = claims(selection, groups, base, data, share)
         selection, errors, formula = claimed.selection, claimed.errors, claimed.formula
-        beside = by_stretch(selection, scales)
         chosen = selection
-        reported, limits = both(
-            lambda: in_proportion(
-                data.frame, profile_refined(chosen.problem, refit(chosen.problem, chosen.fitted, share > 0.0))
+        (beside, reported), limits = both(
+            lambda: (
+                by_stretch(chosen, scales),
+                in_proportion(
+                    data.frame, profile_refined(chosen.problem, refit(chosen.problem, chosen.fitted, share > 0.0))
+                ),
             ),
             lambda: detection_limits(chosen, share),
+            parts_of(chosen.fitted, ()),
         )
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import forkserver
 from typing import Any
 
 from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.system.forkserver import loading
 from tsa_ctrl.system.parent import end_with_parent
-from tsa_ctrl.system.signals import ignore, unheard_by_children
+from tsa_ctrl.system.signals import ignore
 
 CONNECT = 10.0  # s to reach a scheduler
 
@@ -32,13 +31,7 @@ class Workers:
 def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.job") -> Iterator[Workers]:
     """Processes of this machine, one per core that this process may use; each begins with `preload` imported."""
     count = jobs or len(os.sched_getaffinity(0))
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")  # threads inside would only get in the other processes' way
-    context = multiprocessing.get_context("forkserver")  # a fork of this process would take its threads' locks along
-    context.set_forkserver_preload([preload])
-    with unheard_by_children():
-        forkserver.ensure_running()
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+    pool = ProcessPoolExecutor(count, mp_context=loading(preload), initializer=_begin)
     try:
         yield Workers(pool, count, same_disk=True)
     except BaseException:

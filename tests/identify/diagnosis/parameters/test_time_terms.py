@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tests.identify.diagnosis.parameters.swinging import swinging
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.parameters.time_terms import _likely
 from tsa_ctrl.identify.diagnosis.report.words import remarks
 
 Array = NDArray[np.float64]
@@ -82,3 +83,21 @@ def test_a_wave_is_told_with_its_frequency() -> None:
 def test_a_zero_that_walks_has_no_rhythm() -> None:
     found = diagnosed(walking)
     assert found.formula is None or "t" not in found.formula.expression.replace("tau", "").replace("tanh", "")
+
+
+@pytest.mark.parametrize("factor", [1.0, np.nan])
+def test_of_an_hours_frequencies_few_are_tried_and_the_best_is_among_them(factor: float) -> None:
+    """In two logs, between which the clock goes on, by an exact sum over all samples; alone or times a direction."""
+    rng = np.random.default_rng(4)
+    period, hidden = 0.05, 0.7123
+    t = period * np.concatenate([np.arange(36_000), 40_000 + np.arange(30_000)])
+    slices = [slice(0, 36_000), slice(36_000, 66_000)]
+    signal = np.full(len(t), factor) if np.isfinite(factor) else np.sign(np.sin(0.9 * t) + 0.2)
+    y = signal * (signal * np.sin(6.283185 * hidden * t + 0.4) + rng.normal(0.0, 3.0, len(t)))
+    frequencies = np.arange(3.0 / 1800.0, 3.0, 1.0 / (4.0 * 1800.0))
+    found = _likely(frequencies, y, t, slices, period)
+    near = frequencies[np.abs(frequencies - hidden) < 0.002]
+    sums = [abs(np.sum(y * np.exp(-2j * np.pi * f * t))) for f in near]
+    assert len(frequencies) > 20_000
+    assert len(found) <= 40
+    assert near[int(np.argmax(sums))] in found

@@ -8,9 +8,11 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.blind import case
-from tsa_ctrl.identify import diagnose
+from tsa_ctrl.identify import Diagnosis, diagnose
+from tsa_ctrl.identify.diagnosis.report import pictures
 from tsa_ctrl.identify.diagnosis.report.beside import drawing
 from tsa_ctrl.identify.diagnosis.report.page import drawn_here
 from tsa_ctrl.identify.diagnosis.report.pictures import _span
@@ -31,12 +33,46 @@ def test_a_residual_without_spread_has_an_axis(value: float) -> None:
     assert low < value < high
 
 
+def shown(family: str, name: str) -> Diagnosis:
+    hidden = case(family, name, seed=3, short=True)
+    columns = {log.name: log.columns for log in hidden.logs}
+    return diagnose(columns, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("family", "name"),
+    [("single", "thermal_friction_drift"), ("rigid", "direction_asymmetric_friction"), ("outside", "sensor_clipping")],
+)
+def test_no_text_is_cut_off_and_none_lies_over_other_axes(
+    family: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Margins are given: every letter must lie in the picture, and what belongs to axes between them."""
+    figures: dict[str, Figure] = {}
+    save = pictures._save
+
+    def kept(figure: Figure, path: Path) -> None:
+        save(figure, path)
+        figures[path.name] = figure
+
+    monkeypatch.setattr(pictures, "_save", kept)
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        drawn_here(shown(family, name), tmp_path)
+        assert len(figures) == 7
+        for file, figure in figures.items():
+            width, height = figure.get_size_inches()
+            box = figure.get_tightbbox()
+            assert min(box.x0, box.y0, width - box.x1, height - box.y1) >= 0.0, file
+            inside = [each.get_tightbbox() for each in figure.axes if each.get_visible()]
+            for at, one in enumerate(inside):
+                assert not any(one.overlaps(other) for other in inside[:at]), file
+
+
 @pytest.mark.slow
 def test_pictures_drawn_by_other_processes_are_those_drawn_here(tmp_path: Path) -> None:
     """And once those processes are gone, they are drawn all the same."""
-    hidden = case("single", "torque_offset", seed=3, short=True)
-    columns = {log.name: log.columns for log in hidden.logs}
-    result = diagnose(columns, model_from(tomllib.loads(hidden.model), "nominal.toml"))
+    result = shown("single", "torque_offset")
     folders = [tmp_path / name for name in ("here", "beside", "gone")]
     for folder in folders:
         folder.mkdir()

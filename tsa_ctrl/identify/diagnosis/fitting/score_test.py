@@ -22,6 +22,7 @@ from tsa_ctrl.system.twin import both
 
 # Amplitude (in units of the torque) of a nearly linear response: small, so that it is linear; far above rounding
 TRIAL = 0.02
+Measure = tuple[Array, float, float]  # of a score: start, gain, whole
 STRETCH = 1.6  # a grid point may stand for an effect so many times its own, before the fit refines it
 
 
@@ -54,7 +55,7 @@ def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> lis
     first, second = both(
         lambda: _responses(problem, fitted, present, [variant for variant in variants if not variant.amplitude]),
         lambda: _responses(problem, fitted, present, late),
-        late,
+        variants,
     )
     by_variant: dict[int, list[Response]] = defaultdict(list)
     for response in (*first, *second):
@@ -100,29 +101,33 @@ def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Sco
     basis = orthonormal(fitted.jacobian)
     residual = fitted.residual - basis @ (basis.T @ fitted.residual)
 
-    def whitened(part: Sequence[Response]) -> Array:
+    def measured(part: Sequence[Response]) -> tuple[Array, list[Measure]]:
         white = problem.whiten(np.concatenate([response.columns for response in part], axis=1))
         white -= basis @ (basis.T @ white)
-        return white
+        return white, [_measure(response, columns, residual) for response, columns in _columns_of(part, white)]
 
     _ = problem.measured  # what it needs of the noise and the nuisance, once and not in both processes
     halves = found[: (len(found) + 1) // 2], found[(len(found) + 1) // 2 :]
-    if not halves[1]:
-        return _scored(halves[0], whitened(halves[0]), residual)
-    whites = both(lambda: whitened(halves[0]), lambda: whitened(halves[1]))
-    return [score for half, white in zip(halves, whites, strict=True) for score in _scored(half, white, residual)]
+    parts = both(lambda: measured(halves[0]), lambda: measured(halves[1])) if halves[1] else (measured(halves[0]),)
+    return [
+        Score(response.variant, start, gain, columns, whole)
+        for half, (white, told) in zip(halves, parts, strict=False)
+        for (response, columns), (start, gain, whole) in zip(_columns_of(half, white), told, strict=True)
+    ]
 
 
-def _scored(found: Sequence[Response], white: Array, residual: Array) -> list[Score]:
-    out, at = [], 0
-    for response in found:
-        columns = white[:, at : at + response.columns.shape[1]]
-        at += response.columns.shape[1]
-        measure = _amplitudes if response.variant.amplitude else _whole
-        start, gain = measure(response.variant, response.start, columns, residual)
-        whole = 2.0 * float(columns[:, 0] @ residual) - float(columns[:, 0] @ columns[:, 0])
-        out.append(Score(response.variant, start, gain, columns, gain if response.variant.amplitude else whole))
-    return out
+def _columns_of(found: Sequence[Response], white: Array) -> list[tuple[Response, Array]]:
+    """Each response with its own columns (m, k) of all that were whitened together."""
+    ends = np.cumsum([0, *(response.columns.shape[1] for response in found)])
+    return [(each, white[:, start:end]) for each, start, end in zip(found, ends, ends[1:], strict=False)]
+
+
+def _measure(response: Response, columns: Array, residual: Array) -> Measure:
+    if response.variant.amplitude:
+        start, gain = _amplitudes(response.variant, response.start, columns, residual)
+        return start, gain, gain
+    start, gain = _whole(response.variant, response.start, columns, residual)
+    return start, gain, 2.0 * float(columns[:, 0] @ residual) - float(columns[:, 0] @ columns[:, 0])
 
 
 def best_by_effect(found: Iterable[Score]) -> list[Score]:

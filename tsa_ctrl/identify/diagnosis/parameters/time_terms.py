@@ -8,9 +8,11 @@ describes these logs; another log has other moments.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.identify.diagnosis.parameters.terms import Term
@@ -24,8 +26,13 @@ END = 0.1  # of a log, at either end: with less on one side of it a step is the 
 WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
 CYCLES = 3.0  # that a wave must have in a log: what turns seldom is no wave, but a drift
 FASTEST = 3.0  # Hz: faster are ripples and ringing, which have terms of their own
+MOST_OF_RATE = (
+    0.4  # of the rate at which a long log is averaged: above a half of it a wave cannot be told from a slower
+)
 FINER = 5  # times that the way between two frequencies is halved: the phase at a log's end is then right to 3 degrees
 PER_LINE = 4  # frequencies tried within the width of a line, so that the best one loses a twentieth at most
+# Of these, by a Fourier transform, which does not know what others take of a wave: five lines with both neighbours
+LIKELY = 40
 
 
 def time_terms(
@@ -47,19 +54,23 @@ def time_terms(
     start = float(frame.runs[0].signals.t[0])
     seconds = max(float(t[part][-1] - t[part][0]) for part in frame.slices)
     lowest = CYCLES / seconds
-    frequencies = np.arange(lowest, FASTEST, 1.0 / (PER_LINE * seconds)) if lowest < FASTEST else np.zeros(0)
+    fastest = min(FASTEST, MOST_OF_RATE / frame.period)
+    frequencies = np.arange(lowest, fastest, 1.0 / (PER_LINE * seconds)) if lowest < fastest else np.zeros(0)
     moments = np.concatenate([np.quantile(t[part], np.linspace(END, 1.0 - END, MOMENTS)) for part in frame.slices])
     moments = np.unique(moments)
     if len(moments) > MOMENTS:
         moments = moments[:: len(moments) // MOMENTS]
     apart = float(np.median(np.diff(moments))) if len(moments) > 1 else WIDTH
+    whole = np.zeros(len(t))
+    whole[fitting] = left
     out = []
     for factor, signal in (("", np.ones(len(t))), ("*sigma", sigma), ("*tau", load)):
         at = max(moments, key=lambda moment: taken((signal * (t > moment))[:, None]))
         step = STEP.format(WIDTH) + factor
         out.append(Term((step,), (float(at),), (float(at) - 2.0 * apart,), (float(at) + 2.0 * apart,)))
         if len(frequencies):
-            best = float(max(frequencies, key=lambda f: taken(_wave(signal, t - start, f))))
+            likely = _likely(frequencies, whole * signal, t - start, frame.slices, frame.period)
+            best = float(max(likely, key=lambda f: taken(_wave(signal, t - start, f))))
             for halves in range(1, FINER + 1):
                 apart_now = 0.5**halves / (PER_LINE * seconds)
                 near_by = (best, best - apart_now, best + apart_now)
@@ -68,6 +79,18 @@ def time_terms(
             near = 0.5 / seconds
             out.append(Term(parts, (best,), (best - near,), (best + near,)))
     return out
+
+
+def _likely(frequencies: Array, y: Array, t: Array, slices: Sequence[slice], period: float) -> Array:
+    """Of these frequencies, Hz, those of which a wave takes most of `y` (n,) by the Fourier transform of all logs."""
+    if len(frequencies) <= LIKELY:
+        return frequencies
+    count = next_fast_len(2 * PER_LINE * max(part.stop - part.start for part in slices), real=True)
+    place = np.rint(frequencies * count * period).astype(int)
+    moved = np.zeros(len(place), dtype=complex)
+    for part in slices:
+        moved += np.fft.rfft(y[part], count)[place] * np.exp(-2.0j * np.pi * place / (count * period) * t[part.start])
+    return np.asarray(frequencies[np.sort(np.argsort(-np.abs(moved), kind="stable")[:LIKELY])])
 
 
 def _wave(signal: Array, t: Array, frequency: float) -> Array:

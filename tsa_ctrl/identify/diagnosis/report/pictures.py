@@ -18,6 +18,10 @@ from tsa_ctrl.model.functions import Array
 
 DPI = 150  # as sharp on paper as on a screen
 WIDTH = 6.2  # inches: letters of 9 points stay readable where the page is 400 px wide
+# Inches: a label and numbers of seven letters; a margin; numbers and a label; a title of two lines; of two rows the
+# title of one and the numbers of the other
+LEFT, RIGHT, BOTTOM, TOP, BETWEEN = 0.8, 0.12, 0.48, 0.4, 0.55
+LETTER = 0.075  # inches: of a name beside an axis, of 8 points
 SEGMENT = 4.0  # s of a picture of the worst moments
 SEGMENTS = 3  # the worst moments: what a page holds
 BINS = 40  # of a residual against a signal
@@ -52,18 +56,29 @@ def draw(result: Diagnosis, name: str, folder: Path) -> Path:
 
 
 def _save(figure: Figure, path: Path) -> None:
-    """Write a figure that is laid out once: savefig would draw a whole figure for the layout and throw it away."""
-    canvas = FigureCanvasAgg(figure)
     figure.set_dpi(DPI)
-    if (engine := figure.get_layout_engine()) is not None:
-        engine.execute(figure)
-        figure.set_layout_engine("none")
-    canvas.print_png(path, metadata={"Software": None})
+    FigureCanvasAgg(figure).print_png(path, metadata={"Software": None})
 
 
-def _figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+def _figure(
+    rows: int, columns: int, height: float, *, left: float = LEFT, top: float = TOP, between: float = BETWEEN
+) -> tuple[Figure, list[Axes]]:
+    """A figure of so many axes, and these in the order of reading; its margins and the room between rows in inches.
+
+    Given and not found from the text, which takes as long as all drawing.
+    """
+    figure = Figure(figsize=(WIDTH, height))
+    across = (WIDTH - left - RIGHT - (columns - 1) * left) / columns  # of one of the axes
+    along = (height - top - BOTTOM - (rows - 1) * between) / rows
     grid = figure.subplots(rows, columns, squeeze=False)
+    figure.subplots_adjust(
+        left=left / WIDTH,
+        right=1.0 - RIGHT / WIDTH,
+        bottom=BOTTOM / height,
+        top=1.0 - top / height,
+        wspace=left / across,
+        hspace=between / along,
+    )
     axes = [axes for row in grid for axes in row]
     for each in axes:
         each.grid(alpha=0.25)
@@ -73,7 +88,7 @@ def _figure(rows: int, columns: int, height: float) -> tuple[Figure, list[Axes]]
 
 def _worst(result: Diagnosis, details: Details) -> Figure:
     segments = worst_segments(details)
-    figure, axes = _figure(len(segments), 1, 2.4 * len(segments) + 0.6)
+    figure, axes = _figure(len(segments), 1, 2.4 * len(segments) + 0.6, top=0.75)
     for each, (curves, part) in zip(axes, segments, strict=True):
         t = curves.t[part]
         band = 2.0 * details.noise
@@ -90,7 +105,7 @@ def _worst(result: Diagnosis, details: Details) -> Figure:
         each.set_ylabel(f"{details.target} (N·m)")
         each.set_title(curves.name, loc="left", fontsize=9)
     axes[-1].set_xlabel("t (s)")
-    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="outside upper center")
+    figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, ncols=3, loc="upper center")
     return figure
 
 
@@ -130,7 +145,11 @@ def _staircase(result: Diagnosis, details: Details) -> Figure:
 
 def _ranking(result: Diagnosis, details: Details) -> Figure:
     ranked = details.ranking if result.of_torque else details.ranking[:RANKED]
-    figure, (axes,) = _figure(1, 1, 0.3 * max(3, len(ranked)) + 1.0)
+    names = [spoken(entry.effect) for entry in ranked]
+    left = LETTER * max(map(len, names), default=0) + 0.2
+    figure, (axes,) = _figure(1, 1, 0.3 * max(3, len(ranked)) + 1.0, left=left, top=RIGHT)
+    across = WIDTH - left - RIGHT
+    ends = [1.1 * entry.gain for entry in ranked]  # of the axis, for its bar and what is told beside it
     seen: set[int] = set()
     for place, entry in enumerate(ranked):
         named = entry.group >= 0 and entry.group not in seen
@@ -141,13 +160,13 @@ def _ranking(result: Diagnosis, details: Details) -> Figure:
             role = "excluded" if entry.excluded else "not excluded"
             told = f"cause {entry.group + 1}" if named else f"in place of cause {entry.group + 1}: {role}"
             axes.text(entry.gain, place, f" {told}", va="center", fontsize=8)
-    axes.set_yticks(range(len(ranked)), [spoken(entry.effect) for entry in ranked], fontsize=8)
-    axes.margins(x=0.45 if result.of_torque else 0.1)
+            ends.append(entry.gain * across / (across - LETTER * (len(told) + 1)))
+    axes.set_yticks(range(len(ranked)), names, fontsize=8)
     axes.grid(visible=False, axis="y")
     axes.invert_yaxis()
     shown = "share of the gain that is lost without it" if result.of_torque else "decrease of the whitened mean square"
     axes.set_xlabel(shown)
-    axes.set_xlim(left=0.0)
+    axes.set_xlim(0.0, max(ends, default=0.0) or None)
     return figure
 
 
@@ -173,7 +192,7 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
     if all(values is not None for values in temperatures):
         signals.append(("temperature (°C)", np.concatenate([v for v in temperatures if v is not None])))
     rows = (len(signals) + 1) // 2
-    figure, axes = _figure(rows, 2, 2.7 * rows + 0.4)
+    figure, axes = _figure(rows, 2, 2.7 * rows + 0.4, top=RIGHT)
     step = max(1, len(error) // DOTS)
     span = _span(factor * error)
     for each, (name, signal) in zip(axes, signals, strict=False):
@@ -200,13 +219,13 @@ def _residual(result: Diagnosis, details: Details) -> Figure:
 
 
 def _reversals(result: Diagnosis, details: Details) -> Figure:
-    figure, axes = _figure(1, 2, 3.2)
+    figure, axes = _figure(1, 2, 3.2, top=RIGHT)
     error = _joined(details, lambda c: (c.measured - c.recalibrated) * c.sigma)
     left = _joined(details, lambda c: (c.measured - c.extended) * c.sigma)
     factor, unit = torque_scale(result.rms)
     for each, signal, name in (
         (axes[0], _joined(details, lambda c: c.elapsed), "time since the reversal (s)"),
-        (axes[1], _joined(details, lambda c: c.distance), "displacement since the reversal (rad)"),
+        (axes[1], _joined(details, lambda c: c.distance), "travel since the reversal (rad)"),
     ):
         near = signal <= np.quantile(signal, 0.6)
         each.plot(*_binned(signal[near], factor * error[near]), color=CALIBRATED, label="recalibrated")
@@ -220,7 +239,7 @@ def _reversals(result: Diagnosis, details: Details) -> Figure:
 
 
 def _autocorrelation(result: Diagnosis, details: Details) -> Figure:
-    figure, (axes,) = _figure(1, 1, 2.6)
+    figure, (axes,) = _figure(1, 1, 2.6, top=RIGHT)
     lags = np.arange(1, len(details.autocorrelation)) * details.period
     axes.vlines(lags, 0.0, details.autocorrelation[1:], color=EXTENDED, lw=2)
     axes.axhspan(-details.band, details.band, color="grey", alpha=0.25, lw=0, label="95 % of white noise")

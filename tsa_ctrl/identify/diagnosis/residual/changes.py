@@ -32,12 +32,10 @@ DRIFT_SHARE = 0.55  # of the noise RMS that a drift must have: a third of its po
 DRIFT_RATIO = 4.0
 
 
-def steps(
-    problem: Problem, residual: Array, jacobian: Array, factors: Mapping[str, Array], rng: np.random.Generator
-) -> Finding:
+def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[str, Array], noise: Array) -> Finding:
     """A jump of the mean, of what hangs on the direction or on the load, at one moment of one run.
 
-    residual (m,) white, jacobian (m, p); factors: score-rate signals (n,) by name.
+    residual (m,) white, jacobian (m, p); factors: score-rate signals (n,) by name; noise: normal numbers (m, DRAWS).
     """
     slices = problem.frame.slices
     times = [run.count * run.period for run in problem.frame.runs]
@@ -61,7 +59,7 @@ def steps(
     used = norms > 0.02 * float(norms.max())
     white = white[:, used] / norms[used]
     found = (white.T @ rest) ** 2
-    draws = np.max((white.T @ rng.standard_normal((len(rest), DRAWS))) ** 2, axis=0)
+    draws = np.max((white.T @ noise) ** 2, axis=0)
     scale = float(np.std(draws)) * np.sqrt(6.0) / np.pi
     limit = float(np.mean(draws)) - 0.5772 * scale - scale * np.log(CHANCE)
     best = int(np.argmax(found))

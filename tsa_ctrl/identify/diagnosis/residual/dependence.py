@@ -7,7 +7,7 @@ which keeps whatever noise is really like within a block. What is left must beat
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,24 +40,40 @@ class Finding:
 
 def dependence(
     residual: Array, jacobian: Array, columns: Mapping[str, Array], blocks: NDArray[np.int64], rng: np.random.Generator
-) -> list[Finding]:
-    """One finding per family. residual (m,) and columns (m, k) white; jacobian (m, p) of what was fitted."""
+) -> Callable[[], list[Finding]]:
+    """What gives one finding per family; its random numbers are drawn already.
+
+    residual (m,) and columns (m, k) white; jacobian (m, p) of what was fitted.
+    """
     basis = orthonormal(jacobian)
     rest = residual - basis @ (basis.T @ residual)
-    out = []
+    tests = []
     for what, family in columns.items():
         free = orthonormal(family - basis @ (basis.T @ family), DISTINCT)
-        share, score = _predictable(rest, free * np.sqrt(len(rest) / max(free.shape[1], 1)), blocks, rng)
-        out.append(Finding(what, share, score, score > SURE and share > LEAST_SHARE))
-    return out
+        scaled = free * np.sqrt(len(rest) / max(free.shape[1], 1))
+        tests.append((what, scaled, _drawn(int(blocks[-1]) + 1, free.shape[1], rng)))
+
+    def findings() -> list[Finding]:
+        found = [(what, *_predictable(rest, free, blocks, draws)) for what, free, draws in tests]
+        return [Finding(what, share, score, score > SURE and share > LEAST_SHARE) for what, share, score in found]
+
+    return findings
+
+
+def _drawn(count: int, k: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Of `count` blocks normal numbers (count, k, DRAWS) and signs (count, 1, DRAWS); none are drawn for no column."""
+    if k == 0:
+        return np.zeros((count, 0, DRAWS)), np.ones((count, 1, DRAWS))
+    normal = np.array([rng.standard_normal((k, DRAWS)) for _ in range(count)])
+    return normal, rng.choice([-1.0, 1.0], (count, 1, DRAWS))
 
 
 def _predictable(
-    residual: Array, columns: Array, blocks: NDArray[np.int64], rng: np.random.Generator
+    residual: Array, columns: Array, blocks: NDArray[np.int64], draws: tuple[Array, Array]
 ) -> tuple[float, float]:
     """Share of the residual that is predicted on other blocks, and its distance from the nulls."""
-    count = int(blocks[-1]) + 1
-    k = columns.shape[1]
+    normal, signs = draws
+    count, k, _ = normal.shape
     if k == 0:
         return 0.0, 0.0
     grams = np.zeros((count, k, k))
@@ -69,8 +85,7 @@ def _predictable(
         own[block] = inside.T @ residual[blocks == block]
         values, vectors = np.linalg.eigh(grams[block])
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        noise[block] = root @ rng.standard_normal((k, DRAWS))
-    signs = rng.choice([-1.0, 1.0], (count, 1, DRAWS))
+        noise[block] = root @ normal[block]
     trials = np.concatenate([own[:, :, None], noise, own[:, :, None] * signs], axis=2)
     gains = np.max([_cross_validated(grams, trials, ridge) for ridge in RIDGES], axis=0)
     total = float(residual @ residual)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit, gradients
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
@@ -86,24 +85,23 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     )
     pieces = np.split(np.concatenate([first, second], axis=1), np.cumsum(sizes)[:-1], axis=1)
     columns = dict(zip(families, pieces, strict=True))
-    findings = dependence(fitted.residual, known, columns, problem.blocks, rng)
-    mask = problem.mask
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
-    findings.append(changes.steps(problem, fitted.residual, known, factors, rng))
-    masked = {name: factor[mask] for name, factor in factors.items()}
-    findings.append(changes.lines(fitted.residual, masked, frame.period))
-    findings.append(changes.bursts(fitted.residual, frame.period))
-    rest = frame.target - predicted
-    findings.append(
-        changes.drift(
-            _interpolated(rest, problem.nuisance.told(len(frame)), frame.period),
-            mask,
-            frame.slices,
-            frame.period,
-            problem.noise.rms,
-        )
-    )
-    return findings
+    masked = {name: factor[problem.mask] for name, factor in factors.items()}
+    dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
+    noise = rng.standard_normal((problem.count, changes.DRAWS))
+
+    def in_time() -> list[Finding]:
+        told = problem.nuisance.told(len(frame))
+        rest = _interpolated(frame.target - predicted, told, frame.period)
+        return [
+            changes.steps(problem, fitted.residual, known, factors, noise),
+            changes.lines(fitted.residual, masked, frame.period),
+            changes.bursts(fitted.residual, frame.period),
+            changes.drift(rest, problem.mask, frame.slices, frame.period, problem.noise.rms),
+        ]
+
+    found, more = both(dependences, in_time)
+    return [*found, *more]
 
 
 def _explained(problem: Problem, fitted: Fit) -> Array:
@@ -120,8 +118,10 @@ def _interpolated(residual: Array, told: NDArray[np.bool_], period: float) -> Ar
 
     One sample on either side of seconds that are not known would be a drift by itself.
     """
-    if not told.any():
+    if told.all() or not told.any():
         return residual
+    from scipy.ndimage import uniform_filter1d  # slow to import
+
     width = max(1, round(BURST / period))
     share = np.maximum(uniform_filter1d(told.astype(np.float64), width), 0.5 / width)
     means = uniform_filter1d(np.where(told, residual, 0.0), width) / share

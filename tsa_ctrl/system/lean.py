@@ -1,0 +1,30 @@
+"""To be imported before scipy by a program that is waited for: parts of numpy that nobody asked for are not loaded.
+
+scipy copies all names of numpy, and so loads what generates Fortran interfaces and what tests arrays: a quarter of the
+time that a diagnosis takes to load. They are loaded when something of them is used (importlib.util.LazyLoader).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+
+import numpy
+
+UNASKED = ("f2py", "testing")
+
+
+def _put_off(name: str) -> None:
+    whole = f"{numpy.__name__}.{name}"
+    spec = None if whole in sys.modules else importlib.util.find_spec(whole)
+    if spec is None or spec.loader is None:  # loaded already, or another numpy
+        return
+    spec.loader = importlib.util.LazyLoader(spec.loader)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[whole] = module
+    spec.loader.exec_module(module)
+    setattr(numpy, name, module)
+
+
+for _name in UNASKED:
+    _put_off(_name)
