@@ -227,7 +227,7 @@ MEASURES: tuple[Measure, ...] = (
     *(
         Measure(
             f"hour-{kind}",
-            f"an hour at 1 kHz diagnosed, {words}: peak of memory",
+            f"an hour at 1 kHz diagnosed, {words}: peak of memory, all processes",
             ("{root}/tools/run", "bench/hour"),
             _found(rf"{kind}: .*: peak ([\d.]+) MB"),
             "MB",
