@@ -13,8 +13,9 @@ from tests.blind.memory import bristle, first_order_lag
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.functions import BLOCK
 from tsa_ctrl.model.parameters import RigidDrive, TendonSheath, load_tendon_sheath, save_model
-from tsa_ctrl.model.predict import BLOCK, predict
+from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import Signals
 
 T = np.arange(100) * 0.01
@@ -158,6 +159,25 @@ def test_over_a_log_longer_than_a_block_it_remembers() -> None:
     at_motor = predict(with_custom("tau - lag(tau, 5)", stage="motor"), signals)
     lagged = dataclasses.replace(signals, tau_m=first_order_lag(signals.tau_m, 1e-3, 5.0))
     np.testing.assert_allclose(at_motor, predict(BASE, lagged), atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [BLOCK, 2 * BLOCK + 100])
+def test_over_a_log_longer_than_a_block_a_formula_is_that_of_each_sample(count: int) -> None:
+    t = np.arange(count) * 1e-3
+    omega, q_j = np.cos(3.0 * t), np.sin(3.0 * t) / 3.0
+    signals = Signals(t=t, tau_m=0.4 * np.sin(0.3 * t), omega_j=omega, q_j=q_j, omega_m=omega)
+    stiff = BASE.with_effects({"joint_stiffness": {"stiffness": 0.3, "rest_angle": 0.0}})
+    custom = {"expression": "0.2*tau*abs(omega_j) + 0.01*t"}
+    tendons = predict(BASE, signals)  # what the joint's own spring takes is no part of tau
+    taken = 0.2 * tendons * np.abs(omega) + 0.01 * t
+    found = predict(stiff.with_effects({**stiff.effects, "custom": custom}), signals)
+    np.testing.assert_allclose(predict(stiff, signals) - found, taken, atol=1e-12)
+    reduced = dataclasses.replace(signals, tau_m=signals.tau_m * (1.0 - 0.2 * np.abs(omega)) - 0.01 * t)
+    at_motor = predict(with_custom(custom["expression"], stage="motor"), signals)
+    np.testing.assert_allclose(at_motor, predict(BASE, reduced), atol=1e-12)
+    drive = RigidDrive(viscous_friction=0.2)
+    added = predict(dataclasses.replace(drive, effects={"custom": {**custom, "stage": "joint"}}), signals)
+    np.testing.assert_allclose(added - 0.2 * omega, 0.04 * omega * np.abs(omega) + 0.01 * t, atol=1e-12)
 
 
 def test_a_plain_drive_remembers_too() -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.filters import KINDS, Live, Memory, usage
-from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.functions import BLOCK, Array
 
 LONGEST = 500  # characters: a formula that a person can still read
 MOST_STEPS = 120  # operations: some 20 us for the controller's machine, a fiftieth of a cycle at 1 kHz
@@ -129,6 +129,12 @@ class Program:
 
     def over(self, values: Sequence[Array], t: Array) -> Array:
         """`array` along a log whose memories begin with it; t in s, (n,)."""
+        if not self.memories:
+            out = np.empty(t.shape)
+            for start in range(0, len(t), BLOCK):
+                block = slice(start, start + BLOCK)
+                out[block] = self.array([value[block] if value.ndim else value for value in values])
+            return out
         return self.array(values, lambda index, x: self.memories[index].over(np.broadcast_to(x, t.shape), t))
 
 

@@ -17,7 +17,7 @@ from tsa_ctrl.model.effects.memory import Backlash, integrate
 from tsa_ctrl.model.effects.specification import Stage
 from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import FourTensions, Transmission
-from tsa_ctrl.model.functions import ARRAYS, Array
+from tsa_ctrl.model.functions import ARRAYS, BLOCK, Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.signals import Signals, hold_direction
 from tsa_ctrl.model.stretch import compliances
@@ -25,7 +25,6 @@ from tsa_ctrl.model.stretch import compliances
 # Friction states and exponentials of one log that are kept, and their bytes at most: a search asks for the same grid of
 # states with every fit, and an hour at 1 kHz must stay below a gigabyte
 KEPT, KEPT_BYTES, FEWEST_KEPT = 128, 24_000_000, 2
-BLOCK = 8192  # samples at a time: temporaries stay in the cache, a third of the time for whole columns
 _ABSENT: Array = np.asarray(np.nan)
 
 
@@ -56,8 +55,9 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
     growth = _growth(model, stack, transmission, signals, state)
     tau_j = np.empty(len(signals))
     custom = stack.custom_at("joint")
-    tendons = None if custom is None else np.empty(len(signals))  # a formula may remember: over the whole log at once
-    acting = None if stack.custom_at("motor") is None else _on_the_tendons(stack, state, signals.tau_m)
+    remembers = stack.custom is not None and bool(stack.custom.program.memories)  # then over the whole log at once
+    tendons = np.empty(len(signals)) if remembers and custom is not None else None
+    acting = _on_the_tendons(stack, state, signals.tau_m) if remembers and custom is None else None
     for start in range(0, len(signals), BLOCK):
         block = slice(start, start + BLOCK)
         part = _part(state, block)
@@ -68,10 +68,13 @@ def _predict_tendon(model: TendonSheath, stack: Stack, transmission: Transmissio
             torque = np.where(played_out[block], 0.0, torque)
         if stack.lever is not None:
             torque = stack.lever.apply(ARRAYS, torque, part)
-        if tendons is not None:
-            tendons[block] = torque
+        behind = torque
         for effect in stack.joint:
             torque = torque - effect.torque(ARRAYS, part)
+        if tendons is not None:
+            tendons[block] = behind
+        elif custom is not None:
+            torque = torque - custom.taken(behind, part)
         tau_j[block] = torque
     if custom is not None and tendons is not None:
         tau_j -= custom.taken(tendons, state)

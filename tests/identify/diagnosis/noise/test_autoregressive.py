@@ -22,7 +22,7 @@ def noise() -> tuple[Noise, np.ndarray]:
     return Noise(FILTER, DEVIATION, covariance[:2]), covariance
 
 
-@pytest.mark.parametrize("columns", [None, 3])
+@pytest.mark.parametrize("columns", [None, 3, 20])
 def test_white_samples_have_no_covariance_from_the_first_on(columns: int | None) -> None:
     """White versions of the unit vectors are W, and W C W' is 1."""
     known, covariance = noise()

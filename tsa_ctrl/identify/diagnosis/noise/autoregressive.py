@@ -30,6 +30,7 @@ REFERENCE = (0.7, 5.0)
 STEEPEST = 1.2  # power of 1/f that noise may have: electronics have 1; a slope beyond is a motion's or an effect's
 LOWEST = 0.15  # Hz, below which it is flat: one wave in 7 s, of which a log of seconds shows a part
 FEW_COLUMNS = 4  # below which a sum over a hundred taps takes less time than three Fourier transforms
+TOGETHER = 8  # columns transformed at a time: what is worked on stays in the cache, and small beside an hour's log
 
 
 @dataclass(frozen=True)
@@ -118,11 +119,16 @@ def _filtered(taps: Array, y: Array) -> Array:
     if y.shape[1] < FEW_COLUMNS:
         return np.column_stack([_filtered(taps, column) for column in y.T])
     length = next_fast_len(len(y) + len(taps) - 1, real=True)
-    rows = np.zeros((y.shape[1], length))  # one column after another takes two thirds of the time for all side by side
-    rows[:, : len(y)] = y.T
-    product = np.fft.rfft(rows)
-    product *= np.fft.rfft(taps, length)
-    return np.asarray(np.fft.irfft(product, length)[:, : len(y)].T)
+    response = np.fft.rfft(taps, length)
+    rows = np.zeros((TOGETHER, length))  # one column after another takes two thirds of the time for all side by side
+    filtered = np.empty((y.shape[1], len(y)))
+    for start in range(0, y.shape[1], TOGETHER):
+        columns = y.T[start : start + TOGETHER]
+        rows[: len(columns), : len(y)] = columns
+        product = np.fft.rfft(rows[: len(columns)])
+        product *= response
+        filtered[start : start + TOGETHER] = np.fft.irfft(product, length)[:, : len(y)]
+    return filtered.T
 
 
 def white_noise(deviation: float) -> Noise:

@@ -176,6 +176,7 @@ def _over(frame: Frame, residuals: Sequence[Array], mask: NDArray[np.bool_]) -> 
     for part, run, residual in zip(frame.slices, frame.runs, residuals, strict=True):
         inside = np.repeat(mask[part], run.full_bin)
         inside = np.concatenate([inside, np.full(len(residual) - len(inside), bool(mask[part][-1]))])
-        total += float(np.sum(residual[inside] ** 2))
-        count += int(inside.sum())
+        of_these = residual[inside]
+        total += float(of_these @ of_these)
+        count += len(of_these)
     return float(np.sqrt(total / max(count, 1)))

@@ -51,7 +51,10 @@ def steps(problem: Problem, residual: Array, jacobian: Array, factors: Mapping[s
                 column[part.start + at : part.stop] = factor[part.start + at : part.stop]
                 columns.append(column)
                 labels.append((number, at / count * times[number], name))
-    white = problem.whiten(np.column_stack(columns))
+    stacked = np.column_stack(columns)
+    del columns  # of an hour's log each of these is 100 MB
+    white = problem.whiten(stacked)
+    del stacked
     basis = orthonormal(jacobian)
     white -= basis @ (basis.T @ white)
     rest = residual - basis @ (basis.T @ residual)

@@ -7,7 +7,7 @@ So where structure is most of what is left, the simulation error decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,14 +77,7 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     sigma, load = features.direction_and_load(frame, predicted)
     families = features.families(frame, predicted, rng)
     families["time"] = features.time_family(frame, sigma, load)
-    sizes = [family.shape[1] for family in families.values()]
-    raw = np.concatenate(list(families.values()), axis=1)
-    half = raw.shape[1] // 2
-    (known, first), second = both(
-        lambda: (_explained(problem, fitted), problem.whiten(raw[:, :half])), lambda: problem.whiten(raw[:, half:])
-    )
-    pieces = np.split(np.concatenate([first, second], axis=1), np.cumsum(sizes)[:-1], axis=1)
-    columns = dict(zip(families, pieces, strict=True))
+    known, columns = _white(problem, fitted, families)
     factors = {"the torque": np.ones(len(frame)), "the friction": sigma, "the gain": load}
     masked = {name: factor[problem.mask] for name, factor in factors.items()}
     dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
@@ -102,6 +95,18 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
 
     found, more = both(dependences, in_time)
     return [*found, *more]
+
+
+def _white(problem: Problem, fitted: Fit, families: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
+    """What is no structure (see `_explained`), and the columns (m, k) of each family, white; the two cores share it."""
+    raw = np.concatenate(list(families.values()), axis=1)
+    half = raw.shape[1] // 2
+    (known, first), second = both(
+        lambda: (_explained(problem, fitted), problem.whiten(raw[:, :half])), lambda: problem.whiten(raw[:, half:])
+    )
+    ends = np.cumsum([family.shape[1] for family in families.values()])
+    pieces = np.split(np.concatenate([first, second], axis=1), ends[:-1], axis=1)
+    return known, dict(zip(families, pieces, strict=True))
 
 
 def _explained(problem: Problem, fitted: Fit) -> Array:
