@@ -41,6 +41,7 @@ from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.simulation import simulate_loop
 
+KEY = ("seed", "rig", "sensor")  # of a result
 SETTLED = 1.5  # s of a log
 MOST_CENTRE = 0.7
 WIDTH = 200  # of the table, characters
@@ -155,7 +156,9 @@ def trial(seed: int, number: int, sensor: bool) -> dict[str, Any]:
                 runs[label] |= {f"{key}_told": again[key] for key in ("sliding", "all")}
     stiffness, true = found.axial_stiffness, rig.truth.axial_stiffness
     row: dict[str, Any] = {
+        "seed": seed,
         "rig": number,
+        "sensor": sensor,
         "stiffness": stiffness.value / true,
         "stiffness_held": stiffness.low <= true <= stiffness.high,
         "stiffness_half": (stiffness.high / stiffness.low - 1.0) / 2.0,
@@ -183,11 +186,12 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
     rows = []
-    known = Results(arguments.results, lambda row: row["rig"])
+    known = Results(arguments.results, lambda row: tuple(row.get(key) for key in KEY))
     for number in range(arguments.first, arguments.first + arguments.rigs):
-        if number not in known:
-            known.add(trial(arguments.seed, number, not arguments.without_sensor))
-        rows.append(known[number])
+        asked = (arguments.seed, number, not arguments.without_sensor)
+        if asked not in known:
+            known.add(trial(*asked))
+        rows.append(known[asked])
         if arguments.json:
             print(json.dumps(rows[-1]), flush=True)
     if not arguments.json:

@@ -123,8 +123,10 @@ def main() -> int:
                 table.add_row(words, "nothing", "", "", "", "")
         runs = [measured(path, model) for path in sorted(logs["all"].iterdir())]
         told, of = false_alarms(runs, arguments.folders)
-    if not arguments.json:
-        Console(width=200).print(table)
+    if arguments.json:
+        print(json.dumps({"false_alarms": told, "quantities": of, "folders": arguments.folders, "stated": ALARM}))
+        return 0
+    Console(width=200).print(table)
     share = f"{100.0 * told / of:.2g} %; stated: {100.0 * ALARM:g} %"
     print(f"false alarms: {told} of {of} quantities of {arguments.folders} folders, {share}")
     return 0

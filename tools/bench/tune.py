@@ -21,6 +21,7 @@ import tempfile
 import time
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tomlkit
@@ -40,6 +41,7 @@ from tsa_ctrl.system.processes import tsa
 from tsa_ctrl.tune.run import read_run
 from tsa_ctrl.virtual.stage import play
 
+ASKED = ("seed", "rate", "curvature", "without_sensor", "seconds", "verify_seconds", "more")
 TORQUE_LOOP = 0.5e-3  # s, of the plant's drive
 SENSOR = {"node_id": 64, "heartbeat_timeout": 4.0}  # as tests/tune/rig.py has it
 UNKNOWN = {"compensation": rig.COMPENSATION, "fade_in": FADE_IN}  # [axis.law] of a file that knows nothing of the motor
@@ -50,11 +52,17 @@ def drawn_by(number: int, arguments: argparse.Namespace) -> Drawn:
     return draw(arguments.seed, number, None if arguments.curvature == "any" else arguments.curvature)
 
 
+def asked(number: int, arguments: argparse.Namespace) -> list[Any]:
+    """What a result is the answer to: options of another value make another."""
+    return [number, *(getattr(arguments, name) for name in ASKED)]
+
+
 def one(number: int, arguments: argparse.Namespace) -> Row:
     """Draw a rig by its number, tune it, and return what came out."""
     drawn = drawn_by(number, arguments)
     row: Row = {
         "number": number,
+        "asked": asked(number, arguments),
         "truth": dict(drawn.factors),
         "curvature": drawn.curvature,
         "stiffness": drawn.stiffness,
@@ -222,15 +230,16 @@ def main() -> int:
         flush=True,
     )
     results, made = [], 0
-    known = Results(arguments.results, lambda row: row["number"], lambda row: "error" not in row)
+    known = Results(arguments.results, lambda row: json.dumps(row.get("asked")), lambda row: "error" not in row)
     for number in arguments.rigs:
-        if number not in known:
+        place = json.dumps(asked(number, arguments))
+        if place not in known:
             if made == arguments.at_most:
                 continue
             known.add(one(number, arguments))
             made += 1
-        print(line(number, known[number], drawn_by(number, arguments)), flush=True)
-        results.append(known[number])
+        print(line(number, known[place], drawn_by(number, arguments)), flush=True)
+        results.append(known[place])
     good = [r for r in results if "error" not in r]
     print("reduction of the RMS error, %, median (worst): given file, new file, true parameters")
     for curvature in CURVATURES:
