@@ -40,27 +40,26 @@ def test_the_answer_does_not_depend_on_the_number_of_processes(
     monkeypatch.setattr(twin._Other, "swapped", counted)
     monkeypatch.setattr(twin, "PATIENCE", 300.0)  # the other may be kept from its processor, but never astray
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    alone = answer()
+    alone, pieces = counted_alone(answer, monkeypatch)
     assert met == []
-    pieces = count_of(answer, monkeypatch)
     assert twin.in_step(answer) == alone
     assert len(met) == pieces > 10
 
 
-def count_of(work: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> int:
-    """How often one process comes to a pair of pieces that is in no other piece."""
+def counted_alone(work: Callable[[], str], monkeypatch: pytest.MonkeyPatch) -> tuple[str, int]:
+    """What `work` gives, and how often one process comes to a pair of pieces that is in no other piece."""
     seen = depth = 0
+    both = twin._both
 
     def noted(here: Callable[[], Any], there: Callable[[], Any], known: Any, where: str) -> tuple[Any, Any]:
         nonlocal seen, depth
         seen += depth == 0
         depth += 1
         try:
-            return here(), there()
+            return both(here, there, known, where)
         finally:
             depth -= 1
 
     with monkeypatch.context() as patched:
         patched.setattr(twin, "_both", noted)
-        work()
-    return seen
+        return work(), seen
