@@ -72,6 +72,19 @@ def test_the_measured_servo_has_its_published_gravity(data_dir: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_program_that_begins_alike_in_each_log_does_not_put_a_clock_in_the_place_of_an_offset(data_dir: Path) -> None:
+    """Half of the time at rest; a step at a moment of the logs, with a dead zone, leaves 0.6 of its mean square."""
+    files = sorted((data_dir / "epos" / "start_stop").glob("*.csv.gz"))
+    if not files:
+        pytest.skip("the measured data here have no epos/start_stop")
+    found = diagnose(load_logs(files), load_model(data_dir / "epos" / "drive.toml"))
+    assert [(cause.effect, cause.alternatives) for cause in found.causes] == [("torque_offset", ())]
+    assert found.rms.recalibrated is not None
+    assert found.rms.extended is not None
+    assert found.rms.extended < 0.7 * found.rms.recalibrated
+
+
+@pytest.mark.slow
 def test_no_gravity_is_named_where_there_is_none() -> None:
     found = diagnose(logs(0.0), DRIVE)
     assert "gravity_load" not in [name for cause in found.causes for name in (cause.effect, *cause.alternatives)]

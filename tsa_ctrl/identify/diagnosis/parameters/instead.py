@@ -41,10 +41,11 @@ def stand_in(
     """Number of a cause in whose place a formula does clearly better; None where none is.
 
     formula: what `found` leaves, told beside it. A cause with alternatives says less, and gives way only to a formula
-    of a single term.
+    of a single term that does better than each of them; and to one that tells when, which logs of one program share
+    without a law, only if it is `FAR`.
     """
     held = with_direction(problem, found, split.held)
-    model = _learned(problem, found, split) if formula is None else formula.model
+    model = _described(problem, found, formula, split)
     present, whole = (_squares(problem, model, mask) for mask in (held, split.held))
     terms = 1 if formula is None else 1 + formula.terms
     best, least = None, np.inf
@@ -53,17 +54,39 @@ def stand_in(
         if described is None or (group.alternatives and described.terms > 1):
             continue
         error = _squares(problem, described.model, held)
-        as_good = described.terms < terms and (1.0 - LEAST_GAIN) * error.error <= present.error
-        better = as_good or error.clearly_beats(present) or FAR * error.error < present.error
-        if better and (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
+        if error.error >= least or not _does_better(described, error, terms, present):
+            continue
+        if (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
             continue  # what is late shows in the reversals, whose direction is unknown, and nowhere else
-        if better and error.error < least:
+        twins = (_described(problem, rival.fitted, None, split) for rival in group.alternatives)
+        if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
             best, least = index, error.error
     return best
 
 
-def _learned(problem: Problem, found: Fit, split: Split) -> Model:
-    """The model of what was found, fitted on the samples that are learned from."""
+def _does_better(formula: Formula, error: Elsewhere, terms: int, named: Elsewhere) -> bool:
+    """Whether a formula that leaves `error` takes the place of what is told in so many terms and leaves `named`."""
+    as_good = formula.terms < terms and (1.0 - LEAST_GAIN) * error.error <= named.error
+    beats = error.clearly_beats(named) and not formula.tells_when
+    return as_good or beats or FAR * error.error < named.error
+
+
+def keeps_its_promise(
+    problem: Problem, split: Split, named: tuple[Fit, Formula | None], instead: tuple[Fit, Formula | None]
+) -> bool:
+    """Whether what is told in the end, `instead` of a name, leaves no more than causes and formula with the name did.
+
+    What is left without it is looked through anew, and another cause may fall with it.
+    """
+    held = with_direction(problem, named[0], split.held)
+    before, after = (_squares(problem, _described(problem, *told, split), held) for told in (named, instead))
+    return (1.0 - LEAST_GAIN) * after.error <= before.error
+
+
+def _described(problem: Problem, found: Fit, formula: Formula | None, split: Split) -> Model:
+    """The model of what was found, with its formula; without one fitted on the samples that are learned from."""
+    if formula is not None:
+        return formula.model
     learned = fit_on_simulation_error(problem, found, mask=split.fit)
     return learned.hypothesis.model(learned.point)
 
