@@ -25,7 +25,7 @@ from tsa_ctrl.identify.diagnosis.parameters.formula import (
     with_direction,
 )
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
-from tsa_ctrl.identify.diagnosis.rivals.groups import Group
+from tsa_ctrl.identify.diagnosis.rivals.groups import Group, made_up
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
@@ -58,7 +58,8 @@ def stand_in(
             continue
         if (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
             continue  # what is late shows in the reversals, whose direction is unknown, and nowhere else
-        twins = (_described(problem, rival.fitted, None, split) for rival in group.alternatives)
+        others = (rival.fitted for rival in group.alternatives if not made_up(problem, rival.name))
+        twins = (_described(problem, other, None, split) for other in others)
         if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
             best, least = index, error.error
     return best

@@ -136,7 +136,7 @@ def _by_simulation_error(
     judged = []
     without_any = simulation_error(problem, smaller, reversals)
     for rival in found:
-        covers = rival.excluded and not _made_up(problem, rival.name)
+        covers = rival.excluded and not made_up(problem, rival.name)
         covers = covers and structure.covers(simulation_error(problem, rival.fitted, reversals), without_any)
         judged.append(dataclasses.replace(rival, within_structure=covers))
     return judged
@@ -158,7 +158,7 @@ def _judged_elsewhere(
     reversals = models_reversals(fitted)
     own = without = None
     for number, rival in enumerate(found):
-        if _made_up(problem, rival.name) or (rival.excluded and not (rival.limit and rival.name in limits)):
+        if made_up(problem, rival.name) or (rival.excluded and not (rival.limit and rival.name in limits)):
             continue
         if own is None or without is None:
             own, without = (elsewhere(problem, each, reversals) for each in (fitted, smaller))
@@ -174,7 +174,7 @@ def _judged_elsewhere(
     return judged
 
 
-def _made_up(problem: Problem, name: str) -> bool:
+def made_up(problem: Problem, name: str) -> bool:
     """A warm-up that nobody recorded is made up by `_temperature_confound`: no simulation of these logs has it."""
     return name == UNRECORDED and not problem.frame.has("temperature")
 
