@@ -192,7 +192,7 @@ def test_a_weight_hidden_in_the_measured_axis_is_named_in_addition() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.soak  # bench/measured does it at all sizes; the pendulum of the untouched servo: tests/identify/diagnosis/test_transfer.py
+@pytest.mark.soak  # bench/measured does it at all sizes; without what is hidden: test_transfer.py
 def test_asymmetric_friction_hidden_in_a_servo_does_not_hide_its_pendulum() -> None:
     """It enters first, and colours the noise until gravity no longer stands out: it must stay as it transfers."""
     hidden = measured.trial(
