@@ -198,6 +198,7 @@ def _shown(value: Quantity) -> tuple[str, str]:
     """A number with its unit, and its interval where the logs told it."""
     from tsa_ctrl.identify.quantity import spelled
 
-    told = 0.0 < value.high - value.low < math.inf
+    width = value.high - value.low
     unit = "" if value.unit == "1" else f" {spelled(value.unit)}"
-    return f"{value.value:.4g}{unit}", f"{value.low:.4g} to {value.high:.4g}" if told else ""
+    told = f"{value.low:.4g} to {value.high:.4g}" if math.isfinite(width) else "not told"
+    return f"{value.value:.4g}{unit}", told if width else ""

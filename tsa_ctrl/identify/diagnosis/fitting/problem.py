@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,13 +55,15 @@ class Hypothesis:
         own = [not variant.amplitude for variant in self.variants for _ in variant.coordinates]
         return np.array([False] * len(self.base.coordinates(self.wide_prior)) + own, dtype=np.bool_)
 
+    @cached_property
+    def places(self) -> tuple[slice, ...]:
+        """Which coordinates are each variant's."""
+        ends = np.cumsum([len(self.base.coordinates()), *(len(variant.coordinates) for variant in self.variants)])
+        return tuple(slice(int(start), int(end)) for start, end in pairwise(ends))
+
     def own(self, point: Array) -> list[Array]:
         """The coordinates of each variant."""
-        parts, at = [], len(self.base.coordinates())
-        for variant in self.variants:
-            parts.append(point[at : at + len(variant.coordinates)])
-            at += len(variant.coordinates)
-        return parts
+        return [point[place] for place in self.places]
 
     def effects(self, point: Array) -> dict[str, dict[str, Value]]:
         return {v.effect: v.parameters(u) for v, u in zip(self.variants, self.own(point), strict=True)}

@@ -22,6 +22,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.identify.student import NOISE, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Value
+from tsa_ctrl.model.effects.specification import Parameter
 from tsa_ctrl.model.functions import Array
 
 # How much blocks may widen an interval: 24 of noise alone reach 1.4; one burst, which is told apart, would reach any
@@ -29,6 +30,9 @@ WIDEST = 3.0
 # Of a coordinate of the base, where nothing is known of it: a tenth of x or T_p, within which they are still lines
 WIDEST_STEP = 0.1
 STEP = 0.05  # of a standard deviation, for derivatives of parameters
+# Of a positive number's logarithm, that half its interval may be: 150 times more or less is a number of which not even
+# the size is known
+WIDEST_RATIO = 5.0
 COMBINATIONS = ("slope", "half_loop_torque")  # of x and T_p, which logs of one configuration know
 
 
@@ -51,7 +55,7 @@ class Refit:
         """Interval of a derived number; a positive one with a wide interval is taken as log-normal."""
         half = self.factor * math.sqrt(max(variance, 0.0))
         if low >= 0.0 and value > 0.0 and half > 0.2 * value:
-            ratio = math.exp(min(half / value, 5.0))
+            ratio = math.exp(min(half / value, WIDEST_RATIO))
             return Quantity(value, max(value / ratio, low), min(value * ratio, high), unit)
         return Quantity(value, max(value - half, low), min(value + half, high), unit)
 
@@ -92,7 +96,7 @@ def _covariance(problem: Problem, plain: Problem, best: Fit, jacobian: Array, st
 
 
 def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
-    """Parameters of each effect with intervals, in the units of model files."""
+    """Parameters of each effect with intervals, in the units of model files; infinite where these logs tell none."""
     out: dict[str, dict[str, Quantity | str]] = {}
     hypothesis, point = result.fitted.hypothesis, result.fitted.point
     at = len(hypothesis.base.coordinates())
@@ -116,9 +120,21 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
             gradient = slopes.get(parameter.name, np.zeros(len(index)))
             variance = float(gradient @ spread @ gradient)
             low, high = (-math.inf, math.inf) if parameter.name == "phase" else (parameter.low, parameter.high)
-            entry[parameter.name] = result.quantity(float(value), variance, parameter.unit, low, high)
+            found = result.quantity(float(value), variance, parameter.unit, low, high)
+            if not _told(found, parameter):
+                found = Quantity(found.value, -math.inf, math.inf, found.unit)
+            entry[parameter.name] = found
         out[variant.effect] = entry
     return out
+
+
+def _told(found: Quantity, parameter: Parameter) -> bool:
+    """Whether an interval leaves out anything that the number could be: a part of its range, of a turn, or of sizes."""
+    if parameter.name == "phase":
+        return found.high - found.low < 2.0 * math.pi
+    if found.low <= parameter.low and found.high >= parameter.high:
+        return False
+    return not (0.0 < found.low < found.value and math.log(found.value / found.low) >= WIDEST_RATIO * (1.0 - 1e-9))
 
 
 def _gradients(

@@ -1,9 +1,10 @@
 """What each cause does where its numbers were not fitted: on the other half of the loads, of the speeds, of the time.
 
-A number that belongs to one load, one speed or one day describes that load, speed or day. So the causes are fitted on
-one half of the logs and tried on the other, and the other way round, with and without each of them; one that takes
-nothing there, all halves together, is not named. Halves are of whole logs where there are enough, else of blocks of
-time.
+A number that belongs to one load, one speed or one day describes that load, speed or day. So the numbers of each cause
+are fitted on one half of the logs and tried on the other, and the other way round; one that takes nothing there, all
+halves together, is not named. Halves are of whole logs where there are enough, else of blocks of time. All other
+numbers stay as all samples have them: one load does not part friction from pretension, and a cause would be blamed for
+what these two do on the other.
 
 A half that does not show a cause (an offset among logs of one direction, which friction explains as well) teaches none,
 and it is not tried on one in which it hardly acts (inertia among the slow logs), or far more than where it was learned.
@@ -61,9 +62,12 @@ def transfer(problem: Problem, found: Fit) -> tuple[Transfer, ...]:
     halves = _halves(problem)
     reversals = models_reversals(found)
     present = fit_on_simulation_error(problem, found, reversals)
-    return tuple(
-        taken(present, fit_on_simulation_error(problem, backward_step(problem, found, index), reversals), halves)
+    absent = (
+        fit_on_simulation_error(problem, backward_step(problem, found, index), reversals)
         for index in range(len(found.names))
+    )
+    return tuple(
+        taken(present, each, place, halves) for each, place in zip(absent, found.hypothesis.places, strict=True)
     )
 
 
@@ -72,19 +76,20 @@ def local(carried: Sequence[Transfer]) -> int | None:
     return next((index for index, each in enumerate(carried) if each.everywhere <= 0.0), None)
 
 
-def taken(present: Fit, absent: Fit, halves: Mapping[str, NDArray[np.int64]]) -> Transfer:
+def taken(present: Fit, absent: Fit, own: slice, halves: Mapping[str, NDArray[np.int64]]) -> Transfer:
     """What a cause takes of each kind of halves, by the fits with and without it on all samples.
 
-    halves: which half each sample is in, (m,) of 0 and 1, by what they are of.
+    own: which coordinates of `present` are the cause's. halves: which half each sample is in, (m,) of 0 and 1, by what
+    they are of.
     """
     whole = 1.0 - present.rss / absent.rss
     left = {name: np.zeros(2) for name in halves}  # with and without it
     for name, upper in halves.items():
         for half in (upper == 0, upper == 1):
-            fits = np.array([residual_of_part(each, half) for each in (present, absent)])
+            taught = [np.sum(residual_of_part(each, half)[half] ** 2) for each in (present, absent)]
+            fits = np.array([residual_of_part(present, half, own), absent.residual])
             changed = (fits[0] - fits[1]) ** 2
             acts = HARDLY_SHOWN * changed[half].mean() <= changed[~half].mean() <= EXTRAPOLATED * changed[half].mean()
-            taught = np.sum(fits[:, half] ** 2, axis=1)
             if acts and taught[0] <= (1.0 - SHOWN * whole) * taught[1]:
                 left[name] += np.sum(fits[:, ~half] ** 2, axis=1)
     shares = {name: _share(each) for name, each in left.items() if each[1] > 0.0}

@@ -34,8 +34,9 @@ class Cause:
     """A claim: this effect acts, or one of `alternatives` in its place (none when the name is sure).
 
     `probability`: of `effect` within it and its alternatives. `explained_fraction`: share of the improvement that is
-    lost without it. `parameters`: numbers with intervals, choices as words. `transfer`: fitted on one half of the logs
-    and tried on the other (halves by "load", "speed", "time"), share of the mean square left without it that it takes.
+    lost without it. `parameters`: numbers with intervals (infinite where these logs leave all open that is allowed),
+    choices as words. `transfer`: its numbers fitted on one half of the logs and tried on the other (halves by "load",
+    "speed", "time"), share of the mean square left without it that it takes.
     """
 
     effect: str

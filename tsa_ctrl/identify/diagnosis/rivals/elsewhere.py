@@ -64,11 +64,17 @@ def unseen(learned: Fit, folds: NDArray[np.int64]) -> Array:
     return squares
 
 
-def residual_of_part(learned: Fit, part: NDArray[np.bool_]) -> Array:
-    """Residuals, (m,), of the fit moved by one bounded step that the samples of `part`, (m,), alone ask for."""
-    jacobian, residual = learned.jacobian, learned.residual
-    point = learned.point[learned.free]
-    low, high = learned.hypothesis.low[learned.free] - point, learned.hypothesis.high[learned.free] - point
+def residual_of_part(learned: Fit, part: NDArray[np.bool_], moved: slice = slice(None)) -> Array:
+    """Residuals, (m,), of the fit moved by one bounded step that the samples of `part`, (m,), alone ask for.
+
+    moved: the coordinates that step, of those that no bound holds; the others stay where all samples have them.
+    """
+    steps = np.zeros(len(learned.point), dtype=np.bool_)
+    steps[moved] = True
+    jacobian, residual = learned.jacobian[:, steps[learned.free]], learned.residual
+    steps &= learned.free
+    point = learned.point[steps]
+    low, high = learned.hypothesis.low[steps] - point, learned.hypothesis.high[steps] - point
     step = bounded_step(jacobian[part], residual[part], low, high, SINGULAR)
     return np.asarray(residual - jacobian @ step)
 

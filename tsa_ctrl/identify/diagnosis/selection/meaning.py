@@ -71,7 +71,7 @@ def _at_bound(problem: Problem, found: Fit, index: int) -> bool:
     Bounds at 0 are where a size ends by nature; there the effect gains nothing and goes for that reason.
     """
     variant = found.hypothesis.variants[index]
-    at = len(found.point) - sum(len(each.coordinates) for each in found.hypothesis.variants[index:])
+    at = found.hypothesis.places[index].start
     own = [at + i for i in (variant.amplitude or range(len(variant.coordinates)))]
     low, high = found.hypothesis.low, found.hypothesis.high
     near = [AT_BOUND * (high[i] - low[i]) if np.isfinite(high[i] - low[i]) else 0.0 for i in own]
