@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -198,7 +197,6 @@ def _shown(value: Quantity) -> tuple[str, str]:
     """A number with its unit, and its interval where the logs told it."""
     from tsa_ctrl.identify.quantity import spelled
 
-    width = value.high - value.low
     unit = "" if value.unit == "1" else f" {spelled(value.unit)}"
-    told = f"{value.low:.4g} to {value.high:.4g}" if math.isfinite(width) else "not told"
-    return f"{value.value:.4g}{unit}", told if width else ""
+    interval = f"{value.low:.4g} to {value.high:.4g}" if value.told else "not told"
+    return f"{value.value:.4g}{unit}", interval if value.low < value.high else ""

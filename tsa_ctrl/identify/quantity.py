@@ -20,6 +20,11 @@ class Quantity:
         """Half the interval over the value."""
         return 0.5 * (self.high - self.low) / self.value
 
+    @property
+    def told(self) -> bool:
+        """Whether it has an interval: an infinite one is of what the logs leave open."""
+        return math.isfinite(self.high - self.low)
+
     def to_dict(self) -> dict[str, float | str | None]:
         """As in the public JSON: null for what is not known."""
         return {

@@ -17,7 +17,9 @@ from tsa_ctrl.system import twin
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("family", "name"), [("pair", "any"), ("rigid", "gravity_load")])
+@pytest.mark.parametrize(
+    ("family", "name"), [("single", "presliding_hysteresis"), ("pair", "any"), ("rigid", "gravity_load")]
+)
 def test_the_answer_does_not_depend_on_the_number_of_processes(
     family: str, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, effect_quantities
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.effects.search import Coordinate, Variant
@@ -18,8 +19,8 @@ def _quantity(effect: str, name: str, value: float, deviation: float, **others: 
     """What is told of one number of an effect, known to so much."""
     coordinate = Coordinate(name, -math.inf, math.inf)
     variant = Variant(effect, (coordinate,), ((0.0,),), (0,), lambda u: {name: float(u[0]), **others})
-    hypothesis = SimpleNamespace(base=SimpleNamespace(coordinates=lambda: ()), variants=(variant,))
-    fitted: Any = SimpleNamespace(hypothesis=hypothesis, point=np.array([value]))
+    base: Any = SimpleNamespace(coordinates=lambda: ())
+    fitted: Any = SimpleNamespace(hypothesis=Hypothesis(base, (variant,)), point=np.array([value]))
     found = effect_quantities(Refit(fitted, np.array([[deviation**2]]), factor=2.0))[effect][name]
     assert isinstance(found, Quantity)
     assert found.value == pytest.approx(value)

@@ -99,10 +99,8 @@ def effect_quantities(result: Refit) -> dict[str, dict[str, Quantity | str]]:
     """Parameters of each effect with intervals, in the units of model files; infinite where these logs tell none."""
     out: dict[str, dict[str, Quantity | str]] = {}
     hypothesis, point = result.fitted.hypothesis, result.fitted.point
-    at = len(hypothesis.base.coordinates())
-    for variant in hypothesis.variants:
-        index = np.arange(at, at + len(variant.coordinates))
-        at += len(variant.coordinates)
+    for variant, place in zip(hypothesis.variants, hypothesis.places, strict=True):
+        index = np.arange(place.start, place.stop)
         values = variant.parameters(point[index])
         slopes = _gradients(result, variant.parameters, point[index], index)
         spread = result.covariance[np.ix_(index, index)]

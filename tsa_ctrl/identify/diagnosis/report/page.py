@@ -6,7 +6,6 @@ The page is one file that opens without a network; all that it says in numbers s
 from __future__ import annotations
 
 import base64
-import math
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -106,7 +105,7 @@ def _cause(effect: str, parameters: Any) -> dict[str, Any]:
     rows = []
     for name, value in parameters.items():
         if isinstance(value, Quantity):
-            if not math.isfinite(value.high - value.low):
+            if not value.told:
                 interval = "not told by these logs"
             else:
                 known = value.high > value.low
@@ -122,7 +121,7 @@ def _provenance(result: Diagnosis, template: Path | None) -> dict[str, object]:
         f"{cause.effect}.{name}": value
         for cause in result.causes
         for name, value in cause.parameters.items()
-        if isinstance(value, Quantity) and math.isfinite(value.high - value.low)
+        if isinstance(value, Quantity) and value.told
     }
     found |= {name: error.found for name, error in result.parameter_errors.items()}
     logs = {} if result.details is None else dict(result.details.logs)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from tsa_ctrl.identify.diagnosis.report.result import Cause, Diagnosis, Rms, Verdict
@@ -142,7 +141,7 @@ def cause_phrase(cause: Cause) -> str:
     numbers = [
         f"{spoken(key)} {quantity}"
         for key, quantity in cause.parameters.items()
-        if isinstance(quantity, Quantity) and 0.0 < quantity.high - quantity.low < math.inf
+        if isinstance(quantity, Quantity) and quantity.told and quantity.low < quantity.high
     ]
     return f"{_named(cause)}, {numbers[0]}" if numbers else _named(cause)
 

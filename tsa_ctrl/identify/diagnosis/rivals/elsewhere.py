@@ -69,13 +69,14 @@ def residual_of_part(learned: Fit, part: NDArray[np.bool_], moved: slice = slice
 
     moved: the coordinates that step, of those that no bound holds; the others stay where all samples have them.
     """
+    jacobian, residual = learned.jacobian, learned.residual
     steps = np.zeros(len(learned.point), dtype=np.bool_)
     steps[moved] = True
-    jacobian, residual = learned.jacobian[:, steps[learned.free]], learned.residual
-    steps &= learned.free
-    point = learned.point[steps]
-    low, high = learned.hypothesis.low[steps] - point, learned.hypothesis.high[steps] - point
-    step = bounded_step(jacobian[part], residual[part], low, high, SINGULAR)
+    columns = steps[learned.free]
+    point = learned.point[learned.free]
+    low, high = learned.hypothesis.low[learned.free] - point, learned.hypothesis.high[learned.free] - point
+    step = np.zeros(len(point))
+    step[columns] = bounded_step(jacobian[np.ix_(part, columns)], residual[part], low[columns], high[columns], SINGULAR)
     return np.asarray(residual - jacobian @ step)
 
 
