@@ -35,6 +35,7 @@ from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
 from tsa_ctrl.safety.plausibility import PlausibilitySettings
+from tsa_ctrl.safety.use_class import SafetySettings
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
@@ -67,15 +68,6 @@ class SocketSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     path: str = ""  # default: $XDG_RUNTIME_DIR/tsa.sock, else /tmp/tsa-UID/tsa.sock
     group: str | None = None  # this group may use it too; default: the user who started the daemon alone
     watch_group: str | None = None  # this group may read status, measurements and events
-
-
-class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What the rig is held to, by `tsa verify-safety` and the fault campaign."""
-
-    zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = (
-        None  # s; default: longest of what a fault takes + 0.05
-    )
-    torque: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None  # N*m at the motor; default: 0.1 of rated torque
 
 
 class AxisSettings(AxisNodes, frozen=True, kw_only=True):
