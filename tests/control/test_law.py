@@ -2,33 +2,44 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.control.laws import PERIOD
 from tests.control.laws import law as make
 from tests.control.sliding import actuator
+from tests.model.capstan import Pair
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.sliding import motor_stiffness, sliding
 
 RATIO = 0.8
+SHAPES = {  # the same in the model's words and for the capstan equation, as (share of length, share of bending)
+    "motor_end": ((0.0, 1.0), (1.0, 1.0)),
+    "uniform": ((1.0, 1.0),),
+    "joint_end": ((1.0, 0.0), (1.0, 1.0)),
+    "last tenth": ((0.9, 0.0), (1.0, 1.0)),
+}
 UNIFORM = actuator().with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
 
 
 class Friction:
     """An inverse with constant friction of `size` N*m in the direction of sigma."""
 
-    friction_angle, pretension = 0.26, 45.0
+    friction_angle, pretension, clipped = 0.26, 45.0, False
     notes: tuple[str, ...] = ()
 
     def __init__(self, size: float = 0.5) -> None:
         self.size = size
         self.resets = 0
+        self.limit = 5.0, 5.0  # N*m, below and above 0
 
     def update(
         self,
@@ -46,8 +57,8 @@ class Friction:
     def half_loop(self) -> float:
         return self.size
 
-    def domain_limit(self) -> float:
-        return 5.0
+    def domain(self) -> tuple[float, float]:
+        return -self.limit[0], self.limit[1]
 
     def reset(self) -> None:
         self.resets += 1
@@ -197,6 +208,41 @@ def test_stays_where_both_tendons_pull_and_says_so(sign: float) -> None:
     assert (law.beyond, law.cut) == (False, 1)
 
 
+@settings(max_examples=60, deadline=None)
+@given(
+    st.floats(0.05, 1.2),
+    st.sampled_from(sorted(SHAPES)),
+    st.sampled_from([1.0, -1.0]),
+    st.floats(-0.99, 0.99),
+)
+def test_inverts_the_capstan_equation_wherever_both_tendons_pull(x: float, shape: str, way: float, load: float) -> None:
+    """For any friction angle, shape, direction and load up to the torque at which a tendon goes slack."""
+    points = SHAPES[shape]
+    pair = Pair(points, x, axial_stiffness=6e3)
+    t1, t3 = pair.motor_tensions(0.0, way)
+    per_torque = pair.motor_tensions(1.0, way)[1] - t3  # N per N*m; T1 changes by this less 1/r_M
+    bound = t1 / (1.0 / pair.motor_radius - per_torque) if load > 0.0 else t3 / per_torque
+    wanted = pair.joint_torque(load * bound, way)
+    profile = "uniform" if shape == "uniform" else [[0.0, 0.0], *(list(point) for point in points)]
+    effects = {"elongation_coupling": {"curvature_profile": profile}}
+    model = dataclasses.replace(actuator(), friction_coefficient=x / 2.6).with_effects(effects)
+    joint = Joint(make(model, Feedforward(model, PERIOD), fade_in=0.0, settle=0.0, compensation=1.0), way)
+    tau_m = joint.settled(wanted)
+    assert not joint.law.beyond
+    assert pair.joint_torque(tau_m, way) == pytest.approx(wanted, abs=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_reports_a_set_point_whose_exact_inverse_is_clipped(sign: float) -> None:
+    """The ideal torque is inside the domain, 1.92 of 2.04 N*m, but not the torque that overcomes friction as well."""
+    joint = Joint(make(UNIFORM, Feedforward(UNIFORM, PERIOD), fade_in=0.0, compensation=1.0), sign)
+    tau_m = joint.settled(sign * 2.4)
+    assert joint.law.beyond
+    assert sign * tau_m == pytest.approx(sign * joint.law.domain[1 if sign > 0.0 else 0])
+    joint.settled(sign * 1.0)
+    assert not joint.law.beyond
+
+
 def test_a_pretension_that_is_nearly_gone_is_told() -> None:
     """With the next look at the half loop."""
     law = make(UNIFORM, Feedforward(UNIFORM, PERIOD))
@@ -206,7 +252,7 @@ def test_a_pretension_that_is_nearly_gone_is_told() -> None:
         law.update(0.0, math.nan, math.nan, n * PERIOD, 1.0)
         law.follow(0.0)
     assert law.near_slack
-    assert law.domain == pytest.approx(2.0 * 0.2 * 45.0 * 0.020)
+    assert law.domain == pytest.approx((-2.0 * 0.2 * 45.0 * 0.020, 2.0 * 0.2 * 45.0 * 0.020))
 
 
 def test_what_is_not_finite_reaches_the_limiter() -> None:

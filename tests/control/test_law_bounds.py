@@ -126,7 +126,6 @@ class Inverse(Friction):
     def __init__(self, size: float = 0.5) -> None:
         super().__init__(size)
         self.asked: list[tuple[float, ...]] = []
-        self.limit = 5.0
         self.sets: list[tuple[float | None, float | None]] = []
         self.notes = ("an inverse's",)
 
@@ -143,9 +142,6 @@ class Inverse(Friction):
     ) -> float:
         self.asked.append((tau_j_des, sigma, omega_j, q_j, q_m, t))
         return tau_j_des * RATIO + self.size * sigma
-
-    def domain_limit(self) -> float:
-        return self.limit
 
     def set(self, friction_angle: float | None = None, pretension: float | None = None) -> None:
         self.sets.append((friction_angle, pretension))
@@ -205,7 +201,7 @@ def test_a_new_law_has_given_nothing() -> None:
     assert (law.beyond, law.near_slack, law.bound) == (False, False, math.inf)
     assert (law.compensation, law.slew, law.plan.delay) == (0.75, 125.0, 0.004)
     assert law.notes == ("a plan's", "an inverse's")
-    assert (law.half_loop, law.domain, law.pretension, law.sigma) == (0.5, 5.0, 45.0, 0.0)
+    assert (law.half_loop, law.domain, law.pretension, law.sigma) == (0.5, (-5.0, 5.0), 45.0, 0.0)
     assert parts.inverse.resets == 1
     assert parts.way.forgot >= 1
     parts.motion.velocity = 0.75
@@ -288,14 +284,14 @@ def test_the_term_slews_both_ways(way: float) -> None:
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_ideal_and_term_stay_within_the_domain(way: float) -> None:
     parts = Parts()
-    parts.inverse.limit = 1.25
+    parts.inverse.limit = (0.5, 1.25) if way > 0.0 else (1.25, 0.5)  # the other direction's bound does not count
     parts.turn.force = way
     assert parts.ask(way * 0.9375) == way * 1.25  # 0.75 and 0.5: at the limit
     assert (parts.law.beyond, parts.law.cut) == (False, 0)
     assert parts.ask(way * 0.95) == way * 1.25
     assert parts.ask(way * 4.0) == way * 1.25
     assert (parts.law.beyond, parts.law.cut) == (True, 2)
-    parts.inverse.limit = math.nan
+    parts.inverse.limit = math.nan, math.nan
     assert parts.ask(way * 4.0) == pytest.approx(way * 3.7)
     assert (parts.law.beyond, parts.law.cut) == (False, 2)
     parts.law.beyond = True

@@ -139,7 +139,7 @@ def test_the_inverse_delivers_what_is_wanted_through_cycles_that_were_lost(expre
         for at, tau, speed in zip(t.tolist(), wanted.tolist(), omega.tolist(), strict=True):
             assert feedforward.update(math.nan, 1.0, speed, t=at) != 0.0  # refused, and nothing moves
             out.append(feedforward.update(tau, 1.0, speed, t=at))
-            feedforward.domain_limit()
+            feedforward.domain()
         return out
 
     tau_m = play()

@@ -22,8 +22,8 @@ swing; there the share e (`settle`) is taken back while the set-point stands and
 
 theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the stretch between motor and joint as an angle of
 the motor; J_M theta'' of a turn is planned with it, J_M r_J/r_M alpha_J carries the motor with the joint. The sum of
-ideal and friction term stays where both tendons pull, abs(tau_M) < 2 T_p r_M, unless the model knows slack; `beyond`
-says that it had to be cut.
+ideal and friction term stays between the two bounds of tau_M at which both tendons pull in the present direction, T_p
+by (3.54), unless the model has slack. `beyond` is True while the sum or its exact inverse is clipped there.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class LawSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class Inverse(Protocol):
-    """The live inverse of a model (`tsa_ctrl.model.feedforward`, or `simplified` where there are no effects)."""
+    """The live inverse of a model (`tsa_ctrl.model.feedforward`)."""
 
     @property
     def friction_angle(self) -> float: ...
@@ -79,6 +79,9 @@ class Inverse(Protocol):
 
     @property
     def notes(self) -> tuple[str, ...]: ...
+
+    @property
+    def clipped(self) -> bool: ...
 
     def update(
         self,
@@ -93,7 +96,7 @@ class Inverse(Protocol):
 
     def half_loop(self) -> float: ...
 
-    def domain_limit(self) -> float: ...
+    def domain(self) -> tuple[float, float]: ...
 
     def reset(self) -> None: ...
 
@@ -160,9 +163,9 @@ class Law:
         return self._motion.velocity
 
     @property
-    def domain(self) -> float:
-        """N*m at the motor within which both tendons pull, now."""
-        return self._inverse.domain_limit()
+    def domain(self) -> tuple[float, float]:
+        """Return the present lower and upper bound of the motor torque, N*m, between which both tendons pull."""
+        return self._inverse.domain()
 
     @property
     def pretension(self) -> float:
@@ -249,11 +252,10 @@ class Law:
         self.ideal = ideal
         self.friction_term += change
         wanted = ideal + self.friction_term
-        limit = inverse.domain_limit()
-        self.beyond = False
-        if not -limit <= wanted <= limit and limit == limit:
-            wanted = limit if wanted > limit else -limit if wanted < -limit else wanted
-            self.beyond = True
+        low, high = inverse.domain()
+        self.beyond = (share > 0.0 and inverse.clipped) or wanted < low or wanted > high
+        if self.beyond:
+            wanted = low if wanted < low else high if wanted > high else wanted
             self.cut += 1
         return wanted + self._move(share, scale, ideal, q_m, omega_m, acceleration)
 

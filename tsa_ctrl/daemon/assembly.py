@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 
 import msgspec
 
@@ -19,7 +19,7 @@ from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.choice import shape_share
 from tsa_ctrl.control.direction import Direction
 from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
-from tsa_ctrl.control.law import Inverse, Law
+from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.live import Tuner, parameters_of
 from tsa_ctrl.control.motion import LONGEST, Motion
 from tsa_ctrl.control.plan import Plan
@@ -31,7 +31,6 @@ from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.simplified import SimplifiedFeedforward
 from tsa_ctrl.model.sliding import least_stiffness, motor_stiffness, wound_by_friction
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
@@ -118,7 +117,7 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     else:
         motion = Motion(period, r_m / r_j * of_motor, 0.0, LONGEST)  # averages over the motor's ringing on its tendons
         direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
-    inverse = inverse_of(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
+    inverse = Feedforward(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
     way = wound_by_friction(model) * r_m / r_j
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
@@ -192,11 +191,6 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
             "[axis.oscillation] has no effect any longer: the guard of [axis.passivity] stands in its place; remove it"
         )
     return Bound(bound.seen, bound.unseen, tuple(notes))
-
-
-def inverse_of(model: TendonSheath, period: float, signals: Collection[str]) -> Inverse:
-    """The model's live inverse; `signals` are the optional ones that the axis measures."""
-    return Feedforward(model, period, signals) if model.effects else SimplifiedFeedforward(model)
 
 
 def _joint_angle(axis: ControlAxis) -> Callable[[], float]:

@@ -55,8 +55,8 @@ class Remarks:
                 self._events.add(
                     t,
                     axis.name,
-                    f"the set-point asks for more than {law.domain:.3g} N*m at the motor, beyond which one tendon "
-                    "would have to push: cut there (DOMAIN); ask for less, or raise the pretension",
+                    f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
+                    "the torque is limited to this range (DOMAIN); lower the set-point or raise the pretension",
                 )
             known = axis.joint_torque
             if known.contradicted is not self._contradicted[index]:
@@ -87,8 +87,8 @@ class Remarks:
                 self._events.add(
                     t,
                     axis.name,
-                    f"pretension {law.pretension:.3g} N at the present bending: the tendons are {state}, and the motor "
-                    f"may give up to {law.domain:.3g} N*m",
+                    f"pretension {law.pretension:.3g} N at the present wrap angle: the tendons are {state}; the motor "
+                    f"torque is limited to {_range(law.domain)}",
                 )
             self._look_at_bits(t, index, axis)
 
@@ -100,6 +100,10 @@ class Remarks:
             if word & bit and not before & bit and t - shown[bit] >= AGAIN:
                 shown[bit] = t
                 self._events.add(t, axis.name, f"{axis.image.nodes[0]} {words.format(word)}")
+
+
+def _range(domain: tuple[float, float]) -> str:
+    return f"{domain[0]:.3g} to {domain[1]:.3g} N*m"
 
 
 def _contradiction(there: bool, difference: float) -> str:

@@ -57,6 +57,7 @@ class Feedforward:
         self._last_omega = math.nan
         self._presliding: PreslidingState | None = None
         self._by_motor = False
+        self.clipped = False  # the last update ended at a bound of the domain
         self._memories.reset()
         self._use_effects()
         self.friction_angle = self._model.friction_angle
@@ -72,10 +73,12 @@ class Feedforward:
         """Effects of the model whose measurement has not come since the start."""
         return tuple(name for name in self._model.effects if name not in self._active)
 
-    def domain_limit(self) -> float:
-        """Largest abs(tau_M), N*m, at which both tendons still pull either way; inf when the model knows slack.
+    def domain(self) -> tuple[float, float]:
+        """Return the lowest and the highest tau_M, N*m, at which both tendons pull; infinite if the model has slack.
 
-        It is a bound on the command, in the state of the last update: motor-side effects are accounted for.
+        They bound the command in the state of the last update, so motor-side effects are included. Their sizes differ:
+        while the tendons slide, friction changes the pretension by (3.54) with the torque, and drive friction adds to
+        one side. 0 is always inside, so that a bound never moves a torque away from 0.
         """
         low, high = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
         if (custom := self._stack.custom_at("motor")) is not None:
@@ -83,7 +86,7 @@ class Feedforward:
         for effect in reversed(self._stack.motor_torque):
             low = effect.invert(SCALARS, low, self._state)
             high = effect.invert(SCALARS, high, self._state)
-        return max(0.0, min(-low, high))
+        return min(low, high, 0.0), max(low, high, 0.0)
 
     def half_loop(self) -> float:
         """h, N*m at the motor's pulley: half of what tau_M turns by with the direction, at no torque on the joint."""
@@ -106,7 +109,7 @@ class Feedforward:
         """tau_M, N*m, that delivers `tau_j_des` (N*m) in direction `sigma` (in [-1, 1], 0 at standstill).
 
         Finite for every finite tau_j_des. Without `acceleration_j` (rad/s^2) it is derived from omega_j by a causal
-        filter of `ACCELERATION_TIME`. The pulley's torque is kept inside the domain of the model (`domain_limit`).
+        filter of `ACCELERATION_TIME`. The pulley's torque is kept inside the domain of the model (`domain`).
         """
         if not math.isfinite(tau_j_des):
             return tau_j_des  # for the limiter to refuse
@@ -134,6 +137,7 @@ class Feedforward:
         cut = low if tau_m < low else high if tau_m > high else tau_m
         if memories.parts and (custom := stack.custom_at("joint")) is not None:
             custom.accept(brought if cut == tau_m else self._brought(cut, x, pretension), state, memories)
+        self.clipped = cut != tau_m
         tau_m = cut
         if (custom := stack.custom_at("motor")) is not None:
             tau_m = custom.invert(tau_m, state, memories)

@@ -34,7 +34,7 @@ class Reason(Enum):
     RATE = 8
     ABSOLUTE = 9
     OSCILLATION = 10  # the torque is as wanted, but the motor buzzed and the guard holds the compensation back
-    DOMAIN = 11  # cut by the law before it came here: beyond it a tendon would have to push
+    DOMAIN = 11  # limited by the law before this check: beyond it one tendon goes slack
     PASSIVITY = 12  # as wanted, but the compensation moved the joint by itself and the guard holds it back
     SENSE = 13  # small until the motor has shown since the enable that it pulls the way it says: see safety.sense
 
