@@ -3,12 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
+import multiprocessing
 import os
 import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config"
+MOST_PROCESSES = 2
+
+Item = TypeVar("Item")
+Done = TypeVar("Done")
 
 
 def name_of(module: str) -> str:
@@ -48,3 +56,14 @@ def measured_data(module: str) -> Path | None:
         f"or name the folder that holds davinci/ in {catalogue.VARIABLE}"
     )
     return None
+
+
+def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int) -> Iterator[Done]:
+    """Yield `work(item)` of every item as it is done; the first one compiles what all need, before others begin."""
+    first, rest = items[:1], items[1:]
+    yield from map(work, first if processes > 1 and rest else items)
+    if processes > 1 and rest:
+        context = multiprocessing.get_context("fork")
+        with concurrent.futures.ProcessPoolExecutor(processes, context) as pool:
+            for done in concurrent.futures.as_completed([pool.submit(work, item) for item in rest]):
+                yield done.result()

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tools.campaign import runaway
+from tools.campaign.passive import scan
 from tools.manual.tables import cells
 
 TWO_MINUTES = ("runaway", "--healthy", "120", "--rows")
@@ -53,3 +54,21 @@ def test_one_word_on_one_load_is_a_goal_missed(
     table = {line[0]: line[-1] for line in cells(capsys.readouterr().out.partition("\n")[2])[1:]}
     assert table["limb"] == "passivity: 80 % of what the model file says"
     assert table["weight"] == "nothing"
+
+
+def test_a_cell_of_the_scan_without_compensation_comes_to_rest_and_is_given_no_work() -> None:
+    fixed = {"centre": 0.5, "delay": 1, "motor_bits": 16, "joint_bits": 20}
+    (cell,) = scan.cells(1, ["encoder"], ["free"], ["zero"], ["friction"], [0.3], fixed)
+    row = scan.Judge(0.0, "bench", 0.2, {}, {})(cell)
+    assert row["speed"] == 0.0
+    assert row["work"] < 1e-3
+    assert row["peak"] > 0.5
+    assert scan.good(row)
+
+
+def test_the_same_seed_draws_the_same_rig_for_a_cell_whatever_other_cells_there_are() -> None:
+    chosen = (["zero"], ["friction"])
+    one = scan.cells(5, ["encoder"], ["limb"], *chosen, [0.3], {})
+    many = scan.cells(5, scan.SENSORS, tuple(scan.LOADS), *chosen, scan.SHARES, {})
+    assert one[0] in many
+    assert one != scan.cells(6, ["encoder"], ["limb"], *chosen, [0.3], {})

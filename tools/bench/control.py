@@ -34,6 +34,7 @@ from tsa_ctrl.control.margin import LAG
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for
+from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.system.processes import tsa
 from tsa_ctrl.virtual.script import Change
@@ -55,7 +56,7 @@ TAKEN_AWAY: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-def true_model(shape: str) -> TendonSheath:
+def true_model(shape: str | Points) -> TendonSheath:
     """The plant's own friction, pretension, stiffness and shape, and the encoder's lag."""
     factors = rig.TRUTH
     x = rig.NOMINAL.friction_angle * factors["friction_coefficient"]

@@ -2,6 +2,7 @@
 
 Usage: tools/run campaign/runaway [--sample N] [--rows FILE] [--delays 1 3] [--compensation 0.95] [--json]
        [--loads free ...] [--set-points constant ...] [--missed FILE] [--which] [--healthy SECONDS [--slices N]]
+       tools/run campaign/runaway scan --help
 
 Each case is one run of the real loop on distributed tendons, whose model file is true until 1.2 s: then pretension,
 friction or bending step to a share of what they were, and a joint that stands is nudged (a limb's hand lets go). Judged
@@ -31,6 +32,7 @@ import dataclasses
 import itertools
 import json
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,7 @@ from rich.table import Table
 
 from tools import command
 from tools.bench.results import read_rows
+from tools.campaign.passive import scan
 from tools.campaign.passive.cases import LOADS, SET_POINTS, Case, cases
 from tools.campaign.passive.judge import healthy, judge, words
 from tsa_ctrl.errors import UsageError
@@ -136,6 +139,10 @@ def spread(all_cases: list[Case], number: int) -> list[Case]:
 
 
 def main() -> int:
+    if sys.argv[1:2] == ["scan"]:
+        parser = command.parser(f"{__name__} scan", scan.__doc__)
+        scan.options(parser)
+        return scan.run(parser.parse_args(sys.argv[2:]))
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--sample", type=int, default=0, help="so many cases; 0: all")
     parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")

@@ -22,14 +22,26 @@ LOWERED = "friction and pretension together are about"  # how what is said of th
 QUIET_SPEED, QUIET_TORQUE = 0.02, 0.02  # rad/s RMS, N*m peak to peak
 
 
-def power(result: Simulation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Times from the change on, s of the log, and the work per row beyond the set-point's, J."""
+def power(result: Simulation, begin: float = AT) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return times from `begin` on, s of the log, and the work per row beyond the set-point's, J."""
     axis, truth = result.axes[0], result.truth
     t = truth["clock"] - axis.start
-    on = (t >= AT) & (t < axis.until)
+    on = (t >= begin) & (t < axis.until)
     wanted = np.interp(t, axis.log["t"], axis.log["tau_j_des"])
     step = np.diff(t, prepend=t[0])
     return t[on], ((truth["tau_j"] - wanted) * truth["omega_j"] * step)[on]
+
+
+def most_work(result: Simulation, begin: float) -> float:
+    """Return the most work, J, beyond the set-point's that any window after `begin` s of the log gave the joint."""
+    return float(windows(power(result, begin)[1]).max(initial=0.0))
+
+
+def speed(result: Simulation, begin: float, end: float) -> float:
+    """Return the joint's RMS speed between two times of the log, rad/s; 0 after a run that ended at rest before."""
+    t = result.truth["clock"] - result.axes[0].start
+    on = (t >= begin) & (t < end) & (t < result.axes[0].until)
+    return float(np.sqrt(np.mean(np.square(result.truth["omega_j"][on])))) if on.any() else 0.0
 
 
 def windows(work: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,0 +1,157 @@
+"""One run of the real loop on distributed tendons: rig, sensors, set-point and what happens meanwhile.
+
+The controller's file is true, except for the tendons' stiffness, which is that of a data sheet. What the plant has
+less of from the start (`friction`, `pretension`) or loses meanwhile (a fault) the controller's file does not contain.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tools.bench.control import true_model
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.demo import rig
+from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.model.curvature import NAMED, Points, Profile, centred
+from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.plant.process import check
+from tsa_ctrl.plant.record import COLUMNS, Record
+from tsa_ctrl.virtual.result import Simulation
+from tsa_ctrl.virtual.script import Change, Fault
+from tsa_ctrl.virtual.simulation import Run
+
+LOADS = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer": 0.05}  # kg*m^2
+SENSORS = ("motor", "encoder", "sensor")  # no joint encoder; joint encoder; joint encoder and joint torque sensor
+SET_POINTS = ("zero", "constant", "sine", "gait")
+CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
+GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque: a joint of 0.02 kg*m^2 stays below 5 rad/s
+STILL = [[0.0, 0.0, 0.0, 0.0]]  # script of a hand that holds nothing
+_PLACES = {name: place for place, (name, _) in enumerate(COLUMNS)}
+
+Ended = Callable[[float, float], bool]  # s of the log and rad/s of the joint; whether all has been seen
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A rig and its set-point. `friction`, `pretension`: of the plant, as shares of the file's, from the start on.
+
+    `centre`: s_c, centre of the bends along the sheath (0 motor, 1 joint); `delay` in periods; `motor_bits` and
+    `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `hand`: script of a hand on the joint, of a wearer
+    its own where none is given; `axis`: tables over the controller's [[axis]]; `file`: over the file's other tables.
+    """
+
+    load: str
+    set_point: str
+    sensors: str = "sensor"
+    friction: float = 1.0
+    pretension: float = 1.0
+    centre: float = 0.5
+    delay: int = 1
+    motor_bits: int = 16
+    joint_bits: int = 20
+    compensation: float = 0.95
+    fade_in: float = 0.5
+    inertia: float = rig.MOTOR_INERTIA
+    seed: int = 1
+    hand: Sequence[Sequence[float]] | None = None
+    axis: dict[str, Any] = dataclasses.field(default_factory=dict)
+    file: dict[str, Any] = dataclasses.field(default_factory=dict)
+
+    def play(
+        self,
+        seconds: float,
+        faults: Sequence[Fault] = (),
+        changes: Sequence[Change] = (),
+        ended: Ended | None = None,
+    ) -> Simulation:
+        """Run for `seconds` of torque, or until `ended` returns True for a row of the plant's truth."""
+        motion = gait()
+        scaled = dataclasses.replace(motion, tau_j_des=GAIT_SHARE.get(self.load, 1.0) * motion.tau_j_des)
+        with tempfile.TemporaryDirectory(prefix="experiment-") as name:
+            folder = Path(name)
+            save_model(self.model(), folder / "true.toml")
+            rig.write(folder, scaled, self._plant(), {"run": self._controller()})
+            configuration = load_configuration(folder / "controller-run.toml")
+            run = Run(configuration, check(folder / "plant.toml"), seconds)
+            if ended is not None:
+                _end_early(run, ended)
+            try:
+                return run.play(faults, changes, lambda share: None)
+            finally:
+                run.close()
+
+    def model(self) -> TendonSheath:
+        """The controller's: true friction, pretension and shape; the stiffness as the data sheet has it."""
+        return dataclasses.replace(true_model(self._curvature()), axial_stiffness=rig.NOMINAL.axial_stiffness)
+
+    def _curvature(self) -> str | Points:
+        if self.centre == 0.5:
+            return "uniform"
+        return centred(Profile(NAMED["uniform"]), self.centre).points
+
+    def _plant(self) -> rig.Tables:
+        curvature = self._curvature()
+        axis: dict[str, dict[str, Any]] = {
+            "perturbation": {
+                "friction_coefficient": self.friction * rig.TRUTH["friction_coefficient"],
+                "pretension": self.pretension * rig.TRUTH["pretension"],
+            },
+            "tendon": {"curvature": curvature if isinstance(curvature, str) else [list(p) for p in curvature]},
+            "drive": {"delay_periods": self.delay - 1, "counts_per_revolution": 1 << self.motor_bits},
+            "motor": {"inertia": self.inertia},
+            "encoder": {"present": self.sensors != "motor", "counts_per_revolution": 1 << self.joint_bits},
+            "torque_sensor": {"present": self.sensors == "sensor"},
+        }
+        tables = rig.plant(VIRTUAL, "distributed", axis, self.load)
+        tables["physics"]["seed"] = self.seed
+        if self.hand is not None:
+            tables["axis"][0]["joint"] |= {"hand": [list(line) for line in self.hand], "hand_repeat": False}
+        return tables
+
+    def _controller(self) -> rig.Tables:
+        tables = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", self.compensation)
+        axis = tables["axis"][0]
+        axis["law"]["fade_in"] = self.fade_in
+        axis["drive"]["counts_per_revolution"] = 1 << self.motor_bits
+        axis["encoder"]["counts_per_revolution"] = 1 << self.joint_bits
+        if self.compensation > 0.0:
+            axis["law"] |= {"motor_inertia": self.inertia, "delay": (self.delay + 1.0) * 1e-3}  # hold, torque loop
+        if self.set_point in ("zero", "constant"):
+            axis["setpoint"] = {"kind": "constant", "offset": CONSTANT if self.set_point == "constant" else 0.0}
+        elif self.set_point == "sine":
+            axis["setpoint"] = {"kind": "sine", "amplitude": SINE, "frequency": FREQUENCY}
+        if self.sensors == "motor":
+            del axis["encoder"]
+        if self.sensors != "sensor":
+            del axis["torque_sensor"]
+        for name, values in self.axis.items():
+            axis[name] = {**axis.get(name, {}), **values} if isinstance(values, dict) else values
+        for name, values in self.file.items():
+            tables[name] = {**tables.get(name, {}), **values}
+        return tables
+
+
+class _Seen:
+    """Hands the plant's truth on, and stops the loop once all has been seen."""
+
+    def __init__(self, run: Run, record: Record, ended: Ended) -> None:
+        self._run, self._record, self._ended = run, record, ended
+        self.due, self.flush = record.due, record.flush
+
+    def row(self, values: Sequence[float]) -> None:
+        self._record.row(values)
+        start = self._run.loop.start
+        if start and self._ended(values[_PLACES["clock"]] - start, values[_PLACES["omega_j"]]):
+            self._run.loop.stop("all has been seen")
+
+
+def _end_early(run: Run, ended: Ended) -> None:
+    record = run.machine.recorder
+    assert record is not None
+    run.machine.recorder = _Seen(run, record, ended)

@@ -1,0 +1,273 @@
+"""Scan: does a joint keep moving by itself when its plant has less friction than the controller's file?
+
+Usage: tools/run campaign/runaway scan [--sensors motor ...] [--loads free ...] [--shares 0.1 ...] [--sample N]
+
+Each cell is one run of the real loop on distributed tendons in virtual time. The plant has a share of the file's
+friction (--of friction, pretension or both) from the start on. The set-point is 0 or 0.3 N*m, and the joint is nudged
+once (0.4 N*m for 0.1 s). Sensors: "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint
+encoder, "sensor" has both. Shape, delay and encoders are drawn for each cell by the seed. A run ends once the joint has
+been at rest for --rest seconds. The plant's truth is judged:
+
+  speed   RMS of the joint over 0.5 s, 3 s after the nudge. Set-point 0: at most 0.05 rad/s. Constant set-point: at most
+          0.2 rad/s above the same run at compensation 0, and above the run whose tendons have no friction ("ideal").
+          A free joint that follows its set-point is not a runaway; the last line counts the cells without this excuse.
+  work    the largest that any window gave the joint beyond the work of the set-point, integral of (tau_J - tau_J_des)
+          omega_J dt, minus that of the same run at compensation 0. Set-point 0: at most 10 mJ with the torque sensor,
+          otherwise 0.1 J in class "worn" and 0.4 J in class "bench" (--class). Otherwise it is printed only.
+
+One cell: `--sensors encoder --loads free --set-points zero --shares 0.8 --centre 0.5 --delay 1 --motor-bits 16
+--joint-bits 20`. Exit code 1: a goal was missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import json
+import random
+import secrets
+import time
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from rich.console import Console
+from rich.table import Table
+
+from tools import command
+from tools.bench.results import Results
+from tools.campaign.passive.experiment import LOADS, SENSORS, Experiment
+from tools.campaign.passive.judge import most_work, speed
+from tsa_ctrl.virtual.result import Simulation
+from tsa_ctrl.virtual.script import Fault
+
+SHARES = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+OF = ("friction", "pretension", "both")  # "both": the root of the share each
+SET_POINTS = ("zero", "constant")
+CENTRES, DELAYS, BITS = (0.3, 0.5, 0.65), (1, 2, 3), (14, 20)  # 1, periods, least and most
+NUDGE = 0.4  # N*m on the joint
+NUDGED, NUDGE_TIME = 0.8, 0.1  # s of the log when it begins, s that it lasts
+WATCHED, WINDOW = 3.0, 0.5  # s after the nudge when the speed is measured, s over which
+STILL, REST = 0.01, 1.0  # rad/s of a joint at rest, s of rest that end a run
+RELAXED = ((0.0, 2.0, 0.3, 0.0),)  # a wearer's hand: s, N*m/rad, N*m*s/rad, rad
+IDEAL = 0.01  # share of the friction that counts as none: what the set-point alone does to the joint
+MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point above the same run without compensation
+MOST_WITH_SENSOR = 10e-3  # J
+WIDTH = 190  # characters of the table
+MOST_WORK = {"worn": 0.1, "bench": 0.4}  # J by class of use, without a joint torque sensor
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run of the scan; `of` names what of the plant is a `share` of the file's."""
+
+    sensors: str
+    load: str
+    set_point: str
+    of: str
+    share: float
+    centre: float
+    delay: int
+    motor_bits: int
+    joint_bits: int
+
+    @property
+    def key(self) -> str:
+        rig = f"s_c {self.centre:g}, delay {self.delay}, {self.motor_bits} and {self.joint_bits} bit"
+        return f"{self.sensors}, {self.load}, {self.set_point}, {self.of} {self.share:g}, {rig}"
+
+    def experiment(self, compensation: float, **more: Any) -> Experiment:
+        """The rig; `more` replaces fields of it."""
+        each = self.share**0.5 if self.of == "both" else self.share
+        fields: dict[str, Any] = {
+            "friction": each if self.of != "pretension" else 1.0,
+            "pretension": each if self.of != "friction" else 1.0,
+            "hand": RELAXED if self.load == "wearer" else None,
+        }
+        rig = dataclasses.asdict(self)
+        del rig["of"], rig["share"]
+        return Experiment(**{**rig, **fields, "compensation": compensation, "fade_in": 0.3, **more})
+
+
+@dataclass(frozen=True)
+class Judge:
+    """How cells are run: share of the friction term, class of use, seconds of rest that end a run, and tables of TOML
+    over those of the controller's [[axis]] and of its file.
+    """
+
+    compensation: float
+    use: str
+    rest: float
+    axis: dict[str, Any]
+    file: dict[str, Any]
+
+    def __call__(self, cell: Cell) -> dict[str, Any]:
+        """Run a cell and, where it moves at a constant set-point, what it is compared with."""
+        result = self._play(cell.experiment(self.compensation, axis=self.axis, file=self.file))
+        left = speed(result, NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
+        work = most_work(result, NUDGED)
+        row = {**dataclasses.asdict(cell), "compensation": self.compensation, "class": self.use, "speed": left}
+        most = MOST_WITH_SENSOR if cell.sensors == "sensor" else MOST_WORK[self.use]
+        bound = MOST_SPEED[cell.set_point]
+        without = ideal = 0.0
+        if cell.set_point == "constant" and left > bound:
+            without = speed(self._play(cell.experiment(0.0)), NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
+            if left > without + bound:  # a free joint follows its set-point: that motion is desired
+                bare = dataclasses.replace(cell, of="friction", share=IDEAL).experiment(0.0)
+                ideal = speed(self._play(bare), NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
+        if work > most:
+            work = max(0.0, work - most_work(self._play(cell.experiment(0.0)), NUDGED))
+        events = [event.text for event in result.summary.events if event.t > NUDGED and event.text]
+        row |= {
+            "work": work,
+            "speed_without": without,
+            "speed_ideal": ideal,
+            "peak": float(np.abs(result.truth["omega_j"]).max()),
+            "events": events[:3],
+            "sustained": left > bound + max(without, ideal),
+            "literal": left > bound + without,
+            "excess_work": work > most,
+        }
+        return row
+
+    def _play(self, experiment: Experiment) -> Simulation:
+        since = NUDGED + NUDGE_TIME
+
+        def ended(t: float, omega: float) -> bool:
+            nonlocal since
+            if abs(omega) > STILL or t < NUDGED + NUDGE_TIME:
+                since = max(t, NUDGED + NUDGE_TIME)
+            return t - since > self.rest
+
+        nudge = Fault(f"push value={NUDGE} duration={NUDGE_TIME}", NUDGED)
+        return experiment.play(NUDGED + WATCHED + WINDOW + 0.1, [nudge], ended=ended)
+
+
+def cells(
+    seed: int,
+    sensors: Sequence[str],
+    loads: Sequence[str],
+    set_points: Sequence[str],
+    of: Sequence[str],
+    shares: Sequence[float],
+    fixed: dict[str, Any],
+) -> list[Cell]:
+    """All cells; `fixed` values take the place of drawn ones (centre, delay, motor_bits, joint_bits)."""
+    found = []
+    for names in itertools.product(sensors, loads, set_points, of, shares):
+        rng = np.random.default_rng([seed, zlib.crc32(repr(names).encode())])
+        drawn: dict[str, Any] = {
+            "centre": float(rng.choice(CENTRES)),
+            "delay": int(rng.choice(DELAYS)),
+            "motor_bits": int(rng.integers(BITS[0], BITS[1] + 1)),
+            "joint_bits": int(rng.integers(BITS[0], BITS[1] + 1)),
+        }
+        found.append(Cell(*names, **{**drawn, **fixed}))
+    return found
+
+
+def good(row: dict[str, Any]) -> bool:
+    return not (row["sustained"] or (row["excess_work"] and row["set_point"] == "zero"))
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """One line for each sensor configuration, load and set-point: worst speed and worst work, each with its cell."""
+    heads = ("sensors", "load", "set-point", "cells", "missed", "speed (rad/s)", "at c = 0; ideal", "of the cell")
+    found = Table(*heads, "work (mJ)", "of the cell", title="scan", title_justify="left")
+    for key in itertools.product(SENSORS, LOADS, SET_POINTS):
+        those = [row for row in rows if (row["sensors"], row["load"], row["set_point"]) == key]
+        if not those:
+            continue
+        fast = max(those, key=lambda row: row["speed"] - max(row["speed_without"], row["speed_ideal"]))
+        strong = max(those, key=lambda row: float(row["work"]))
+        found.add_row(
+            *key,
+            str(len(those)),
+            str(sum(not good(row) for row in those)),
+            f"{fast['speed']:.2f}",
+            f"{fast['speed_without']:.2f}; {fast['speed_ideal']:.2f}",
+            _words(fast),
+            f"{1e3 * strong['work']:.1f}",
+            _words(strong),
+        )
+    return found
+
+
+def _words(row: dict[str, Any]) -> str:
+    bits = f"{row['motor_bits']}/{row['joint_bits']} bit"
+    return f"{row['of']} {row['share']:g}, s_c {row['centre']:g}, delay {row['delay']}, {bits}"
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the scan's options."""
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
+    parser.add_argument("--loads", nargs="+", choices=tuple(LOADS), default=("free", "weight", "limb", "spring"))
+    parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
+    parser.add_argument("--of", nargs="+", choices=OF, default=OF[:1], help="what the plant has less of")
+    parser.add_argument("--shares", nargs="+", type=float, default=SHARES, help="of the file's, 1 (default 0.1 to 1)")
+    parser.add_argument("--centre", type=float, help="s_c of every cell, instead of a drawn one")
+    parser.add_argument("--delay", type=int, help="periods, of every cell")
+    parser.add_argument("--motor-bits", type=int, help="bits of the motor's encoder, of every cell")
+    parser.add_argument("--joint-bits", type=int, help="bits of the joint encoder, of every cell")
+    parser.add_argument("--seed", type=int, help="of what is drawn (default: a fresh one, which is printed)")
+    parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn cells; 0: all")
+    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
+    parser.add_argument("--class", dest="use", choices=tuple(MOST_WORK), default="bench", help="whose work counts")
+    parser.add_argument("--rest", type=float, default=REST, help=f"s of rest that end a run (default {REST:g})")
+    parser.add_argument("--axis", default="", metavar="TOML", help="over the controller's [[axis]]: 'law.settle = 0.0'")
+    parser.add_argument("--file", default="", metavar="TOML", help="over the controller's other tables")
+    parser.add_argument("--rows", type=Path, help="JSON lines: cells that are in the file are not run again")
+    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
+    parser.add_argument("--json", action="store_true", help="a JSON object for each cell, instead of the table")
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Run the chosen cells and print them; 1 if a cell missed a goal."""
+    seed = secrets.randbelow(10**6) if chosen.seed is None else chosen.seed
+    drawn = {name: getattr(chosen, name) for name in ("centre", "delay", "motor_bits", "joint_bits")}
+    fixed = {name: value for name, value in drawn.items() if value is not None}
+    names = (chosen.sensors, chosen.loads, chosen.set_points, chosen.of, chosen.shares)
+    found = cells(seed, *names, fixed)
+    if chosen.sample:
+        random.Random(seed).shuffle(found)
+        found = found[: chosen.sample]
+    tables = [tomlkit.parse(text).unwrap() for text in (chosen.axis, chosen.file)]
+    judge = Judge(chosen.compensation, chosen.use, chosen.rest, *tables)
+    kept = Results(chosen.rows, key_of)
+    begun = time.monotonic()
+    for row in command.parallel(
+        judge, [cell for cell in found if key_of(dataclasses.asdict(cell)) not in kept], chosen.processes
+    ):
+        kept.add(row)
+        if not good(row) and not chosen.json:
+            print(f"missed: {words(row)}", flush=True)
+    rows = [kept[key_of(dataclasses.asdict(cell))] for cell in found]
+    if chosen.json:
+        print("\n".join(map(json.dumps, rows)))
+    else:
+        Console(width=WIDTH).print(table(rows))
+        missed = sum(not good(row) for row in rows)
+        literal = sum(row["literal"] for row in rows if row["set_point"] == "constant")
+        print(
+            f"{len(rows)} cells, {missed} missed; at the constant set-point {literal} are faster than without "
+            f"compensation by {MOST_SPEED['constant']:g} rad/s; seed {seed}; {time.monotonic() - begun:.0f} s"
+        )
+    return 0 if all(map(good, rows)) else 1
+
+
+def key_of(row: dict[str, Any]) -> tuple[Any, ...]:
+    """Return what makes a cell."""
+    return tuple(row[field.name] for field in dataclasses.fields(Cell))
+
+
+def words(row: dict[str, Any]) -> str:
+    """Return a cell's name and what was measured."""
+    name = Cell(*key_of(row)).key
+    speeds = f"{row['speed']:.2f} rad/s (c = 0: {row['speed_without']:.2f}, ideal {row['speed_ideal']:.2f})"
+    first = "; ".join(text.split(";")[0] for text in row["events"][:2])
+    return f"{name}: {speeds}, {1e3 * row['work']:.1f} mJ; {first or 'no event'}"
