@@ -13,8 +13,8 @@ from tsa_ctrl.bench.rate import Bound, bounds, holds, rounded_down
 from tsa_ctrl.bench.responder import standing_in
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire import link as interface
 from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import is_simulated
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.doctor.can_interface import answering, judged, listen
@@ -26,7 +26,6 @@ from tsa_ctrl.system import realtime
 LOWER = 0.8  # factor of the next try when a rate does not hold
 TRIES = 8
 TOLERATED = 100  # cycles; what is lost makes a rate one that does not hold
-IN_ONE_MACHINE = frozenset({"virtual", "udp_multicast"})  # interfaces of python-can without a drive on them
 
 Progress = Callable[[str, float], None]
 
@@ -103,9 +102,7 @@ def _nobody(configuration: Configuration, bus: Bus) -> bool:
     there = [node for node in drives if answering(bus, node) is not None]
     if there == drives:
         return False
-    link = interface.read(settings.channel) if settings.interface == "socketcan" else None
-    virtual = settings.interface in IN_ONE_MACHINE or (link is not None and link.kind == "vcan")
-    if there or seen or not virtual:
+    if there or seen or not is_simulated(settings.interface, settings.channel):
         silent = ", ".join(str(node) for node in drives if node not in there)
         others = sorted({can_id & 0x7F for can_id in seen if can_id & 0x7F})
         talk = f" (nodes {', '.join(map(str, others))} talk)" if others else ""

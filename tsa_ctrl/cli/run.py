@@ -24,12 +24,16 @@ if TYPE_CHECKING:
 @click.option("--check", is_flag=True, help="Validate the configuration and what it refers to; move nothing.")
 @click.option("--seconds", type=Finite(min=0.0, min_open=True), help="End after this time of torque.")
 @click.option("--reset-faults", is_flag=True, help="Reset drives that are found in fault at the start.")
+@click.option("--allow-simulated", is_flag=True, help="Run a model file with simulated numbers on real drives.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object.")
-def command(controller: Path, check: bool, seconds: float | None, reset_faults: bool, as_json: bool) -> int:
+def command(
+    controller: Path, check: bool, seconds: float | None, reset_faults: bool, allow_simulated: bool, as_json: bool
+) -> int:
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     from tsa_ctrl.config import check_drives, load_configuration
+    from tsa_ctrl.daemon.joint_files import admitted
 
-    configuration = load_configuration(controller)
+    configuration = admitted(load_configuration(controller), allow_simulated)
     if check:
         check_drives(configuration)
         click.echo(_checked(configuration))
@@ -46,6 +50,7 @@ def command(controller: Path, check: bool, seconds: float | None, reset_faults: 
         math.inf if seconds is None else seconds,
         lambda line: click.echo(line, err=True),
         reset_faults=reset_faults,
+        allow_simulated=allow_simulated,
     )
     if as_json:
         click.echo(json.dumps(summary.as_dict()))

@@ -15,6 +15,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.descent import descend
+from tsa_ctrl.daemon.joint_files import JointFiles
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
@@ -39,9 +40,10 @@ class Operation:
         no_loop: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext,
         configured: bool = False,
         tell: Callable[[str], None] = lambda stage: None,
+        simulated: bool = False,
     ) -> None:
         """`no_loop` surrounds a new bring-up; `configured`: nothing is written to the nodes, see `daemon.run`; `tell`
-        gets what a bring-up waits for, in words, and nothing when it is over.
+        gets what a bring-up waits for, in words, and nothing when it is over; `simulated`: the nodes are no hardware.
         """
         self.unconfirmed: list[str] = []
         self._configuration = configuration
@@ -52,6 +54,7 @@ class Operation:
         self._no_loop = no_loop
         self._configured = configured
         self._tell = tell
+        self._joint_files = JointFiles(configuration, simulated)
 
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
         """Bring up, run, bring up again when asked to; then descend, whatever happened.
@@ -97,12 +100,15 @@ class Operation:
                     resets_later,
                     self._tell,
                     lambda: self._loop.stop_asked,
+                    self._joint_files.identify,
                 )
             finally:
                 self._tell("")
-            for line in report.lines():
+            for line in (*report.lines(), *self._joint_files.notes()):
                 self._say(line)
             self._rig.look_after(report)
+        for axis in self._axes:
+            axis.trusted = self._joint_files.trusted(axis.name)
         self._rig.start()
 
     def _prove(self, period: float) -> None:
@@ -160,6 +166,7 @@ class Operation:
             ),
             events=loop.events.all,
             unconfirmed=tuple(self.unconfirmed),
+            joints=self._joint_files.found(),
             log=log,
             log_written=written,
             log_lost=0 if log is None else loop.cycles * len(rig.axes) - written,

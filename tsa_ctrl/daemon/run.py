@@ -10,10 +10,12 @@ from types import FrameType
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import is_simulated
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.daemon.assembly import control_axes, tuners_of
 from tsa_ctrl.daemon.children import Children
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.joint_files import admitted
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.operation import Operation, Say
 from tsa_ctrl.daemon.summary import Summary
@@ -32,13 +34,16 @@ def run(
     configured: bool = False,
     reset_faults: bool = False,
     watch: Callable[[Rig], None] = lambda rig: None,
+    allow_simulated: bool = False,
 ) -> Summary:
     """Run the controller until it is stopped, or for `seconds` of torque; `say` gets a line for whoever watches.
 
     `configured`: the nodes are operational and mapped as they should be; nothing is written to them. `reset_faults`:
-    drives found in fault at the start are reset. `watch` gets the rig before anything is sent.
+    drives found in fault at the start are reset. `watch` gets the rig before anything is sent. `allow_simulated`:
+    model files with simulated numbers may run on hardware.
     Raises UsageError or BusError for what fails before the first cycle; what happens later is in the summary.
     """
+    configuration = admitted(configuration, allow_simulated)
     return Daemon(configuration, say, configured, reset_faults, watch).run(seconds)
 
 
@@ -105,6 +110,7 @@ class Daemon:
                         self._notifier.no_loop,
                         self._configured,
                         lambda stage: children.mailbox.publish_stage(bus.clock(), stage),
+                        is_simulated(file.bus.interface, file.bus.channel),
                     )
                     realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
                     try:

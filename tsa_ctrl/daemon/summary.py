@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,7 @@ class Summary:
     nodes: tuple[NodeCount, ...]
     events: tuple[Event, ...]
     unconfirmed: tuple[str, ...]
+    joints: Mapping[str, Mapping[str, Mapping[str, int]]]  # by axis and node: serial number, node id, slot
     log: str | None
     log_written: int
     log_lost: int
@@ -93,6 +95,7 @@ class Summary:
             "nodes": [vars(node) for node in self.nodes],
             "events": [vars(event) for event in self.events],
             "unconfirmed": list(self.unconfirmed),
+            "joints": self.joints,
             "log": self.log,
             "log_records": {"written": self.log_written, "lost": self.log_lost},
         }

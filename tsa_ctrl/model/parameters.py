@@ -10,99 +10,16 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-import msgspec
 import tomlkit
-from msgspec import Meta
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.actuator_file import ActuatorFile, RigidDriveFile, UncertaintySection
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
-from tsa_ctrl.model.provenance import interval_low, toml_table
-
-Positive = Annotated[float, Meta(gt=0.0)]
-NonNegative = Annotated[float, Meta(ge=0.0)]
-Radius = Annotated[float, Meta(gt=0.0, le=1.0)]  # m; larger is a wrong unit
-Length = Annotated[float, Meta(gt=0.0, le=100.0)]  # m
-Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
-
-
-class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[actuator] of a tendon-sheath model file."""
-
-    kind: Literal["tendon_sheath"] = "tendon_sheath"
-    motor_pulley_radius: Radius  # r_M, m
-    joint_pulley_radius: Radius  # r_J, m
-
-
-class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[actuator] of a drive without joint torque sensor."""
-
-    kind: Literal["rigid_drive"]
-    inertia: NonNegative | None = None  # J, kg*m^2
-    coulomb_friction: NonNegative | None = None  # tau_c, N*m
-    viscous_friction: NonNegative | None = None  # b, N*m*s/rad
-    torque_offset: float | None = None  # c, N*m
-
-
-class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[tendon]."""
-
-    axial_stiffness: Positive  # E A, N
-    unstrained_length: Length  # l_us, m
-    diameter: Annotated[float, Meta(gt=0.0, le=0.1)]  # d, m
-    series_stiffness: Positive | None = None  # k_s, N/m, per tendon
-    series_position: Literal["motor", "joint"] | None = None  # the end at which it stands; "motor"
-
-
-class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[sheath]."""
-
-    friction_coefficient: Annotated[float, Meta(ge=0.0, le=5.0)]  # mu, 1
-    bending_angle: Angle  # Theta, rad
-    contact_offset: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # p, m
-    unstrained_bending_angle: float | None = None  # Theta_us, rad (3.51)
-    bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, where no effect gives the whole course
-    bending_course: tuple[tuple[float, float], ...] | None = None  # (of the length, of the bending) about that centre
-
-
-class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[pretension]."""
-
-    value: NonNegative | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
-    length_change: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None  # Delta l of (3.56), m: the tensioner
-
-
-class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[uncertainty]: how far the nominal values may be off."""
-
-    friction_angle: NonNegative = 0.25  # factor either way, minus 1
-    pretension: NonNegative = 0.25
-    axial_stiffness: NonNegative = 0.1  # E A, series spring included
-    bending_centre: NonNegative = 0.05  # 1, absolute: s_c, where along the sheath the bends are
-
-
-class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A model file of kind "tendon_sheath", as it is written."""
-
-    actuator: ActuatorSection
-    tendon: TendonSection
-    sheath: SheathSection
-    pretension: PretensionSection = PretensionSection()
-    uncertainty: UncertaintySection = UncertaintySection()
-    effects: dict[str, dict[str, Any]] = {}
-    provenance: dict[str, Any] = {}
-
-
-class RigidDriveFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """A model file of kind "rigid_drive", as it is written."""
-
-    actuator: RigidDriveSection
-    effects: dict[str, dict[str, Any]] = {}
-    provenance: dict[str, Any] = {}
-
+from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 
 Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
 
@@ -135,6 +52,7 @@ class TendonSheath:
     effects: Effects = field(default_factory=dict)
     source: str = ""
     half_loop_low: float | None = field(default=None, compare=False)  # N*m at the joint, of the calibration's interval
+    origin: Origin = field(default_factory=Origin, compare=False)  # source of the numbers, and the joint's nodes
 
     def __post_init__(self) -> None:
         """T_ref defaults to this pretension for good, so that recalibrating the pretension does not move it."""
@@ -255,6 +173,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         bending_centre_uncertainty=file.uncertainty.bending_centre,
         source=where,
         half_loop_low=interval_low(file.provenance, "half_loop_torque"),
+        origin=origin_of(file.provenance, where),
     )
     pretension = _resolve_pretension(file, model, where)
     return dataclasses.replace(model, pretension=pretension, effects=check_effects(file.effects, where))

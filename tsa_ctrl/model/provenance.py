@@ -1,11 +1,72 @@
-"""The `[provenance]` of a model file: what is written there as a table, and what is read again of a calibration."""
+"""The `[provenance]` table of a model file: the source of its numbers, and the joint that they were measured on."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
 
+import msgspec
 import tomlkit
+from msgspec import Meta
+
+from tsa_ctrl import settings
+
+Source = Literal["measured", "simulated", "logs", ""]
+NODES = ("drive", "encoder")  # the nodes that identify a joint, by their tables in [provenance]
+
+
+class NodeIdentity(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One node of a joint. A node without a serial number is identified by its node id."""
+
+    serial_number: Annotated[int, Meta(ge=0, le=0xFFFFFFFF)] = 0  # 0x1018:4; 0: the node has none
+    node_id: Annotated[int, Meta(ge=1, le=127)]
+    slot: Annotated[int, Meta(ge=1, le=8)] = 1  # axis within a device of several axes
+
+    def difference(self, found: NodeIdentity) -> str:
+        """Return how `found` differs from this node, with both numbers; return "" for the same node."""
+        if self.serial_number != found.serial_number:
+            return f"{self._serial()}, found is {found._serial()}"
+        if self.slot != found.slot:
+            return f"slot {self.slot} of {self._serial()}, found is slot {found.slot}"
+        if not self.serial_number and self.node_id != found.node_id:
+            return f"node {self.node_id} ({self._serial()}), found is node {found.node_id}"
+        return ""
+
+    def _serial(self) -> str:
+        return f"serial number {self.serial_number}" if self.serial_number else "no serial number"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The source of a model file's numbers, and the nodes of the joint that it belongs to."""
+
+    source: Source = ""  # "": not stated, as in a file that a person wrote
+    nodes: Mapping[str, NodeIdentity] = field(default_factory=dict)  # by NODES
+
+
+def origin_of(provenance: Mapping[str, Any], where: str) -> Origin:
+    """Return the origin that `[provenance]` states.
+
+    Raises:
+        UsageError: `source` or a node's table is wrong.
+    """
+    source = settings.convert({"source": provenance.get("source", "")}, _Stated, f"{where}: [provenance]").source
+    nodes = {
+        name: settings.convert(provenance[name], NodeIdentity, f"{where}: [provenance.{name}]")
+        for name in NODES
+        if name in provenance
+    }
+    return Origin(source, nodes)
+
+
+class _Stated(msgspec.Struct):
+    source: Source
+
+
+def nodes_table(nodes: Mapping[str, NodeIdentity]) -> dict[str, dict[str, int]]:
+    """Return the nodes as plain values for `[provenance]`."""
+    return {name: msgspec.structs.asdict(node) for name, node in nodes.items()}
 
 
 def interval_low(provenance: Mapping[str, Any], name: str) -> float | None:

@@ -61,7 +61,8 @@ class Encoder(Node):
             Entry(0x6501, 0, Type.U32, ro, settings.counts_per_revolution),
         )
         tpdos = tuple(enumerate((PdoDefault(0x180, 1, ((0x6004, 0),)), PdoDefault(INVALID | 0x280, 1, ()))))
-        identity = Identity(ENCODER_DEVICE_TYPE, settings.name, settings.vendor, settings.product, serial=node)
+        serial = node if settings.serial_number is None else settings.serial_number
+        identity = Identity(ENCODER_DEVICE_TYPE, settings.name, settings.vendor, settings.product, serial=serial)
         super().__init__(node, identity, entries, tpdos, (), send)
 
     def sample(self) -> None:
@@ -104,7 +105,8 @@ class TorqueSensor(Node):
             Entry(0x9130, 2, Type.I32, ro, mappable=True),
         )
         tpdos = tuple(enumerate((PdoDefault(0x180, 1, ((0x9130, 1),)), PdoDefault(INVALID | 0x280, 1, ()))))
-        identity = Identity(TORQUE_SENSOR_DEVICE_TYPE, settings.name, settings.vendor, settings.product, serial=node)
+        serial = node if settings.serial_number is None else settings.serial_number
+        identity = Identity(TORQUE_SENSOR_DEVICE_TYPE, settings.name, settings.vendor, settings.product, serial=serial)
         super().__init__(node, identity, entries, tpdos, (), send)
 
     def sample(self) -> None:

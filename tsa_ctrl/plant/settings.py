@@ -123,6 +123,7 @@ class EncoderSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     name: str = "simulated encoder"
     vendor: Word = 0x00000F0F
     product: Word = 0x0406
+    serial_number: Word | None = None  # default: the node id
     counts_per_revolution: Counts = 1 << 20
     sign: Sign = 1
     zero: Word = 0  # counts at q_j = 0
@@ -136,6 +137,7 @@ class TorqueSensorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tr
     name: str = "simulated torque sensor"
     vendor: Word = 0x00000F0F
     product: Word = 0x0404
+    serial_number: Word | None = None  # default: the node id
     resolution: Positive = 1e-6  # N*m per digit of 0x9130:1
     sign: Sign = 1
     offset: float = 0.0  # N*m

@@ -132,7 +132,7 @@ class Run:
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
         script = beginnings(self.machine, faults)
         settings = commands([axis.name for axis in self.axes], self._tuners, changes)
-        operation = Operation(self._configuration, self.rig, self.axes, self.loop)
+        operation = Operation(self._configuration, self.rig, self.axes, self.loop, simulated=True)
         self.machine.start()
         self._every(EVERY, self._records.drain)
         self._every(EVERY, lambda now: tick(min(1.0, now / (self._seconds + 1.0))))

@@ -43,6 +43,7 @@ from tsa_ctrl.errors import BusError, StoppedError, TsaError
 START_TIMEOUT = 2.0  # s, until a heartbeat says "operational"
 
 Tell = Callable[[str], None]
+Identify = Callable[[AxisNodes, Role, int | None], None]  # axis, node, 0x1018:4 (None: absent); raises for a wrong one
 
 
 def bring_up(
@@ -55,11 +56,13 @@ def bring_up(
     resets_later: bool = False,
     tell: Tell = lambda stage: None,
     stopped: Callable[[], str | None] = lambda: None,
+    identify: Identify = lambda axis, role, serial_number: None,
 ) -> Report:
     """Configure and start all nodes of `axes` for a SYNC period in s; on return they are operational, drives disabled.
 
     `reset_faults`: somebody asked for drives found in fault to be reset; without it they stay as they are, unless the
     loop `resets_later`. `tell` gets what is being waited for, in words; `stopped` says why it shall end, if so.
+    `identify` is called for each node before anything is written to it, and may reject it.
 
     Raises StoppedError then, UsageError when the configuration is wrong (load, contradictions, rated torque) and
     BusError when the bus or a node is; the message of these ends with what the nodes themselves had to say.
@@ -79,7 +82,7 @@ def bring_up(
         try:
             tell("listening for another master on the bus")
             _be_alone(bus, session, nodes)
-            there = _look_at(session, nodes, tell)
+            there = _look_at(session, nodes, tell, identify)
             session.begin_heartbeat()
             _boot(bus, session, nodes, there, tell)
             reports = [
@@ -87,6 +90,7 @@ def bring_up(
             ]
             for node, report in zip(nodes, reports, strict=True):
                 check_identity(session, node, report)
+                identify(node.axis, node.role, report.serial_number)
             check_twins(nodes, reports)
             for node, plan, report in zip(nodes, plans, reports, strict=True):
                 tell(f"configuring {node.name}")
@@ -134,7 +138,7 @@ def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
     session.alone(rpdos)
 
 
-def _look_at(session: Session, nodes: Sequence[Node], tell: Tell) -> set[int]:
+def _look_at(session: Session, nodes: Sequence[Node], tell: Tell, identify: Identify) -> set[int]:
     """Ask who is there already, and refuse a wrong device while nothing but questions was sent; returns their ids.
 
     A drive that is found enabled is switched off: a reset would take its watchdogs and leave it so.
@@ -152,6 +156,7 @@ def _look_at(session: Session, nodes: Sequence[Node], tell: Tell) -> set[int]:
         there.add(node.node_id)
         report = NodeReport(node.name)
         check_identity(session, node, report)
+        identify(node.axis, node.role, report.serial_number)
         seen.append((node, report))
     check_twins([node for node, _ in seen], [report for _, report in seen])
     for node in nodes:

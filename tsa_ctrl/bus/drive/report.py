@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tsa_ctrl.bus.canopen.objects import Object
+from tsa_ctrl.bus.canopen.objects import SERIAL_NUMBER, Object
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,11 @@ class NodeReport:
     identity: dict[str, int] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)  # errors that the node remembers, things that could not be checked
+
+    @property
+    def serial_number(self) -> int | None:
+        """0x1018:4; None where the node has no such object."""
+        return self.identity.get(SERIAL_NUMBER.name)
 
     def lines(self) -> list[str]:
         """The report as text: identity, notes, and each object that was changed."""

@@ -67,6 +67,18 @@ def read(channel: str) -> Interface | None:
     return parse(found[0]) if found else None
 
 
+IN_ONE_MACHINE = frozenset({"virtual", "udp_multicast"})  # interfaces of python-can without a drive on them
+_VIRTUAL_LINKS = ("vcan", "vxcan")
+
+
+def is_simulated(interface: str, channel: str) -> bool:
+    """Return True if no real drive can be on this bus: it does not leave the machine."""
+    if interface != "socketcan":
+        return interface in IN_ONE_MACHINE
+    link = read(channel)
+    return link is not None and link.kind in _VIRTUAL_LINKS
+
+
 def can_interfaces() -> dict[str, Interface]:
     """The CAN links of this machine by name, up or down; none where the kernel denies netlink."""
     try:
