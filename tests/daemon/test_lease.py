@@ -18,10 +18,10 @@ import pytest
 
 from tests.daemon.serving import PATIENCE, QUARTERS, description
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.listener import listen
+from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
 from tsa_ctrl.ipc.peers import Peer, Role, peer_of, role_of
-from tsa_ctrl.ipc.server import HANGS, WATCHERS, Server
+from tsa_ctrl.ipc.server import HANGS, Server
 
 COMMAND, WATCH = 4001, 4002  # numbers of groups
 SET_POINT = {"verb": "setpoint", "axis": "knee"}
@@ -73,7 +73,7 @@ class Desk:
         self.server._command, self.server._watch = {COMMAND}, {WATCH}
         self._select = self.server._selector.select
         monkeypatch.setattr(self.server._selector, "select", self._look)
-        monkeypatch.setattr("tsa_ctrl.ipc.server.peer_of", lambda connection: self.peer)
+        monkeypatch.setattr("tsa_ctrl.ipc.listener.peer_of", lambda connection: self.peer)
         self._talks: list[Talk] = []
 
     def _look(self, timeout: float) -> list[Any]:
@@ -148,11 +148,11 @@ def test_who_is_in_no_group_is_refused_at_the_door(desk: Desk) -> None:
     ]
 
 
-def test_watchers_leave_room_for_who_commands(desk: Desk) -> None:
-    watching = [desk.client(WATCH) for _ in range(WATCHERS + 1)]
-    assert watching[-2].ask("status")["ok"]
-    assert "clients are connected already" in watching[-1].told()[0]["error"]
-    assert desk.client(COMMAND).ask("lease", seconds=0.2)["ok"]
+@pytest.mark.parametrize("groups", [(WATCH,), (COMMAND,), ()])
+def test_connections_of_one_role_leave_the_places_of_the_others(desk: Desk, groups: tuple[int, ...]) -> None:
+    first = [desk.client(*other) for other in ((WATCH,), (COMMAND,), ()) if other != groups]
+    many = [desk.client(*groups) for _ in range(3 * CLIENTS)]
+    assert all(client.ask("status")["ok"] for client in (*first, many[-1]))
 
 
 def test_the_kernel_says_who_a_peer_is() -> None:

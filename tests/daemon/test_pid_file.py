@@ -7,16 +7,15 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
 from tsa_ctrl.cli import cli
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc import pid_file
-from tsa_ctrl.ipc.client import Client
 
 # Listens as a socket server that hangs would: connections are taken by the kernel, nobody answers.
 DAEMON = """
@@ -47,14 +46,42 @@ def daemon(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[str
 
 
 def test_stop_ends_a_daemon_whose_socket_does_not_answer(
-    daemon: tuple[str, subprocess.Popen[str]], monkeypatch: pytest.MonkeyPatch
+    daemon: tuple[str, subprocess.Popen[str]],
 ) -> None:
     path, process = daemon
-    monkeypatch.setattr("tsa_ctrl.cli.stop.Client", partial(Client, timeout=0.2))
     result = CliRunner().invoke(cli, ["stop", "--socket", path])
     assert process.communicate(timeout=30)[0] == "told to stop\n"
     assert f"process {process.pid} got SIGTERM instead" in result.output
     assert "stopped: the daemon has ended" in result.output
+
+
+def test_stop_ends_a_daemon_that_rejects_it(daemon: tuple[str, subprocess.Popen[str]]) -> None:
+    """Whatever the reason for the rejection is."""
+
+    def reject() -> dict[str, Any]:
+        raise UsageError("daemon: 16 clients are connected already")
+
+    path, process = daemon
+    assert pid_file.stop(path, reject)["signalled"] == process.pid
+    assert process.communicate(timeout=30)[0] == "told to stop\n"
+
+
+def test_stop_ends_a_suspended_daemon(daemon: tuple[str, subprocess.Popen[str]]) -> None:
+    """A signal alone would wait until the daemon is resumed."""
+    path, process = daemon
+    process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+    found = pid_file.stop(path, lambda: {"waiting_for": None})
+    assert (found["signalled"], "is suspended" in found["reason"]) == (process.pid, True)
+    assert process.communicate(timeout=30)[0] == "told to stop\n"
+
+
+def test_a_user_who_may_only_watch_keeps_the_rejection(tmp_path: Path) -> None:
+    def reject() -> dict[str, Any]:
+        raise UsageError("daemon: stop: user 12345 may only watch here")
+
+    with pytest.raises(UsageError, match="may only watch"):
+        pid_file.stop(str(tmp_path / "tsa.sock"), reject)
 
 
 def test_only_who_wrote_it_takes_it_away(tmp_path: Path) -> None:

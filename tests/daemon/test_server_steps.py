@@ -52,7 +52,7 @@ def ours(desk: Desk) -> list[Any]:
 
 
 def test_its_times_and_bounds() -> None:
-    assert (server.WATCHERS, server.IDLE, server.TICK, server.LOOK, server.ANSWER_TIME) == (8, 30.0, 0.005, 0.02, 1.0)
+    assert (server.IDLE, server.TICK, server.LOOK, server.ANSWER_TIME) == (30.0, 0.005, 0.02, 1.0)
     assert (server.REST, server.NICE, server.HANGS, server.AHEAD, server.REPLACED) == (2.0, -10, 0.5, 0.1, 1.5)
     assert (server.ENDING, server.READY) == (("stopping", "ended"), b"ready\n")
 
@@ -170,12 +170,41 @@ def test_for_how_long_it_may_wait(desk: Desk) -> None:
     assert patience(0.75) == 0.0
 
 
-def test_sixteen_clients_and_no_more(desk: Desk) -> None:
-    clients = [desk.client() for _ in range(CLIENTS + 1)]
-    assert clients[-2].told() == []
-    assert clients[-1].told()[0]["error"] == "16 clients are connected already; try again later"
-    assert clients[-1].socket.recv(1) == b""
+def test_the_client_that_has_been_silent_longest_makes_room(desk: Desk) -> None:
+    """The lease's holder and a client that has just spoken keep their connections."""
+    holder, speaker, silent = desk.client(), desk.client(), desk.client()
+    holder.ask("lease", seconds=10.0)
+    others = [desk.client() for _ in range(CLIENTS - 3)]
+    desk.now += 1.0
+    assert speaker.ask("status")["ok"]
+    newest = desk.client()
+    assert "closed because 16 others are open" in silent.told()[0]["error"]
+    assert silent.socket.recv(1) == b""
+    assert all(client.ask("measure")["ok"] for client in (holder, speaker, newest, *others))
     assert len(ours(desk)) == CLIENTS
+
+
+@pytest.mark.parametrize("half", [b"", b'{"verb":'])
+def test_stop_acts_whatever_the_other_clients_do(desk: Desk, half: bytes) -> None:
+    """Idle connections, half lines, and a lease whose holder sends more than is answered in a step."""
+    holder = desk.client()
+    holder.ask("lease", seconds=10.0)
+    for _ in range(4 * CLIENTS):
+        desk.client().socket.sendall(half)
+    desk.server._rests = desk.now + 5.0
+    stopping = desk.client()
+    stopping.say(verb="stop")
+    desk.steps()
+    assert desk.mailbox.stop_requested
+
+
+def test_stop_comes_before_the_requests_of_others(desk: Desk) -> None:
+    flooding, stopping = desk.client(), desk.client()
+    flooding.socket.sendall(b'{"verb":"status"}\n' * 30)
+    stopping.say(verb="stop")
+    for _ in range(2):  # one accepts, the other reads
+        desk.server.step(0.0)
+    assert desk.mailbox.stop_requested
 
 
 def test_who_is_refused_is_closed(desk: Desk) -> None:

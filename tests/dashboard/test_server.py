@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
+import http.client
 import queue
 import signal
 import socket
@@ -12,6 +14,7 @@ import threading
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 import pytest
 from starlette.testclient import TestClient
@@ -123,8 +126,76 @@ def test_stop_ends_a_daemon_whose_socket_does_not_answer(tmp_path: Path) -> None
     assert client.post("/stop", headers=ALLOWED).status_code == 503
     process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     pid_file.write(path, process.pid)
-    assert client.post("/stop", headers=ALLOWED).json() == {"signalled": process.pid}
+    answer = client.post("/stop", headers=ALLOWED).json()
+    assert (answer["signalled"], "no daemon answers there" in answer["reason"]) == (process.pid, True)
     assert process.wait(30) == -signal.SIGTERM
+
+
+def test_a_stop_that_the_daemon_rejects_is_an_answer_and_not_a_failure(
+    client: TestClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def rejected(path: str, timeout: float) -> None:
+        raise UsageError("daemon: stop: user 12345 may only watch here")
+
+    monkeypatch.setattr("tsa_ctrl.dashboard.feed.stop_daemon", rejected)
+    answer = client.post("/stop", headers=ALLOWED)
+    assert (answer.status_code, "may only watch" in answer.json()["error"]) == (403, True)
+
+
+def test_pages_share_one_request_to_the_daemon() -> None:
+    """Forty pages that ask at the same time cost the daemon one answer."""
+    asked = []
+
+    class Counting:
+        def status(self) -> dict[str, object]:
+            asked.append(1)
+            return {"schema": 1}
+
+    async def ask() -> list[str]:
+        poll = server.Poll(cast(Feed, Counting()))
+        return await asyncio.gather(*(poll.newest() for _ in range(40)))
+
+    assert set(asyncio.run(ask())) == {'data: {"schema": 1}\n\n'}
+    assert len(asked) == 1
+
+
+@pytest.mark.slow
+def test_stop_is_answered_while_forty_clients_fetch_files(daemon: Played) -> None:
+    """Some keep their connections, some connect for each file, and some take the status stream."""
+    addresses: queue.Queue[str] = queue.Queue()
+    threading.Thread(target=serve, args=(daemon.path, 0, addresses.put), daemon=True).start()
+    address = addresses.get(timeout=30)
+    port, token = int(address.split(":")[2].split("/")[0]), address.split("token=")[1]
+    done = threading.Event()
+
+    def fetch(number: int) -> None:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        while not done.is_set():
+            with contextlib.suppress(OSError, http.client.HTTPException):
+                if number % 8 == 0:
+                    connection.request("GET", f"/events?token={token}")
+                    connection.getresponse().read(4096)
+                else:
+                    connection.request("GET", "/static/uPlot.iife.min.js")
+                    connection.getresponse().read()
+            if number % 2 == 0:
+                connection.close()
+        connection.close()
+
+    clients = [threading.Thread(target=fetch, args=(number,)) for number in range(40)]
+    for one in clients:
+        one.start()
+    statuses = []
+    for _ in range(18):
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        connection.request("POST", "/stop", headers=ALLOWED | {"x-token": token})
+        statuses.append(connection.getresponse().status)
+        connection.close()
+    done.set()
+    for one in clients:
+        one.join()
+    assert statuses == [200] * 18
+    assert daemon.serving.mailbox.stop_requested
 
 
 def test_a_daemon_that_ends_is_said(client: TestClient, daemon: Played) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import signal
 from collections.abc import Callable, Iterator
 from types import FrameType
@@ -21,6 +22,8 @@ from tsa_ctrl.daemon.operation import Operation, Say
 from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc import pid_file
+from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.notify import Notifier
 
@@ -71,6 +74,9 @@ class Daemon:
         configuration = self._configuration
         file = configuration.file
         bus = open_bus(file.bus)
+        socket = file.socket.path or default_path()
+        if pid_file.running(socket) is None:  # so that `tsa stop` reaches a daemon that still compiles or opens its log
+            pid_file.write(socket, os.getpid())
         try:
             rig = Rig(bus, file.bus, file.axes, configuration.profiles, wake_early=file.realtime.wake_early)
             self._watch(rig)
@@ -132,6 +138,7 @@ class Daemon:
                 self._say(str(error))
             return summary
         finally:
+            pid_file.remove(socket, os.getpid())
             bus.close()
             self._notifier.close()
 

@@ -8,12 +8,11 @@ import threading
 from typing import Any
 
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.ipc import pid_file
-from tsa_ctrl.ipc.client import Client
-from tsa_ctrl.ipc.protocol import Recover, Set, Status, Stop
+from tsa_ctrl.ipc.client import Client, stop_daemon
+from tsa_ctrl.ipc.protocol import Recover, Set, Status
 
 TIMEOUT = 2.0  # s for an answer
-STOP_TIMEOUT = 0.5  # s: a server that works answers within ms; then the daemon's process is told
+STOP_TIMEOUT = 0.5  # s: a working server answers within milliseconds; after that the daemon gets SIGTERM
 LONGEST_NAME = 64
 
 
@@ -45,18 +44,13 @@ class Feed:
         return self._ask(Set(name, number))
 
     def stop(self) -> dict[str, Any]:
-        """Ramp the torque to 0 and end the daemon; by its process where its socket does not answer.
+        """Ramp the torque to 0 and end the daemon, over a connection of its own; see `Client.stop`.
 
-        Raises BusError when neither could be told.
+        Raises:
+            UsageError: This user may not stop the daemon.
+            BusError: Neither the socket nor the process could be reached.
         """
-        try:
-            with Client(self.path, STOP_TIMEOUT) as client:  # of its own: who waits for a status does not hold it up
-                return client.ask(Stop())
-        except BusError:
-            process = pid_file.terminate(self.path)
-            if process is None:
-                raise
-            return {"signalled": process}
+        return stop_daemon(self.path, STOP_TIMEOUT)
 
     def recover(self) -> dict[str, Any]:
         """Recover from a latched fault. Raises UsageError when refused, BusError."""

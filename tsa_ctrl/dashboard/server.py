@@ -3,15 +3,22 @@
 GET / the page; GET /events the status as server-sent events; POST /set {"name", "value"}, /stop, /recover. The token
 stands in the page's address and comes back with each request; requests whose Host or Origin is not this server are
 refused.
+
+A stop has threads of its own. All pages share one poll of the daemon, static files are sent from memory, and a new
+connection replaces the one that has been idle longest. So a stop is answered under any load of other requests.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import math
+import mimetypes
 import secrets
 import socket
+import time
 from collections.abc import AsyncIterator, Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,9 +27,8 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Mount, Route
-from starlette.staticfiles import StaticFiles
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -33,7 +39,10 @@ STATIC = Path(__file__).parent / "static"
 RATE = 40.0  # Hz of events: the page draws at 30, what waits between two is dropped
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
-MOST = 32  # connections at once; a browser keeps six to one server
+MOST = 64  # connections at once; a browser keeps six to one server
+FRESH = 1.0  # s from its start in which a connection without a request is not replaced
+CEILING = 256  # connections at once, fresh ones included
+STOPPING = 8  # threads for stop requests
 ASK_TIME = 5.0  # s in which a connection has to ask for something
 HEADERS = {
     "Content-Security-Policy": (
@@ -46,23 +55,47 @@ HEADERS = {
 
 
 class Bounded(H11Protocol):
-    """As uvicorn's, but a connection that asks for nothing is closed, and there are never more than MOST of them."""
+    """The protocol of uvicorn with a bounded number of connections: a new one replaces the one idle longest.
 
-    open: ClassVar[set[H11Protocol]] = set()
+    A connection that sends no request within ASK_TIME is closed. Idle means that no request is being answered.
+    """
+
+    open: ClassVar[dict[Bounded, float]] = {}  # s, when each last received data
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Count it, and start its time."""
+        """Register the connection, and close another one if there are too many."""
         super().connection_made(transport)
+        now = self.loop.time()
         if len(self.open) >= MOST:
-            transport.abort()
-            return
-        self.open.add(self)
+            idle = [one for one, since in self.open.items() if not one._answering() and one._spent(now - since)]
+            oldest = min(
+                idle or (self.open if len(self.open) >= CEILING else ()), key=self.open.__getitem__, default=None
+            )
+            if oldest is not None:
+                del self.open[oldest]
+                oldest.transport.abort()
+        self.open[self] = now
         self.loop.call_later(ASK_TIME, self._give_up)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """There is room for another."""
-        self.open.discard(self)
+        """Release the connection's place."""
+        self.open.pop(self, None)
         super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Note the time."""
+        if self in self.open:
+            self.open[self] = self.loop.time()
+        super().data_received(data)
+
+    def _answering(self) -> bool:
+        """Return True while a request is being answered."""
+        cycle = getattr(self, "cycle", None)
+        return cycle is not None and not cycle.response_complete
+
+    def _spent(self, age: float) -> bool:
+        """Return True if the connection has had a request, or has had FRESH for it; `age` in s."""
+        return getattr(self, "cycle", None) is not None or age > FRESH
 
     def _give_up(self) -> None:
         begun = getattr(self, "cycle", None) is not None  # the head of a request came to its end
@@ -107,11 +140,20 @@ class Guard:
 def application(feed: Feed, token: str, port: int) -> Starlette:
     """The page and its few requests."""
 
+    files = {path.name: path.read_bytes() for path in STATIC.iterdir()}
+    poll = Poll(feed)
+
     async def page(request: Request) -> Response:
-        return FileResponse(STATIC / "index.html", headers=HEADERS)
+        return HTMLResponse(files["index.html"], headers=HEADERS)
+
+    async def static(request: Request) -> Response:
+        name = request.path_params["name"]
+        if name not in files:
+            return PlainTextResponse("no such file", 404, HEADERS)
+        return Response(files[name], media_type=mimetypes.guess_type(name)[0], headers=HEADERS)
 
     async def events(request: Request) -> Response:
-        return StreamingResponse(_events(feed, request), media_type="text/event-stream", headers=HEADERS)
+        return StreamingResponse(_events(poll, request), media_type="text/event-stream", headers=HEADERS)
 
     async def change(request: Request) -> Response:
         try:
@@ -122,9 +164,13 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
         except BusError as error:
             return JSONResponse({"error": str(error)}, 503)
 
+    stopping = ThreadPoolExecutor(STOPPING)
+
     async def stop(request: Request) -> Response:
         try:
-            return JSONResponse(await run_in_threadpool(feed.stop))
+            return JSONResponse(await asyncio.get_running_loop().run_in_executor(stopping, feed.stop))
+        except UsageError as error:
+            return JSONResponse({"error": str(error)}, 403)
         except BusError as error:
             return JSONResponse({"error": str(error)}, 503)
 
@@ -144,7 +190,7 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
             Route("/set", change, methods=["POST"]),
             Route("/stop", stop, methods=["POST"]),
             Route("/recover", recover, methods=["POST"]),
-            Mount("/static", StaticFiles(directory=STATIC)),
+            Route("/static/{name}", static),
         ],
         middleware=[Middleware(Guard, token=token, hosts=hosts)],
     )
@@ -166,11 +212,31 @@ async def _body(request: Request) -> dict[str, Any]:
     return body
 
 
-async def _events(feed: Feed, request: Request) -> AsyncIterator[str]:
-    """The status as it is now, again and again, until the page is closed."""
+class Poll:
+    """The newest status as a server-sent event; all pages share one request to the daemon."""
+
+    def __init__(self, feed: Feed) -> None:
+        self._feed = feed
+        self._asking: asyncio.Task[str] | None = None
+        self._asked = -math.inf  # s, when
+
+    async def newest(self) -> str:
+        """Return the status, at most 1 / RATE old unless the daemon is slower than that."""
+        now = time.monotonic()
+        if self._asking is None or (self._asking.done() and now - self._asked >= 1.0 / RATE):
+            self._asked = now
+            self._asking = asyncio.ensure_future(self._ask())
+        return await asyncio.shield(self._asking)
+
+    async def _ask(self) -> str:
+        status = await run_in_threadpool(self._feed.status)
+        return f"data: {json.dumps(status, allow_nan=False)}\n\n"
+
+
+async def _events(poll: Poll, request: Request) -> AsyncIterator[str]:
+    """Yield the newest status until the page is closed."""
     while not await request.is_disconnected():
-        status = await run_in_threadpool(feed.status)
-        yield f"data: {json.dumps(status, allow_nan=False)}\n\n"
+        yield await poll.newest()
         await asyncio.sleep(1.0 / RATE)
 
 

@@ -18,13 +18,15 @@ from typing import Any, TypeVar
 import msgspec
 
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
-from tsa_ctrl.ipc import protocol
+from tsa_ctrl.ipc import pid_file, protocol
 from tsa_ctrl.ipc.peers import user_of
 from tsa_ctrl.ipc.protocol import AnyRequest, default_path
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
 PIECE = 65536  # bytes
 MOST_RATE = 4000.0  # Hz: no loop is faster
+QUEUE_WAIT = 0.01  # s between two attempts to connect while the queue of connections is full
+STOP_TIMEOUT = 1.0  # s for the answer to a stop request; a working server answers within milliseconds
 
 T = TypeVar("T")
 
@@ -98,7 +100,7 @@ class Client:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout)
         try:
-            self._socket.connect(path)
+            self._connect(path, timeout)
         except OSError as error:
             self._socket.close()
             raise BusError(
@@ -118,6 +120,17 @@ class Client:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _connect(self, path: str, patience: float) -> None:
+        """Connect, and wait up to `patience` s for a place in the queue of connections; raises OSError."""
+        end = time.monotonic() + patience
+        while True:
+            try:
+                return self._socket.connect(path)
+            except BlockingIOError:  # the queue is full
+                if time.monotonic() > end:
+                    raise
+                time.sleep(QUEUE_WAIT)
 
     def close(self) -> None:
         """A lease ends with it."""
@@ -179,9 +192,19 @@ class Client:
         """Ask for a new start after a latched fault; raises UsageError for who may not, BusError."""
         self.ask(protocol.Recover())
 
-    def stop(self) -> None:
-        """Ramp the torque to 0 and end the daemon; raises UsageError for who may not, BusError."""
-        self.ask(protocol.Stop())
+    def stop(self) -> dict[str, Any]:
+        """Ramp the torque to 0 and end the daemon.
+
+        If the daemon's socket rejects the request or does not answer, the daemon's process gets SIGTERM.
+
+        Returns:
+            The daemon's answer, or `signalled` (the number of the process) and `reason`.
+
+        Raises:
+            UsageError: This user may not stop the daemon.
+            BusError: Neither the socket nor the process could be reached.
+        """
+        return pid_file.stop(self._path, lambda: self.ask(protocol.Stop()))
 
     def stream(self, lines: bytes, patience: float) -> None:
         """Send without an answer, and take what has come; for `Lease`.
@@ -313,3 +336,13 @@ class Lease:
             self._confirmed = message["time"]
         elif message["event"] == "lease":
             self.why = self.why or message["why"]
+
+
+def stop_daemon(path: str, timeout: float = STOP_TIMEOUT) -> dict[str, Any]:
+    """Ramp the torque to 0 and end the daemon behind a socket; see `Client.stop`, `timeout` in s."""
+
+    def ask() -> dict[str, Any]:
+        with Client(path, timeout) as client:
+            return client.ask(protocol.Stop())
+
+    return pid_file.stop(path, ask)

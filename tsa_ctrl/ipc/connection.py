@@ -32,7 +32,9 @@ class Connection:
         self._unsent = b""
 
     def receive(self, now: float) -> None:
-        """Read what is there, a bounded part of it."""
+        """Read a bounded part of what has arrived, unless earlier requests still wait for an answer."""
+        if self.lines:
+            return
         try:
             data = self.socket.recv(LONGEST_LINE)
         except BlockingIOError:
@@ -47,8 +49,7 @@ class Connection:
             self.last = now
             self.lines.extend(lines)
         if len(self._received) > LONGEST_LINE:
-            self.refuse(f"a request is longer than {LONGEST_LINE} bytes; send one object per line")
-            self.send()
+            self.dismiss(f"a request is longer than {LONGEST_LINE} bytes; send one object per line")
             self.gone = True
 
     def push(self, message: dict[str, Any]) -> None:
@@ -57,6 +58,11 @@ class Connection:
 
     def refuse(self, text: str) -> None:
         self.push({"ok": False, "error": text})
+
+    def dismiss(self, text: str) -> None:
+        """Send the reason for the end of the connection, as far as the client takes it."""
+        self.refuse(text)
+        self.send()
 
     def send(self) -> None:
         if not self._unsent or self.gone:

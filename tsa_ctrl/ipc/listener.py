@@ -6,13 +6,17 @@ import contextlib
 import grp
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.connection import Connection
+from tsa_ctrl.ipc.peers import Role, peer_of, role_of
 from tsa_ctrl.ipc.protocol import is_socket, make_private, private_folder
 
-CLIENTS = 16
+CLIENTS = 16  # connections of one role; a further one replaces the one that has been silent longest
+ACCEPTED = 16  # connections that are accepted at once
+BACKLOG = 256  # connections that wait until the server accepts them
 
 
 def listen(path: str, group: str | None, watch_group: str | None = None) -> socket.socket:
@@ -42,7 +46,7 @@ def listen(path: str, group: str | None, watch_group: str | None = None) -> sock
         elif number is not None or watch is not None:
             os.chown(path, -1, number if number is not None else watch or 0)
             place.chmod(0o660)
-        listener.listen(CLIENTS)
+        listener.listen(BACKLOG)
         listener.setblocking(False)
     except OSError as error:
         listener.close()
@@ -70,6 +74,27 @@ def listening(path: str, group: str | None, watch_group: str | None = None) -> I
         with contextlib.suppress(OSError):
             if place.stat().st_ino == ours:
                 place.unlink()
+
+
+def accepted(
+    listener: socket.socket, command: Collection[int], watch: Collection[int], now: float
+) -> Iterator[Connection]:
+    """Yield the clients that wait for a connection, at most ACCEPTED of them; a user without a role is rejected.
+
+    `command` and `watch` are the groups of those roles; `now` in s.
+    """
+    with contextlib.suppress(OSError):
+        for _ in range(ACCEPTED):
+            connection, _ = listener.accept()
+            connection.setblocking(False)
+            peer = peer_of(connection)
+            role = role_of(peer, command, watch)
+            client = Connection(connection, peer, role or Role.WATCH, now)
+            if role is not None:
+                yield client
+            else:
+                client.dismiss(f"user {peer.user} may not use this socket; see [socket] group and watch_group")
+                connection.close()
 
 
 def group_number(name: str, key: str) -> int:

@@ -10,9 +10,11 @@ import contextlib
 import os
 import signal
 import stat
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.errors import BusError, UsageError
 
 _START = 21  # of the fields of stat, counted from 0
 _AFTER_NAME = 2  # fields before that of the name's end
@@ -58,15 +60,23 @@ def running(socket: str) -> int | None:
 
 
 def terminate(socket: str) -> int | None:
-    """Send the daemon behind a socket SIGTERM, which ramps its torque to 0 and ends it; its process, None without one.
+    """Send the daemon behind a socket SIGTERM, which ramps its torque to 0 and ends it.
 
-    Raises BusError when this user may not.
+    A suspended daemon (SIGSTOP) also gets SIGCONT, because it could not act on the signal otherwise.
+
+    Returns:
+        The number of the daemon's process, None if no daemon runs.
+
+    Raises:
+        BusError: This user may not send the daemon a signal.
     """
     process = running(socket)
     if process is None:
         return None
     try:
         os.kill(process, signal.SIGTERM)
+        if suspended(process):
+            os.kill(process, signal.SIGCONT)
     except ProcessLookupError:
         return None
     except PermissionError:
@@ -76,10 +86,52 @@ def terminate(socket: str) -> int | None:
     return process
 
 
+def stop(socket: str, ask: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Stop the daemon behind a socket by a request; by a signal if that fails, or if the daemon is suspended.
+
+    Args:
+        socket: The path of the socket.
+        ask: Sends the stop request and returns its answer.
+
+    Returns:
+        The answer, or `signalled` (the number of the daemon's process) and `reason`.
+
+    Raises:
+        UsageError: This user may not stop the daemon.
+        BusError: Neither the socket nor the process could be reached.
+    """
+    try:
+        answer = ask()
+        process = running(socket)
+        if process is None or not suspended(process):
+            return answer
+        reason = f"{socket}: process {process} is suspended (SIGSTOP)"
+        terminate(socket)
+    except (BusError, UsageError) as error:
+        process = terminate(socket)
+        if process is None:
+            raise
+        reason = str(error)
+    return {"signalled": process, "reason": reason}
+
+
+def suspended(process: int) -> bool:
+    """Return True if a signal (SIGSTOP) or a debugger has suspended a process."""
+    try:
+        return _fields(process)[0] in "Tt"
+    except OSError:
+        return False
+
+
 def _started(process: int) -> int:
     """Raises OSError when there is no such process."""
-    text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
-    fields = text.rpartition(")")[2].split()
+    fields = _fields(process)
     if fields[0] in "ZX":
         raise ProcessLookupError(process)
     return int(fields[_START - _AFTER_NAME])
+
+
+def _fields(process: int) -> list[str]:
+    """Return the fields of /proc/PID/stat after the process' name; raises OSError when there is no such process."""
+    text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
+    return text.rpartition(")")[2].split()

@@ -82,6 +82,17 @@ class Stop(Request, frozen=True, tag="stop"):
 
 
 AnyRequest = Status | Measure | Events | Set | Lease | SetPointValue | Release | Recover | Stop
+decode = msgspec.json.Decoder(AnyRequest).decode
+
+
+def is_stop(line: bytes) -> bool:
+    """Return True if a request asks for a stop."""
+    if b"stop" not in line:
+        return False
+    try:
+        return isinstance(decode(line), Stop)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return False
 
 
 class Range(msgspec.Struct, frozen=True):

@@ -5,6 +5,8 @@ process, never the loop, which takes at most one command per cycle from the mail
 by another that listens on the same socket (`system.keeper`). Whoever gives set-points waits for
 no more than one request of one other client; all others together get a third of the time meanwhile. It ends with the
 daemon: their pipe closes however the daemon dies.
+A stop request is handled before all others. Each role has places of its own, and a new connection replaces the one that
+has been silent longest, so connections cannot keep a new one out.
 """
 
 from __future__ import annotations
@@ -26,16 +28,15 @@ from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.connection import Connection, may
 from tsa_ctrl.ipc.lease import Lease
-from tsa_ctrl.ipc.listener import CLIENTS, group_number, listening
+from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, check_bounds
-from tsa_ctrl.ipc.peers import Role, peer_of, role_of
+from tsa_ctrl.ipc.peers import Role
 from tsa_ctrl.ipc.protocol import AnyRequest, Description
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
 from tsa_ctrl.system.keeper import keep
 from tsa_ctrl.system.signals import ignore
 
-WATCHERS = CLIENTS // 2  # of them at most, so that who commands finds room
 IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way
 LOOK = 0.02  # s between looks at events and cycles while somebody holds the lease
@@ -47,8 +48,6 @@ AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
 REPLACED = 1.5  # s without a sign of life, of which there are five a second, until another one takes over
 ENDING = ("stopping", "ended")  # phases
 READY = b"ready\n"
-
-_decode = msgspec.json.Decoder(AnyRequest).decode
 
 
 class Server:
@@ -86,17 +85,20 @@ class Server:
     def step(self, timeout: float) -> list[int]:
         """Handle what is there within `timeout` s; returns the watched descriptors that became readable."""
         others: list[int] = []
+        connecting = False
         for key, _ in self._selector.select(self._patience(timeout)):
             now = self._clock()
             if key.fileobj is self._listener:
-                self._accept(now)
+                connecting = True
             elif key.fd in self._clients:
                 client = self._clients[key.fd]
-                if not client.lines:  # what it has asked comes first
-                    client.receive(now)
+                client.receive(now)
             else:
                 others.append(key.fd)
         now = self._clock()
+        if connecting:  # last, so that no client is replaced before its request was read
+            self._accept(now)
+        self._answer_stops(now)
         self._answer_all(self._lease.holder, now)
         self._lease.check(now)
         self._answer_next(now)
@@ -130,26 +132,26 @@ class Server:
         return timeout
 
     def _accept(self, now: float) -> None:
-        with contextlib.suppress(OSError):
-            connection, _ = self._listener.accept()
-            connection.setblocking(False)
-            peer = peer_of(connection)
-            role = role_of(peer, self._command, self._watch)
-            watching = sum(client.role is Role.WATCH for client in self._clients.values())
-            refusal = None
-            if role is None:
-                refusal = f"user {peer.user} may not use this socket; see [socket] group and watch_group"
-            elif len(self._clients) >= CLIENTS or (role is Role.WATCH and watching >= WATCHERS):
-                refusal = f"{len(self._clients)} clients are connected already; try again later"
-            client = Connection(connection, peer, role or Role.WATCH, now)
-            if refusal is not None:
-                client.refuse(refusal)
-                client.send()
-                connection.close()
-                return
-            self._clients[connection.fileno()] = client
+        """Accept the connections that wait, a bounded number of them."""
+        for client in accepted(self._listener, self._command, self._watch, now):
+            self._make_room(client.role)
+            self._clients[client.socket.fileno()] = client
             self._turn.append(client)
-            self._selector.register(connection, selectors.EVENT_READ)
+            self._selector.register(client.socket, selectors.EVENT_READ)
+
+    def _make_room(self, role: Role) -> None:
+        """Close the connection of this role that has been silent longest, unless the role has a place left."""
+        known = [client for client in self._clients.values() if client.role is role]
+        if len(known) >= CLIENTS:
+            silent = min((one for one in known if one is not self._lease.holder), key=lambda one: one.last)
+            silent.dismiss(f"this connection was closed because {CLIENTS} others are open; connect again")
+            self._drop(silent)
+
+    def _answer_stops(self, now: float) -> None:
+        """Answer every client whose next request is a stop."""
+        for client in self._clients.values():
+            while client.lines and protocol.is_stop(client.lines[0]):
+                self._answer(client, client.lines.popleft(), now)
 
     def _answer_all(self, client: Connection | None, now: float) -> None:
         """Everything that this client has asked."""
@@ -171,7 +173,7 @@ class Server:
     def _answer(self, client: Connection, line: bytes, now: float) -> None:
         """Answer, or have the loop take a command first."""
         try:
-            request = _decode(line)
+            request = protocol.decode(line)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             client.refuse(f"not a request: {error}")
             return
