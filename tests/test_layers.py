@@ -58,7 +58,9 @@ ROOMS: dict[str, str] = {
     "bench": "errors system log ipc bus safety control config daemon doctor",
     "drills": "errors version settings outputs system model bus safety control config daemon",
     "dashboard": "errors ipc",
-    "tune": "errors version settings outputs system log model control config ipc doctor identify virtual",
+    "tune": (
+        "errors version settings outputs system log model control config ipc daemon.joint_files doctor identify virtual"
+    ),
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system log model bus config ipc daemon identify plant virtual "

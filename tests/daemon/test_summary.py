@@ -43,6 +43,7 @@ def summary() -> Summary:
         nodes=(NodeCount("knee", "drive node 1", 3, 1, 0, 0), NodeCount("knee", "joint encoder node 32", 1, 0, 0, 0)),
         events=(Event(0, 1.5, "knee", "heartbeat lost: [drive] node 1", True),),
         unconfirmed=(),
+        simulated=False,
         joints={},
         log="/logs/a.mcap",
         log_written=8,

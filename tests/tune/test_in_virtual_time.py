@@ -53,14 +53,18 @@ def test_the_whole_procedure_finds_the_half_loop_and_writes_it_without_what_the_
     assert found["value"] == pytest.approx(half_loop, rel=0.05)
     reduction = data["verification"]["reduction_percent"]
     assert reduction["after"] > 85.0
-    assert data["written"] is not None
-    assert load_tendon_sheath(tmp_path / rig.MODEL) != truth
+    assert data["written"] == str(tmp_path / "out" / rig.MODEL)
+    assert load_tendon_sheath(tmp_path / rig.MODEL) == truth  # never the rig's own file
+    new = load_tendon_sheath(tmp_path / "out" / rig.MODEL)
+    assert new != truth
+    assert new.origin.source == "simulated"
+    assert {name: node.serial_number for name, node in new.origin.nodes.items()} == {"drive": 1, "encoder": 32}
     assert (tmp_path / "out" / "report.html").stat().st_size > 50_000
     assert not list(tmp_path.glob(".tune-*"))
 
 
 @pytest.mark.slow
-def test_a_rig_of_which_the_files_know_little_is_tuned_and_put_back(
+def test_a_rig_of_which_the_files_know_little_is_tuned_and_its_files_stay(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """S-bent, a motor of which the file says nothing, friction, pretension and stiffness up to 20 % off."""
@@ -85,12 +89,14 @@ def test_a_rig_of_which_the_files_know_little_is_tuned_and_put_back(
     assert data["law"]["gain_margin"] >= 2.0
     reduction = data["verification"]["reduction_percent"]
     assert reduction["after"] > max(92.0, reduction["before"])
-    axis = load_configuration(controller).file.axes[0]
+    assert {path: path.read_bytes() for path in before} == before  # a simulated tuning writes under --out alone
+    tuned = load_configuration(tmp_path / "out" / controller.name)
+    axis = tuned.file.axes[0]
+    assert tuned.models[0].origin.source == "simulated"
     assert axis.law.motor_inertia == pytest.approx(drawn.inertia, rel=0.03)
     assert axis.law.damping == data["law"]["keys"]["damping"] > 0.0
-    assert "# tsa tune: gain margin" in controller.read_text()
-    assert main_status("tune", str(controller), "--undo") == 0
-    assert {path: path.read_bytes() for path in before} == before
+    assert "# tsa tune: gain margin" in (tmp_path / "out" / controller.name).read_text()
+    assert main_status("tune", str(controller), "--undo") == 2
 
 
 def main_status(*arguments: str) -> object:

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
+from typing import Any
 
-from tsa_ctrl.tune.run import SHORTEST_PIECE, _pieces
+import numpy as np
+import pytest
+
+from tests.virtual.files import write
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.errors import BusError
+from tsa_ctrl.model.provenance import NodeIdentity, Origin, with_origin
+from tsa_ctrl.tune.excitation import Bounds, Waveform
+from tsa_ctrl.tune.run import SHORTEST_PIECE, RigRunner, _pieces
 
 PERIOD = 1e-3  # s
 
@@ -33,3 +42,26 @@ def test_a_stretch_with_so_many_missing_cycles_that_it_is_on_no_grid_is_left_out
     t = np.concatenate([sparse, sparse[-1] + PERIOD * np.arange(1, 900), 6.0 + PERIOD * np.arange(3000)])
     (piece,) = _pieces(columns(t), "run", "hash")
     assert len(piece) == 3000
+
+
+def test_a_file_of_another_joint_is_played_as_one_of_the_joint_that_is_tuned(tmp_path: Path) -> None:
+    """The runs of a tuning come without a friction term, until the excitation has shown how much there is."""
+    controller, _ = write(tmp_path)
+    path = tmp_path / "actuator.toml"
+    other = Origin("measured", {"drive": NodeIdentity(serial_number=4711, node_id=1)})
+    path.write_text(with_origin(path.read_text(), other))
+    configuration = load_configuration(controller)
+    played: list[Origin] = []
+
+    def run(folder: Path, name: str, seconds: float, tick: object) -> dict[str, Any]:
+        copy = load_configuration(folder / f"controller-{name}.toml").models[0]
+        played.append(copy.origin)
+        raise BusError("not here")
+
+    (axis,) = configuration.file.axes
+    runner = RigRunner(configuration, axis, Bounds(0.5, 5.0, None), tmp_path, run)
+    this = Origin("measured", {"drive": NodeIdentity(serial_number=17, node_id=1)})
+    for runner.origin in (Origin(), this):
+        with pytest.raises(BusError):
+            runner.play("before", path, 0.0, Waveform(np.arange(3.0), np.zeros(3)), lambda share: None)
+    assert played == [Origin(), this]

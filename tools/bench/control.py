@@ -70,10 +70,10 @@ def true_model(shape: str | Points) -> TendonSheath:
 
 
 def controller(folder: Path, law: str, rate: float) -> rig.Tables:
-    """The controller of one law; what tuning wrote lies in `folder`/LAW."""
+    """The controller of one law; what tuning wrote lies in `folder`/LAW/out."""
     if law in ("tuned", "extended"):
-        tables = tomlkit.parse((folder / law / "controller-tune.toml").read_text(encoding="utf-8")).unwrap()
-        tables["axis"][0]["model"] = f"{law}/nominal.toml"
+        tables = tomlkit.parse((folder / law / "out" / "controller-tune.toml").read_text(encoding="utf-8")).unwrap()
+        tables["axis"][0]["model"] = f"{law}/out/nominal.toml"
         return dict(tables)
     shares = {"none": 0.0, "(3.55)": NOMINAL_SHARE, "true": TRUE_SHARE}
     return rig.controller(VIRTUAL, "run", rate, "true.toml" if law == "true" else "nominal.toml", shares[law])

@@ -52,8 +52,9 @@ if TYPE_CHECKING:
     "plant",
     type=click.Path(path_type=Path),
     metavar="PLANT.toml",
-    help="Tune this simulated plant, in virtual time; nothing goes on a bus.",
+    help="Tune this simulated plant, in virtual time; nothing goes on a bus. The new files are written to --out alone.",
 )
+@click.option("--allow-simulated", is_flag=True, help="Start from a model file with simulated numbers on real drives.")
 @click.option("--from-log", "logs", multiple=True, type=click.Path(), metavar="LOG", help="Use logs; move nothing.")
 @CUTOFF
 @click.option(
@@ -78,6 +79,7 @@ def command(
     extended: bool,
     setpoint: Path | None,
     plant: Path | None,
+    allow_simulated: bool,
     logs: tuple[str, ...],
     cutoff: float | None,
     out: Path | None,
@@ -107,6 +109,7 @@ def command(
         extended=extended,
         setpoint=setpoint,
         plant=plant,
+        allow_simulated=allow_simulated,
     )
     if cutoff is not None and not logs:
         raise click.UsageError("--cutoff is for --from-log; leave it out")
@@ -153,11 +156,13 @@ def _tune(
         if not dry_run and _wanted(session, outcome, yes, as_json):
             written = session.write(outcome)
         if as_json:
-            kept = None if written is None else written[session.path]
+            kept = None if written is None else next(before or path for path, before in written.items())
             click.echo(json.dumps(report.to_dict(outcome, session.axis.name, session.page, kept), allow_nan=False))
         elif written is not None:
             for path, before in written.items():
-                click.echo(f"written: {path}; the file before is {before.name} (back with --undo)")
+                click.echo(
+                    f"written: {path}" + (f"; the file before is {before.name} (back with --undo)" if before else "")
+                )
         else:
             click.echo(f"{session.path} is as it was")
 
@@ -179,7 +184,7 @@ def _wanted(session: Session, outcome: Outcome, yes: bool, as_json: bool) -> boo
     if as_json or not sys.stdin.isatty():
         click.echo("not written: no --yes, and nobody to ask", err=True)
         return False
-    names = " and ".join(str(path) for path in session.changes(outcome))
+    names = " and ".join(str(path) for path in session.targets(outcome))
     return click.confirm(f"write {names}?", default=False, err=True)
 
 

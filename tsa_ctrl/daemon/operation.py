@@ -54,6 +54,7 @@ class Operation:
         self._no_loop = no_loop
         self._configured = configured
         self._tell = tell
+        self._simulated = simulated
         self._joint_files = JointFiles(configuration, simulated)
 
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
@@ -166,6 +167,7 @@ class Operation:
             ),
             events=loop.events.all,
             unconfirmed=tuple(self.unconfirmed),
+            simulated=self._simulated,
             joints=self._joint_files.found(),
             log=log,
             log_written=written,

@@ -58,6 +58,7 @@ class Summary:
     nodes: tuple[NodeCount, ...]
     events: tuple[Event, ...]
     unconfirmed: tuple[str, ...]
+    simulated: bool  # whether the nodes were simulated
     joints: Mapping[str, Mapping[str, Mapping[str, int]]]  # by axis and node: serial number, node id, slot
     log: str | None
     log_written: int
@@ -95,6 +96,7 @@ class Summary:
             "nodes": [vars(node) for node in self.nodes],
             "events": [vars(event) for event in self.events],
             "unconfirmed": list(self.unconfirmed),
+            "simulated": self.simulated,
             "joints": self.joints,
             "log": self.log,
             "log_records": {"written": self.log_written, "lost": self.log_lost},

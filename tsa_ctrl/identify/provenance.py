@@ -6,8 +6,10 @@ import datetime
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from tsa_ctrl import settings
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.provenance import NodeIdentity, Origin, nodes_table, origin_of
 from tsa_ctrl.version import __version__
 
 
@@ -16,22 +18,35 @@ def provenance(
     logs: Sequence[Dataset] | Mapping[str, str],
     nominal: str | Path,
     found: Mapping[str, Quantity],
+    origin: Origin | None = None,
     **more: object,
 ) -> dict[str, object]:
     """Plain values for `save_model`: command, date, version, nominal file, logs with their hashes, intervals.
 
     `logs`: datasets, or hash by name. `found` are the quantities whose 95 % intervals are kept as [low, high] in their
-    SI units; `more` is added as it is.
+    SI units; `more` is added as it is. `origin` is the joint that the numbers were measured on; without it they are
+    of logs, which may be of any joint, and the file stays that of the nominal file's joint.
     """
+    if origin is None:
+        origin = Origin("logs", _nodes_of(Path(nominal)))
     return {
         "command": command,
+        **({"source": origin.source} if origin.source else {}),
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "version": __version__,
         "nominal": Path(nominal).name,
         "logs": dict(logs) if isinstance(logs, Mapping) else _hashes(logs),
         **more,
         "intervals": {name: [_digits(quantity.low), _digits(quantity.high)] for name, quantity in found.items()},
+        **nodes_table(origin.nodes),
     }
+
+
+def _nodes_of(nominal: Path) -> Mapping[str, NodeIdentity]:
+    """Return the nodes that a model file belongs to; none where there is no such file."""
+    if not nominal.is_file():
+        return {}
+    return origin_of(settings.read_toml(nominal).get("provenance", {}), str(nominal)).nodes
 
 
 def _digits(end: float) -> float:

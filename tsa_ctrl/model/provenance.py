@@ -64,6 +64,30 @@ class _Stated(msgspec.Struct):
     source: Source
 
 
+def with_origin(text: str, origin: Origin) -> str:
+    """Return the text of a model file with this origin in place of its own; all else stays as it is."""
+    document: Any = tomlkit.parse(text)
+    table = document.setdefault("provenance", tomlkit.table())
+    for key in ("source", *NODES):
+        table.pop(key, None)
+    for key, value in origin_table(origin).items():
+        table[key] = toml_table(value) if isinstance(value, Mapping) else value
+    if not table:
+        del document["provenance"]
+    return str(tomlkit.dumps(document))
+
+
+def origin_table(origin: Origin) -> dict[str, Any]:
+    """Return an origin as plain values for `[provenance]`; an empty one has none."""
+    stated = {"source": origin.source} if origin.source else {}
+    return {**stated, **nodes_table(origin.nodes)}
+
+
+def nodes_from(table: Mapping[str, Mapping[str, int]]) -> dict[str, NodeIdentity]:
+    """Return the nodes that `nodes_table` wrote."""
+    return {name: NodeIdentity(**node) for name, node in table.items() if name in NODES}
+
+
 def nodes_table(nodes: Mapping[str, NodeIdentity]) -> dict[str, dict[str, int]]:
     """Return the nodes as plain values for `[provenance]`."""
     return {name: msgspec.structs.asdict(node) for name, node in nodes.items()}

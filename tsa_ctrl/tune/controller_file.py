@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import tomlkit
@@ -50,6 +51,19 @@ def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
         lines = ", ".join(f"{name} = {key.value:g}" for name, key in keys.items())
         raise UsageError(f"axis '{axis}': {lines} does not go into this layout; put it into [axis.law]")
     return new
+
+
+def moved(text: str, axis: str, model: str, folder: Path) -> str:
+    """Return the file for another folder: this axis' model is `model`, other relative paths are those of `folder`."""
+    document: Any = tomlkit.parse(text)
+    for table in document["axis"]:
+        table["model"] = model if table["name"] == axis else str((folder / table["model"]).resolve())
+        profile, setpoint = str(table["drive"].get("profile", "")), table.get("setpoint", {})
+        if profile.endswith(".toml"):
+            table["drive"]["profile"] = str((folder / profile).resolve())
+        if "file" in setpoint:
+            setpoint["file"] = str((folder / setpoint["file"]).resolve())
+    return str(tomlkit.dumps(document))
 
 
 def differ_in_law_alone(old: str, new: str, axis: str) -> bool:

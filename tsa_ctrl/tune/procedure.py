@@ -11,6 +11,7 @@ from tsa_ctrl.errors import TooStillError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.provenance import provenance
 from tsa_ctrl.model.parameters import TendonSheath, dump_model
+from tsa_ctrl.model.provenance import Origin
 from tsa_ctrl.tune.by_stretch import beside_stretch, estimate_by_stretch, moved_by_hand
 from tsa_ctrl.tune.controller_file import MOTOR
 from tsa_ctrl.tune.estimate import Estimate, estimate, extended
@@ -167,7 +168,7 @@ class Procedure:
         tried, reason = bearable(factor, self._model, found)
         notes = (*(mechanics.notes if law is None else law.notes), *([reason] if reason else []))
         found = dataclasses.replace(found, notes=(*found.notes, *notes))
-        text = new_file(self._path, found, logs, "tune", law)
+        text = new_file(self._path, found, logs, "tune", law, self._runner.origin)
         new = self._folder / f"new{kind}-{self._path.name}"
         new.write_text(text, encoding="utf-8")
         return _Trial(kind, found, law, text, (new, factor), tried)
@@ -278,10 +279,20 @@ def stiff(found: Estimate, mechanics: Mechanics) -> Estimate:
     )
 
 
-def new_file(path: Path, found: Estimate, logs: Sequence[Dataset], command: str, law: LawTuning | None = None) -> str:
-    """Text of the new model file: the old one's comments and layout, the new numbers, and where they came from."""
+def new_file(
+    path: Path,
+    found: Estimate,
+    logs: Sequence[Dataset],
+    command: str,
+    law: LawTuning | None = None,
+    origin: Origin | None = None,
+) -> str:
+    """Text of the new model file: the old one's comments and layout, the new numbers, and where they came from.
+
+    `origin`: the joint that was tuned; None for logs.
+    """
     result = found.calibration
     how = {"split": result.split, "form": found.form.value, "effects": list(found.effects)}
     motor = {} if law is None else law.quantities
-    source = provenance(command, logs, path, {**result.quantities, **found.parameters, **motor}, **how)
+    source = provenance(command, logs, path, {**result.quantities, **found.parameters, **motor}, origin, **how)
     return dump_model(result.written(found.model), template=path, provenance=source)

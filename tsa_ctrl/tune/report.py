@@ -33,7 +33,10 @@ def show(outcome: Outcome, difference: str, page: Path | None) -> None:
 
 
 def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None) -> dict[str, Any]:
-    """JSON-ready: null for unknown; `written` is where the model file before was kept, null when nothing was."""
+    """Return the tuning JSON-ready; null for unknown.
+
+    `written`: where the model file before is kept, or the new file of a simulated plant; null when none was written.
+    """
     found, verified = outcome.estimate, outcome.verification
     rms = reduction = None
     if verified is not None:

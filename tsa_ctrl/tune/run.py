@@ -20,6 +20,7 @@ from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.columns import SIGNAL_NAMES
 from tsa_ctrl.log.course import read_course
 from tsa_ctrl.log.table import sha256_of
+from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
@@ -72,8 +73,10 @@ class RigRunner:
     ) -> None:
         """`run` is what runs `controller-NAME.toml` of a folder: the daemon on the rig, or a simulation.
 
-        `by_stretch`: the joint torque is that of the tendons' stretch, as there is no sensor.
+        `by_stretch`: the joint torque is that of the tendons' stretch, as there is no sensor. Attribute `origin`: the
+        nodes that the last run found, and whether they were simulated; empty before the first run.
         """
+        self.origin = Origin()
         self._run = run
         self._by_stretch = by_stretch
         self._configuration = configuration
@@ -96,17 +99,23 @@ class RigRunner:
     ) -> Run:
         """Play once and read the log; raises BusError when the run fails.
 
+        The model is played as a file of this rig, whatever joint it was tuned on: a friction term is tried only after
+        the excitation has shown how much friction the rig has.
         `law`: keys of [axis.law] in place of the file's, None for one that is left out; `rate`: N*m/s that the
         set-point may change by, in place of the default.
         """
         table = np.column_stack([waveform.t, waveform.tau_j_des])
         setpoint = self._folder / f"{name}.csv"
         np.savetxt(setpoint, table, delimiter=",", header="t,tau_j_des", comments="", fmt="%.9g")
-        text = self._controller(name, model, compensation, setpoint, law or {}, rate)
+        copy = self._folder / f"model-{name}.toml"
+        copy.write_text(with_origin(model.read_text(encoding="utf-8"), self.origin), encoding="utf-8")
+        text = self._controller(name, copy, compensation, setpoint, law or {}, rate)
         (self._folder / f"controller-{name}.toml").write_text(text, encoding="utf-8")
         summary = self._run(self._folder, name, waveform.seconds, tick)
         if summary["log"] is None or summary["failed"]:
             raise BusError(f"the run '{name}' failed: {summary['cause']}")
+        nodes = nodes_from(summary["joints"].get(self._axis.name, {}))
+        self.origin = Origin("simulated" if summary["simulated"] else "measured", nodes)
         log = (self._folder / str(summary["log"])).rename(self._folder / f"{name}.mcap")
         return read_run(name, log, self._axis.name, self._axis.law.fade_in, waveform.seconds, self._by_stretch)
 
@@ -128,8 +137,8 @@ class RigRunner:
         for axis in data["axis"]:
             self._confine(axis)
             if axis["name"] == self._axis.name:
-                axis["model"] = str(model.resolve())
-                axis["setpoint"] = {"kind": "file", "file": str(setpoint.resolve())}
+                axis["model"] = model.name  # both lie beside this file, also when the folder is renamed
+                axis["setpoint"] = {"kind": "file", "file": setpoint.name}
                 if rate is not None:
                     axis["setpoint"]["rate"] = rate
                 keys = {**axis.get("law", {}), "compensation": compensation, **law}

@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tsa_ctrl import settings
 from tsa_ctrl.config import AxisSettings, load_configuration
+from tsa_ctrl.daemon.joint_files import admitted
 from tsa_ctrl.doctor import can_interface
 from tsa_ctrl.doctor.check import Result
 from tsa_ctrl.errors import BusError, UsageError
@@ -22,7 +24,7 @@ from tsa_ctrl.outputs import untaken
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune import model_file
 from tsa_ctrl.tune.by_stretch import why_not_told
-from tsa_ctrl.tune.controller_file import differ_in_law_alone, with_law
+from tsa_ctrl.tune.controller_file import differ_in_law_alone, moved, with_law
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     OTHER_FREQUENCIES,
@@ -52,6 +54,7 @@ class Plan:
     extended: bool = False
     setpoint: Path | None = None  # file to play as the excitation, as a diagnosis writes it
     plant: Path | None = None  # in virtual time on this simulated plant; default: on the rig's bus
+    allow_simulated: bool = False  # start on hardware from a model file with simulated numbers
 
 
 class Session:
@@ -78,6 +81,7 @@ class Session:
             excitation=played,
         )
         self._plant = plan.plant
+        self._allow_simulated = plan.allow_simulated
         self._folder = Path()
         self._final: Path | None = None
         self.page: Path | None = None
@@ -225,6 +229,7 @@ class Session:
             )
         if self._plant is not None:
             return
+        admitted(self._configuration, self._allow_simulated)
         file = self._configuration.file
         for check in can_interface.checks(file.bus, (self.axis,), file.controller.rate):
             if check.result is Result.FAIL:
@@ -268,6 +273,23 @@ class Session:
         self._folder.rename(self._final)
         self.page = self._final / "report.html"
 
-    def write(self, outcome: Outcome) -> dict[Path, Path]:
-        """Write the files; returns where those before are kept."""
-        return model_file.replace(self.changes(outcome), beside=(self._configuration.path,))
+    def targets(self, outcome: Outcome) -> list[Path]:
+        """The files that `write` writes: the rig's own, or new ones beside the page when the plant was simulated."""
+        return list(self.changes(outcome)) if self._plant is None else list(self._simulated(outcome))
+
+    def write(self, outcome: Outcome) -> dict[Path, Path | None]:
+        """Write the files; returns where those before are kept, None for new ones."""
+        if self._plant is None:
+            return dict(model_file.replace(self.changes(outcome), beside=(self._configuration.path,)))
+        texts = self._simulated(outcome)
+        for path, text in texts.items():
+            settings.write_text(path, text)
+        return dict.fromkeys(texts)
+
+    def _simulated(self, outcome: Outcome) -> dict[Path, str]:
+        """What a simulated plant taught goes beside the page, never into the rig's files."""
+        assert self._final is not None
+        configuration, name = self._configuration, self.path.name
+        text = self.changes(outcome).get(configuration.path, configuration.text)
+        controller = moved(text, self.axis.name, name, configuration.folder)
+        return {self._final / name: outcome.text, self._final / configuration.path.name: controller}

@@ -1,0 +1,65 @@
+"""Model files with simulated numbers on hardware: rejected, or run as files that were never calibrated."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.virtual.files import controller, write
+from tests.virtual.test_joint_files import NODES, tuned
+from tsa_ctrl.cli import main
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.control.bound import bound_of
+from tsa_ctrl.daemon.joint_files import admitted
+
+INTERVALS = {"half_loop_torque": [0.4, 0.5]}
+
+
+def files(folder: Path, source: str, interface: str = "socketcan") -> Path:
+    """Write a controller file for a bus, with a model file of this source; return the controller file."""
+    bus = {"bus": {"interface": interface, "channel": "can0" if interface == "socketcan" else "239.255.74.1"}}
+    path, _ = write(folder, controller(file=bus))
+    tuned(folder / "actuator.toml", source=source, intervals=INTERVALS, **NODES)
+    return path
+
+
+def status(*arguments: str) -> object:
+    with pytest.raises(SystemExit) as done:
+        main(list(arguments))
+    return done.value.code
+
+
+def test_simulated_numbers_are_rejected_on_hardware(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = files(tmp_path, "simulated")
+    assert status("run", "--check", str(path)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "actuator.toml" in line
+    assert "the numbers are simulated" in line
+    assert "--allow-simulated" in line
+
+
+def test_a_tuning_does_not_start_from_simulated_numbers_on_hardware(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = files(tmp_path, "simulated")
+    assert status("tune", str(path), "--yes", "--out", str(tmp_path / "out")) == 2
+    assert "the numbers are simulated" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_allowed_simulated_numbers_are_no_calibration_of_hardware(tmp_path: Path) -> None:
+    path = files(tmp_path, "simulated")
+    assert status("run", "--check", str(path), "--allow-simulated") == 0
+    configuration = load_configuration(path)
+    for admission, words in ((configuration, "interval of the calibration"), (admitted(configuration, True), "never")):
+        bound = bound_of(admission.models[0], bending_range=0.0, bending_known=False, sees=True, compensation=0.95)
+        assert words in " ".join(bound.notes)
+
+
+@pytest.mark.parametrize(
+    ("source", "interface"), [("measured", "socketcan"), ("simulated", "udp_multicast"), ("logs", "socketcan")]
+)
+def test_other_files_are_admitted_as_they_are(tmp_path: Path, source: str, interface: str) -> None:
+    configuration = load_configuration(files(tmp_path, source, interface))
+    assert admitted(configuration, False) is configuration
