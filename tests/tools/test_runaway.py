@@ -1,4 +1,4 @@
-"""The runaway campaign's hour with nothing wrong: slices that are kept, and their sum. Rows written by hand."""
+"""The runaway campaign: slices of a healthy hour are kept and added up, and cells of the scan are drawn and judged."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ import pytest
 
 from tools.campaign import runaway
 from tools.campaign.passive import scan
+from tools.campaign.passive.experiment import INERTIA
+from tools.campaign.passive.healthy import LOADS
 from tools.manual.tables import cells
 
-TWO_MINUTES = ("runaway", "--healthy", "120", "--rows")
+TWO_MINUTES = ("runaway", "healthy", "--seconds", "120", "--sensors", "encoder", "--rows")
 
 
 def _rows(path: Path, said: dict[str, list[str]]) -> Path:
     """Two slices of a minute on each load; what was said in the second."""
-    slices = [(load, number) for load in runaway.HEALTHY for number in (1, 2)]
+    slices = [(load, number) for load in LOADS for number in (1, 2)]
     rows = [
         {
+            "sensors": "encoder",
             "healthy": load,
             "slice": number,
             "seconds": 60.0,
@@ -37,11 +40,11 @@ def test_what_was_run_is_not_run_again_and_adds_up(
 ) -> None:
     rows = _rows(tmp_path / "rows.jsonl", {})
     before = rows.read_bytes()
-    monkeypatch.setattr(sys, "argv", [*TWO_MINUTES, str(rows)])
+    monkeypatch.setattr(sys, "argv", [*TWO_MINUTES, str(rows), "--loads", *LOADS])
     assert runaway.main() == 0
     table = cells(capsys.readouterr().out.partition("\n")[2])
-    assert [line[0] for line in table[1:]] == list(runaway.HEALTHY)
-    assert {tuple(line[1:]) for line in table[1:]} == {("120", "2", "nothing")}
+    assert [line[1] for line in table[1:]] == list(LOADS)
+    assert {(line[0], *line[2:]) for line in table[1:]} == {("encoder", "120", "2", "nothing")}
     assert rows.read_bytes() == before
 
 
@@ -51,7 +54,7 @@ def test_one_word_on_one_load_is_a_goal_missed(
     rows = _rows(tmp_path / "rows.jsonl", {"limb": ["passivity: 80 % of what the model file says"]})
     monkeypatch.setattr(sys, "argv", [*TWO_MINUTES, str(rows)])
     assert runaway.main() == 1
-    table = {line[0]: line[-1] for line in cells(capsys.readouterr().out.partition("\n")[2])[1:]}
+    table = {line[1]: line[-1] for line in cells(capsys.readouterr().out.partition("\n")[2])[1:]}
     assert table["limb"] == "passivity: 80 % of what the model file says"
     assert table["weight"] == "nothing"
 
@@ -69,6 +72,6 @@ def test_a_cell_of_the_scan_without_compensation_comes_to_rest_and_is_given_no_w
 def test_the_same_seed_draws_the_same_rig_for_a_cell_whatever_other_cells_there_are() -> None:
     chosen = (["zero"], ["friction"])
     one = scan.cells(5, ["encoder"], ["limb"], *chosen, [0.3], {})
-    many = scan.cells(5, scan.SENSORS, tuple(scan.LOADS), *chosen, scan.SHARES, {})
+    many = scan.cells(5, scan.SENSORS, tuple(INERTIA), *chosen, scan.SHARES, {})
     assert one[0] in many
     assert one != scan.cells(6, ["encoder"], ["limb"], *chosen, [0.3], {})

@@ -9,21 +9,16 @@ is a runaway when term and friction together did work on the joint from the nudg
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from matplotlib.lines import Line2D
 
 from tools import command
-from tools.campaign.passive.cases import modelled
+from tools.campaign.passive.experiment import Experiment
+from tools.campaign.passive.judge import power
 from tools.figures import look
-from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import VIRTUAL
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.script import Fault
-from tsa_ctrl.virtual.simulation import simulate_loop
 
 LOADS = ("weight", "spring", "free", "limb")
 LEFT = (0.2, 0.4, 0.6, 0.8)  # of the half loop: h_true / h_model; c stays below 1, where `bound` cuts it
@@ -33,25 +28,11 @@ ASLEEP = 100.0  # J: the guard is not to end what is shown
 
 
 def work(load: str, left: float, compensation: float) -> float:
-    """J that the joint is given from the nudge on, beyond what was wanted, which is nothing."""
-    with tempfile.TemporaryDirectory(prefix="figure-runaway-") as name:
-        folder = Path(name)
-        model = modelled()
-        save_model(model, folder / "true.toml")
-        controller = rig.controller(VIRTUAL, "run", 1000.0, "true.toml", compensation)
-        axis = controller["axis"][0]
-        axis["law"] |= {"fade_in": 0.1, "settle": 0.0}
-        axis["setpoint"] = {"kind": "constant"}
-        axis["passivity"] = {"energy": ASLEEP}
-        pretension = left * rig.TRUTH["pretension"]
-        plant = rig.plant(VIRTUAL, "distributed", {"perturbation": {"pretension": pretension}}, load)
-        rig.write(folder, gait(), plant, {"run": controller})
-        faults = [Fault("push value=0.8 duration=0.05", NUDGED)]
-        result = simulate_loop(folder / "controller-run.toml", folder / "plant.toml", NUDGED + SECONDS, faults=faults)
-    truth, axis_result = result.truth, result.axes[0]
-    t = truth["clock"] - axis_result.start
-    on = (t > NUDGED) & (t < axis_result.until)
-    return float(np.sum((truth["tau_j"] * truth["omega_j"])[on]) * 1e-3)
+    """Return the work in J that the joint is given from the nudge on, at a set-point of 0."""
+    asleep = {"law": {"settle": 0.0}, "passivity": {"energy": ASLEEP}}
+    rig = Experiment(load, "zero", pretension=left, compensation=compensation, fade_in=0.1, axis=asleep)
+    result = rig.play(NUDGED + SECONDS, [Fault("push value=0.8 duration=0.05", NUDGED)])
+    return float(np.sum(power(result, NUDGED)[1]))
 
 
 def main() -> int:

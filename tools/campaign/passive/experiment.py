@@ -15,6 +15,7 @@ from typing import Any
 
 from tools.bench.control import true_model
 from tsa_ctrl.config import load_configuration
+from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait
@@ -26,15 +27,14 @@ from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import Run
 
-LOADS = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer": 0.05}  # kg*m^2
+INERTIA = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer": 0.05}  # kg*m^2 of the joint, by load
 SENSORS = ("motor", "encoder", "sensor")  # no joint encoder; joint encoder; joint encoder and joint torque sensor
 SET_POINTS = ("zero", "constant", "sine", "gait")
 CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
 GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque: a joint of 0.02 kg*m^2 stays below 5 rad/s
-STILL = [[0.0, 0.0, 0.0, 0.0]]  # script of a hand that holds nothing
 _PLACES = {name: place for place, (name, _) in enumerate(COLUMNS)}
 
-Ended = Callable[[float, float], bool]  # s of the log and rad/s of the joint; whether all has been seen
+Ended = Callable[[float, float, Sequence[Event]], bool]  # s of the log, rad/s of the joint, events: all was seen
 
 
 @dataclass(frozen=True)
@@ -146,9 +146,10 @@ class _Seen:
 
     def row(self, values: Sequence[float]) -> None:
         self._record.row(values)
-        start = self._run.loop.start
-        if start and self._ended(values[_PLACES["clock"]] - start, values[_PLACES["omega_j"]]):
-            self._run.loop.stop("all has been seen")
+        loop = self._run.loop
+        t = values[_PLACES["clock"]] - loop.start
+        if loop.start and self._ended(t, values[_PLACES["omega_j"]], loop.events.all):
+            loop.stop("all has been seen")
 
 
 def _end_early(run: Run, ended: Ended) -> None:

@@ -41,8 +41,9 @@ from rich.table import Table
 
 from tools import command
 from tools.bench.results import Results
-from tools.campaign.passive.experiment import LOADS, SENSORS, Experiment
-from tools.campaign.passive.judge import most_work, speed
+from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
+from tools.campaign.passive.judge import most_work, peak_speed, reactions, speed
+from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
 
@@ -127,7 +128,8 @@ class Judge:
             "work": work,
             "speed_without": without,
             "speed_ideal": ideal,
-            "peak": float(np.abs(result.truth["omega_j"]).max()),
+            "peak": peak_speed(result, NUDGED),
+            **reactions(result.summary.events, NUDGED),
             "events": events[:3],
             "sustained": left > bound + max(without, ideal),
             "literal": left > bound + without,
@@ -138,7 +140,7 @@ class Judge:
     def _play(self, experiment: Experiment) -> Simulation:
         since = NUDGED + NUDGE_TIME
 
-        def ended(t: float, omega: float) -> bool:
+        def ended(t: float, omega: float, events: Sequence[Event]) -> bool:
             nonlocal since
             if abs(omega) > STILL or t < NUDGED + NUDGE_TIME:
                 since = max(t, NUDGED + NUDGE_TIME)
@@ -179,7 +181,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     """One line for each sensor configuration, load and set-point: worst speed and worst work, each with its cell."""
     heads = ("sensors", "load", "set-point", "cells", "missed", "speed (rad/s)", "at c = 0; ideal", "of the cell")
     found = Table(*heads, "work (mJ)", "of the cell", title="scan", title_justify="left")
-    for key in itertools.product(SENSORS, LOADS, SET_POINTS):
+    for key in itertools.product(SENSORS, INERTIA, SET_POINTS):
         those = [row for row in rows if (row["sensors"], row["load"], row["set_point"]) == key]
         if not those:
             continue
@@ -206,7 +208,7 @@ def _words(row: dict[str, Any]) -> str:
 def options(parser: argparse.ArgumentParser) -> None:
     """Add the scan's options."""
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
-    parser.add_argument("--loads", nargs="+", choices=tuple(LOADS), default=("free", "weight", "limb", "spring"))
+    parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=("free", "weight", "limb", "spring"))
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--of", nargs="+", choices=OF, default=OF[:1], help="what the plant has less of")
     parser.add_argument("--shares", nargs="+", type=float, default=SHARES, help="of the file's, 1 (default 0.1 to 1)")

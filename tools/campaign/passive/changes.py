@@ -1,0 +1,203 @@
+"""Changes: how much work does a joint get when friction, pretension, bending or the motor changes while the loop runs?
+
+Usage: tools/run campaign/runaway changes [--sensors motor ...] [--loads free ...] [--set-points sine ...]
+                                          [--changes friction=0.1 ...] [--at 3] [--sample N] [--rows FILE] [--worst]
+       tools/run campaign/runaway loss    (a sudden loss or a drive that lies, beside the same at compensation 0)
+
+Each case is one run of the real loop on distributed tendons in virtual time. The model file is true until --at, s of
+the log. Then one thing steps to a share of what it was: pretension, friction, bending, or the motor's torque constant
+(torque_gain; the reported torque stays). A joint that stands is nudged at this moment, and the hand on a limb lets go.
+A run ends 1.2 s after something latched, after 1 s of rest, or 3 s after the change. The plant's truth is judged:
+
+  added    the largest work that any window after the change gave the joint beyond the set-point's, less that of the
+           same run at compensation 0. With the torque sensor at most J/2 (1 rad/s)^2. With a joint encoder alone, a
+           sine and a loss from 2.5 s on (both directions have slid) at most 30 mJ, on a free joint 60 mJ. All other
+           values are printed only.
+  late     the same, counted from 1 s after the first 1 mJ on: at most 1 mJ with the torque sensor.
+  silent   more than 4 mJ were added and nothing was reported: missed with the torque sensor.
+  after    of the work, the share after the guard had taken all compensation back: delay, and the swing of the motor.
+
+Without a change the set-point ends instead. 3 s later the joint must stand (0.02 rad/s RMS) and the motor be quiet
+(0.02 N*m peak to peak). --rows FILE: cases in the file are not run again. --worst: the 20 worst of each sensor
+configuration. --which: those that missed a goal. Exit code 1: a goal was missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import itertools
+import json
+import random
+import secrets
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tools import command
+from tools.bench.results import Results
+from tools.campaign.passive.cases import AT, Case, judge
+from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS
+from tsa_ctrl.errors import UsageError
+
+CHANGES = {
+    "pretension": (0.1, 0.3, 0.5, 0.7, 0.9),
+    "friction": (0.1, 0.5, 0.75, 1.25, 1.5),
+    "bending": (0.8, 0.9, 1.1, 1.2),
+    "torque_gain": (1.4, 2.0),
+}
+LOSSES = (("pretension", 0.5), ("friction", 0.1), ("torque_gain", 1.4), ("torque_gain", 2.0))
+WORST = 20
+
+
+def cases(chosen: argparse.Namespace) -> list[Case]:
+    """Return every case of the chosen sensors, loads, set-points, changes, delays and times."""
+    changes = [("", 1.0)] + [(name, share) for name, shares in CHANGES.items() for share in shares]
+    if chosen.changes:
+        changes = list(map(change_of, chosen.changes))
+    rigs = itertools.product(chosen.loads, chosen.set_points, changes, chosen.delays, chosen.at, chosen.sensors)
+    return [Case(sensors, load, wanted, *change, delay, at) for load, wanted, change, delay, at, sensors in rigs]
+
+
+def change_of(text: str) -> tuple[str, float]:
+    """Return name and share of "friction=0.1" or "nothing"; raises UsageError."""
+    name, equals, value = text.partition("=")
+    if text == "nothing":
+        return "", 1.0
+    try:
+        share = float(value)
+    except ValueError:
+        share = 0.0
+    if name not in CHANGES or not equals or not 0.0 < share <= 10.0:
+        raise UsageError(f"--changes {text}: allowed are nothing or {', '.join(CHANGES)} =SHARE above 0, at most 10")
+    return name, share
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return a line for each sensor configuration, load and set-point."""
+    heads = ("sensors", "load", "set-point", "runs", "added, worst (mJ)", "goal", "late, worst (mJ)", "reported")
+    found = Table(*heads, "latched", "missed", "at rest (rad/s; N·m)", title="changes", title_justify="left")
+    for key in itertools.product(SENSORS, INERTIA, SET_POINTS):
+        those = [row for row in rows if (row["sensors"], row["load"], row["set_point"]) == key]
+        changed = [row for row in those if row["change"]]
+        if not those:
+            continue
+        resting = [row for row in those if not row["change"]]
+        rest = f"{max(r['speed'] for r in resting):.3f}; {max(r['torque'] for r in resting):.3f}" if resting else "-"
+        goals = {case_of(row).most for row in changed} - {None}
+        found.add_row(
+            *key,
+            str(len(those)),
+            f"{1e3 * max((row['added'] for row in changed), default=0.0):.1f}",
+            ", ".join(f"{1e3 * most:.0f}" for most in sorted(filter(None, goals))) or "-",
+            f"{1e3 * max((row['late_added'] for row in changed), default=0.0):.1f}",
+            str(sum(row["reported"] is not None for row in changed)),
+            str(sum(row["latched"] is not None for row in changed)),
+            str(sum(not row["good"] for row in those)),
+            rest,
+        )
+    return found
+
+
+def listing(title: str, rows: Iterable[dict[str, Any]]) -> Table:
+    """Return a line for each row: work, speed, and how soon the loop reported and latched."""
+    heads = ("sensors", "load", "set-point", "change", "delay", "at (s)", "then (rad/s)", "added (mJ)", "c = 0 (mJ)")
+    more = ("peak (rad/s)", "reported (s)", "latched (s)", "after (mJ)", "late (mJ)", "words")
+    found = Table(*heads, *more, title=title, title_justify="left")
+    for row in rows:
+        without = f"{1e3 * row['work_without']:.1f}" if "work_without" in row else "-"
+        found.add_row(
+            *(row[name] for name in ("sensors", "load", "set_point")),
+            case_of(row).what,
+            str(row["delay"]),
+            f"{row['at']:g}",
+            f"{abs(row['speed']):.1f}",
+            f"{1e3 * row['added']:.1f}",
+            without,
+            f"{row['peak']:.1f}",
+            *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("reported", "latched")),
+            "-" if row["acted"] is None else f"{1e3 * row['after']:.1f}",
+            f"{1e3 * row['late_added']:.1f}",
+            row["words"].split(";")[0].split(":")[0][:40],
+        )
+    return found
+
+
+def worst(rows: Sequence[dict[str, Any]]) -> list[Table]:
+    """Return the tables of those that were added most work, one for each sensor configuration."""
+    found = []
+    for sensors in SENSORS:
+        those = [row for row in rows if row["sensors"] == sensors and row["change"]]
+        if those:
+            those.sort(key=lambda row: -float(row["added"]))
+            found.append(listing(f"{WORST} worst, {sensors}", those[:WORST]))
+    return found
+
+
+def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
+    """Add the options; `loss`: with the defaults of a sudden loss."""
+    losses = [f"{name}={share:g}" for name, share in LOSSES] if loss else []
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
+    parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=tuple(INERTIA))
+    parser.add_argument(
+        "--set-points", nargs="+", choices=SET_POINTS, default=("sine", "constant") if loss else SET_POINTS
+    )
+    parser.add_argument("--changes", nargs="+", metavar="NAME=SHARE", default=losses, help="default: all, and nothing")
+    parser.add_argument("--delays", type=int, nargs="+", default=(1,) if loss else (1, 3), help="periods")
+    parser.add_argument("--at", type=float, nargs="+", default=(3.0, 3.5, 1.0) if loss else (AT,), help="s of the log")
+    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
+    parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn cases; 0: all")
+    parser.add_argument("--seed", type=int, help="of the sample (default: a fresh one, which is printed)")
+    parser.add_argument("--rows", type=Path, help="JSON lines: cases that are in the file are not run again")
+    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
+    parser.add_argument("--worst", action="store_true", help="the 20 worst of each configuration, besides")
+    parser.add_argument("--which", action="store_true", help="those that missed a goal, besides")
+    parser.add_argument("--json", action="store_true", help="a JSON object for each case, instead of tables")
+    parser.set_defaults(loss=loss)
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Run the chosen cases and print them; 1 if one missed a goal."""
+    found = cases(chosen)
+    seed = secrets.randbelow(10**6) if chosen.seed is None else chosen.seed
+    if chosen.sample:
+        found = random.Random(seed).sample(found, min(chosen.sample, len(found)))
+    kept = Results(chosen.rows, lambda row: (case_of(row), row["compensation"]))
+    waiting = [case for case in found if (case, chosen.compensation) not in kept]
+    play = functools.partial(judge, compensation=chosen.compensation, compare=chosen.loss)
+    for row in command.parallel(play, waiting, chosen.processes):
+        kept.add(row)
+        if not row["good"] and not chosen.json:
+            print(f"missed: {case_of(row).name}: {words(row)}", flush=True)
+    rows = [kept[case, chosen.compensation] for case in found]
+    if chosen.json:
+        print("\n".join(map(json.dumps, rows)))
+        return 0 if all(row["good"] for row in rows) else 1
+    changed = [row for row in rows if row["change"]]
+    tables = [listing("loss", changed)] if chosen.loss else [table(rows)]
+    tables += worst(rows) if chosen.worst else []
+    tables += [listing("missed", [row for row in changed if not row["good"]])] if chosen.which else []
+    for each in tables:
+        Console(width=200).print(each)
+    missed = sum(not row["good"] for row in rows)
+    drawn = f"; seed {seed}" if chosen.sample else ""
+    print(f"{len(rows)} runs, {len(rows) - missed} as they must be, {missed} missed{drawn}")
+    return 1 if missed else 0
+
+
+def case_of(row: dict[str, Any]) -> Case:
+    """Return the case of a row."""
+    return Case(*(row[field.name] for field in dataclasses.fields(Case)))
+
+
+def words(row: dict[str, Any]) -> str:
+    """Return what was measured, in a line."""
+    if not row["change"]:
+        return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", told" if row["told"] else "")
+    added = f"{1e3 * row['added']:.1f} mJ added, {1e3 * row['late_added']:.1f} mJ of it late"
+    reported = "not reported" if row["reported"] is None else f"reported after {row['reported']:.3f} s"
+    return f"{added}, {abs(row['speed']):.1f} rad/s at the change, {row['peak']:.1f} at most, {reported}"

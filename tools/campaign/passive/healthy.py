@@ -1,0 +1,102 @@
+"""Healthy: does the guard, or any check, report something while nothing is wrong?
+
+Usage: tools/run campaign/runaway healthy [--seconds 3600] [--sensors ...] [--loads ...] [--slices N] [--rows FILE]
+
+Each load plays the gait (weight, free and wearer a sine) with true parameters in slices of 60 s, each with noise of its
+own. With --rows the run continues where it was interrupted; --slices limits the slices of each load in one call. Exit
+code 1: something was reported or latched.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from tools import command
+from tools.bench.results import Results
+from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
+from tools.campaign.passive.judge import GUARD
+
+LOADS = ("imposed", *INERTIA)
+SLICE = 60.0  # s: a log of an hour does not fit into memory
+SINE = ("weight", "free", "wearer")  # loads that the gait would throw about
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A part of a healthy run; `number` is the seed of its noise."""
+
+    sensors: str
+    healthy: str
+    slice: int
+    seconds: float
+
+
+def play(part: Slice, compensation: float) -> dict[str, Any]:
+    """Run a slice and return what was reported or latched."""
+    set_point = "sine" if part.healthy in SINE else "gait"
+    rig = Experiment(part.healthy, set_point, part.sensors, compensation=compensation, seed=part.slice, fade_in=1.0)
+    result = rig.play(part.seconds)
+    said = [event.text for event in result.summary.events if event.text.startswith(GUARD)]
+    said += [str(fault) for fault in result.axes[0].faults]
+    return {**dataclasses.asdict(part), "compensation": compensation, "said": said}
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return a line for each sensor configuration and load."""
+    heads = ("sensors", "load", "with nothing wrong (s)", "runs", "reported or latched")
+    found = Table(*heads, title="healthy", title_justify="left")
+    for key in itertools.product(SENSORS, LOADS):
+        those = [row for row in rows if (row["sensors"], row["healthy"]) == key]
+        if those:
+            texts = sorted({text for row in those for text in row["said"]})
+            seconds = sum(row["seconds"] for row in those)
+            found.add_row(*key, f"{seconds:g}", str(len(those)), "; ".join(texts) or "nothing")
+    return found
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options."""
+    parser.add_argument("--seconds", type=float, default=3600.0, help="of each load and configuration (default 3600)")
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
+    parser.add_argument("--loads", nargs="+", choices=LOADS, default=("imposed", "weight", "limb"))
+    parser.add_argument("--slices", type=int, default=1000, help="of each load and configuration at most")
+    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
+    parser.add_argument("--rows", type=Path, help="JSON lines: slices that are in the file are not run again")
+    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
+    parser.add_argument("--json", action="store_true", help="a JSON object for each slice, instead of the table")
+
+
+def run(chosen: argparse.Namespace) -> int:
+    """Run the slices that are missing; 1 if anything was reported."""
+    kept = Results(chosen.rows, key_of)
+    count = math.ceil(chosen.seconds / SLICE)
+    lengths = [min(SLICE, chosen.seconds - number * SLICE) for number in range(count)]
+    product = itertools.product(enumerate(lengths, 1), chosen.sensors, chosen.loads)
+    parts = [Slice(sensors, load, number, seconds) for (number, seconds), sensors, load in product]
+    waiting = [part for part in parts if (part, chosen.compensation) not in kept]
+    waiting = waiting[: chosen.slices * len(chosen.sensors) * len(chosen.loads)]
+    for row in command.parallel(functools.partial(play, compensation=chosen.compensation), waiting, chosen.processes):
+        kept.add(row)
+    rows = [kept[part, chosen.compensation] for part in parts if (part, chosen.compensation) in kept]
+    if chosen.json:
+        print("\n".join(map(json.dumps, rows)))
+    else:
+        Console(width=160).print(table(rows))
+    return 1 if any(row["said"] for row in rows) else 0
+
+
+def key_of(row: dict[str, Any]) -> tuple[Slice, float]:
+    """Return what makes a slice."""
+    return Slice(*(row[field.name] for field in dataclasses.fields(Slice))), row["compensation"]
