@@ -44,8 +44,9 @@ ROOMS: dict[str, str] = {
     "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
+    "readiness": "model safety config",
     "ipc": "errors system",
-    "daemon": "errors settings outputs system log sensors model observer bus safety control config ipc",
+    "daemon": "errors settings outputs system log sensors model observer bus safety control config readiness ipc",
     # offline: from logs to parameters and causes, without bus and loop
     "identify": "errors version settings system log model observer",
     # the machine that answers: independent of everything that computes
@@ -63,7 +64,7 @@ ROOMS: dict[str, str] = {
     ),
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
-        "errors version settings outputs system log model bus config ipc daemon identify plant virtual "
+        "errors version settings outputs system log model bus config readiness ipc daemon identify plant virtual "
         "published doctor bench drills dashboard tune demo"
     ),
     "__init__": "errors version system ipc.client virtual",

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -35,7 +35,7 @@ from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
 from tsa_ctrl.safety.plausibility import PlausibilitySettings
-from tsa_ctrl.safety.use_class import SafetySettings
+from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, wearer_limits
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
@@ -142,7 +142,8 @@ class Configuration:
 def load_configuration(path: str | Path) -> Configuration:
     """Read and check a controller file; raises UsageError in one line for anything wrong with it."""
     path = Path(path)
-    file = settings.load(path, ControllerFile)
+    data = settings.read_toml(path)
+    file = settings.convert(data, ControllerFile, path)
     if not file.axes:
         raise UsageError(f"{path}: no [[axis]]; give at least one")
     _check_unique(path, file)
@@ -150,6 +151,7 @@ def load_configuration(path: str | Path) -> Configuration:
     folder = path.parent
     models = tuple(load_tendon_sheath(folder / axis.model) for axis in file.axes)
     profiles = tuple(load_profile(axis.drive.profile, folder) for axis in file.axes)
+    file = with_limits(path, file, data["axis"], models)
     file, estimators = with_estimators(file, models)
     for axis, model in zip(file.axes, models, strict=True):
         _check_axis(f"{path}: axis '{axis.name}'", axis, model, file)
@@ -161,6 +163,26 @@ def load_configuration(path: str | Path) -> Configuration:
     configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load, estimators)
     assert len(configuration.plans) == len(file.axes)  # or it has raised
     return configuration
+
+
+def with_limits(
+    path: Path, file: ControllerFile, tables: list[dict[str, Any]], models: tuple[TendonSheath, ...]
+) -> ControllerFile:
+    """Return the file with complete limits and clamps, by its [[axis]] `tables` as they are written.
+
+    Raises:
+        UsageError: a written limit contradicts another one.
+    """
+    axes = []
+    for axis, table, model in zip(file.axes, tables, models, strict=True):
+        geared = model.joint_pulley_radius / model.motor_pulley_radius
+        try:
+            limits = wearer_limits(axis.limits, table["limits"], file.safety, geared)
+            drive = drive_clamps(axis.drive, table["drive"], limits)
+        except ValueError as error:
+            raise UsageError(f"{path}: axis '{axis.name}': {error}") from None
+        axes.append(msgspec.structs.replace(axis, limits=limits, drive=drive))
+    return msgspec.structs.replace(file, axes=tuple(axes))
 
 
 def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:
@@ -231,18 +253,7 @@ def _check_unique(path: Path, file: ControllerFile) -> None:
 
 def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> None:
     """Contradictions between the sections of one axis, its model and the bus."""
-    drive, limits, period = axis.drive, axis.limits, 1.0 / file.controller.rate
-    most = drive.rated_torque * drive.gear_ratio if drive.max_torque is None else drive.max_torque
-    if limits.torque > most:
-        raise UsageError(
-            f"{where}: limits.torque {limits.torque:g} N*m is above the drive's own clamp of {most:g} N*m "
-            "(drive.max_torque, default rated torque times gear ratio); lower it, or raise max_torque"
-        )
-    if limits.motor_over_speed > drive.max_speed:
-        raise UsageError(
-            f"{where}: limits.motor_over_speed {limits.motor_over_speed:g} rad/s is above drive.max_speed "
-            f"{drive.max_speed:g} rad/s, which the drive enforces; lower it, or raise max_speed"
-        )
+    drive, period = axis.drive, 1.0 / file.controller.rate
     if drive.rpdo_timeout < 2.0 * period:
         raise UsageError(
             f"{where}: drive.rpdo_timeout {drive.rpdo_timeout:g} s is less than two periods of "

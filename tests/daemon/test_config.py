@@ -96,9 +96,9 @@ def test_every_commented_default_is_the_default(folder: Path) -> None:
         (r"^# turn = 8e-3", "turn = 8.0", "law.turn"),
         (r"^# over_speed = 12.0 ", "over_speed = 9.0 ", "over_speed 9 rad/s is not above joint_speed"),
         (
-            r"^# motor_over_speed = 20.0 ",
-            "motor_over_speed = 90.0 ",
-            "motor_over_speed 90 rad/s is above drive.max_speed",
+            r"^# max_speed = 20.0 ",
+            "max_speed = 15.0 ",
+            "motor_over_speed 20 rad/s is above drive.max_speed 15 rad/s",
         ),
         (r"^# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.001 ", "rpdo_timeout 0.001 s is less than two periods"),
         (r'^# kind = "stretch" ', 'kind = "map" ', 'kind "map" needs the source'),
@@ -240,4 +240,4 @@ def test_check_compares_the_plan_with_the_eds(folder: Path) -> None:
     path = edit(folder, r'^# profile = "generic"', 'profile = "mine"')
     result = CliRunner().invoke(cli, ["run", "--check", str(path)])
     assert isinstance(result.exception, UsageError)
-    assert "mine.eds: section [6072]: 0x6072:0 max torque shall be 3000, allowed is 0 to 500" in str(result.exception)
+    assert "mine.eds: section [6072]: 0x6072:0 max torque shall be 2000, allowed is 0 to 500" in str(result.exception)

@@ -87,7 +87,7 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     velocity_source: Literal["drive", "position"] = "drive"  # 0x606C, or 0x6064 differentiated
     velocity_cutoff: Positive = 100.0  # Hz, of the filter when differentiated
     max_torque: Positive | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio
-    max_speed: Positive = 50.0  # rad/s, the drive's own clamp 0x6080
+    max_speed: Positive = 50.0  # rad/s, the drive's own clamp 0x6080; default in a file: limits.motor_over_speed
     host_timeout: Seconds = 0.1  # s without our heartbeat, 0x1016: the drive stops by itself
     rpdo_timeout: Seconds = 0.02  # s without a command, 0x1400:5, where the drive has it
     connection_loss: Literal["fault", "disable_voltage", "quick_stop"] = "fault"  # 0x6007

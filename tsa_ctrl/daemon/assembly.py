@@ -35,6 +35,7 @@ from tsa_ctrl.model.sliding import least_stiffness, motor_stiffness, wound_by_fr
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
+from tsa_ctrl.readiness import loose_lines
 from tsa_ctrl.safety.apart import DOUBT, Give
 from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.guard import Guard
@@ -251,6 +252,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
         ],
         figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
         cures=dict(CURES),
+        loose_bounds=loose_lines(configuration),
     )
 
 

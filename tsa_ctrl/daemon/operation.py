@@ -21,6 +21,7 @@ from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.errors import StoppedError, TsaError
 from tsa_ctrl.ipc.mailbox import Mailbox
+from tsa_ctrl.readiness import loose_lines
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system.histogram import coarse, distribution
 
@@ -64,6 +65,8 @@ class Operation:
         UsageError or BusError for what fails before.
         """
         period = self._configuration.period
+        for line in loose_lines(self._configuration):
+            self._say(line)
         try:
             try:
                 self._bring_up(reset_faults)

@@ -116,6 +116,7 @@ class Page:
             parts.append(Text(self.message, style="yellow"))
         parts += [self._axis(axis) for axis in status["axes"]]
         parts.append(_times(status))
+        parts += [Text(line, style="yellow") for line in status.get("loose_bounds", [])]
         for event in [*status["events"], *status["faults"]][-8:]:
             where = f"{event['axis']}: " if event["axis"] else ""
             parts.append(Text(f"{event['t']:.3f} s  {where}{event['text']}", style="red" if event["fault"] else ""))

@@ -124,6 +124,7 @@ class Description(msgspec.Struct, frozen=True):
     set_point_timeout: list[float] = []  # s per axis
     watch_group: str | None = None
     estimators: list[str] = []  # per axis: which it has, and why not the one by the stretch
+    loose_bounds: list[str] = []  # safety bounds that are looser than shipped, a line each
 
 
 def default_path() -> str:

@@ -54,6 +54,7 @@ def status_report(
         "lateness": _histogram(mailbox.lateness),
         "work": _histogram(mailbox.work),
         "figures": description.figures,
+        "loose_bounds": description.loose_bounds,
         "lease": lease,
     }
     return report

@@ -1,22 +1,34 @@
-"""The class of use: a rig on a bench, or a joint that a person wears."""
+"""The class of use: a rig on a bench, or a joint that a person wears; and the speed limits that follow from the wearer.
+
+The chain of speeds, each with its share of the next:
+
+    wearer_speed    the wearer's fastest motion; up to here the motor gives its full torque
+    joint_speed     1.25 times as fast; the driving torque has faded to 0 (`safety.limiter` begins at 0.8 of it)
+    over_speed      1.25 times as fast again; the torque latches at 0
+    motor_over_speed    r_J/r_M times over_speed: the same at the motor, and the drive's own clamp 0x6080
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.bus.settings import DriveSettings
+from tsa_ctrl.safety.limiter import LimiterSettings
+
 UseClass = Literal["bench", "worn"]
-FASTEST_WEARER = 20.0  # rad/s; a sprinter's knee reaches about 20, gait 7
+MARGIN = 1.25  # 1, between two speeds of the chain
 
 
 class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[safety]: the class of use, the wearer, and the requirements of `tsa verify-safety` and the fault campaign."""
 
     use_class: UseClass = msgspec.field(name="class", default="bench")
-    # rad/s of the joint, fastest motion of the wearer; the speed limits follow from it
-    wearer_speed: Annotated[float, Meta(gt=0.0, le=FASTEST_WEARER)] | None = None
+    # rad/s of the joint, fastest motion of the wearer; a sprinter's knee reaches about 20, gait 7
+    wearer_speed: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
     travel: tuple[float, float] | None = None  # rad of every joint; [axis.limits] travel narrows it for one axis
     emergency_stop: Annotated[int, Meta(ge=0, le=31)] | None = None  # bit of 0x60FD that is 1 while the stop is pressed
     zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = (
@@ -32,3 +44,70 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     def worn(self) -> bool:
         """Return True if a person wears the joint."""
         return self.use_class == "worn"
+
+
+def wearer_speeds(wearer_speed: float, geared: float) -> dict[str, float]:
+    """Return the speed limits of [axis.limits] that follow from the wearer.
+
+    Args:
+        wearer_speed: fastest motion of the joint, rad/s.
+        geared: r_J/r_M, 1.
+    """
+    joint_speed = MARGIN * wearer_speed
+    over_speed = MARGIN * joint_speed
+    return {"joint_speed": joint_speed, "over_speed": over_speed, "motor_over_speed": geared * over_speed}
+
+
+def wearer_limits(
+    limits: LimiterSettings, written: Collection[str], safety: SafetySettings, geared: float
+) -> LimiterSettings:
+    """Return the limits of one axis with everything that follows from the wearer and that the file leaves out.
+
+    Args:
+        limits: as the file has them.
+        written: keys of [axis.limits] that the file has.
+        safety: of the file.
+        geared: r_J/r_M of the axis.
+
+    Raises:
+        ValueError: a written limit contradicts a derived one.
+    """
+    derived: dict[str, object] = {}
+    if safety.wearer_speed is not None:
+        derived |= wearer_speeds(safety.wearer_speed, geared)
+    if safety.travel is not None:
+        derived["travel"] = safety.travel
+        if limits.travel is not None and not (
+            safety.travel[0] <= limits.travel[0] and limits.travel[1] <= safety.travel[1]
+        ):
+            raise ValueError(
+                f"limits.travel {list(limits.travel)} rad is not inside [safety] travel {list(safety.travel)} rad; "
+                "narrow the one or widen the other"
+            )
+    return msgspec.structs.replace(limits, **{key: value for key, value in derived.items() if key not in written})
+
+
+def drive_clamps(drive: DriveSettings, written: Collection[str], limits: LimiterSettings) -> DriveSettings:
+    """Return the drive's settings with its own clamps (0x6072, 0x6080) no wider than the controller's limits.
+
+    Args:
+        drive: as the file has it.
+        written: keys of [axis.drive] that the file has.
+        limits: of the axis, complete.
+
+    Raises:
+        ValueError: a limit is above a clamp of the file.
+    """
+    rated = drive.rated_torque * drive.gear_ratio
+    most = rated if drive.max_torque is None else drive.max_torque
+    if limits.torque > most:
+        raise ValueError(
+            f"limits.torque {limits.torque:g} N*m is above the drive's own clamp of {most:g} N*m "
+            "(drive.max_torque, default rated torque times gear ratio); lower it, or raise max_torque"
+        )
+    if "max_speed" in written and limits.motor_over_speed > drive.max_speed:
+        raise ValueError(
+            f"limits.motor_over_speed {limits.motor_over_speed:g} rad/s is above drive.max_speed "
+            f"{drive.max_speed:g} rad/s, which the drive enforces; lower it, or raise max_speed"
+        )
+    return msgspec.structs.replace(drive, max_torque=limits.torque, max_speed=limits.motor_over_speed)

@@ -1,0 +1,72 @@
+"""The limits that follow from the wearer, and the drive's clamps that follow from the limits."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tsa_ctrl.bus.settings import DriveSettings
+from tsa_ctrl.safety.limiter import LimiterSettings
+from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, wearer_limits
+
+SPEEDS = st.floats(0.1, 20.0)
+RATIOS = st.floats(0.2, 5.0)
+ENDS = st.floats(-3.0, 3.0)
+
+
+@given(SPEEDS, RATIOS)
+def test_the_limits_lie_above_the_wearer_and_in_order(speed: float, geared: float) -> None:
+    """A wearer at full speed is driven with full torque; each further limit is a quarter faster."""
+    limits = wearer_limits(LimiterSettings(torque=1.0), {"torque"}, SafetySettings(wearer_speed=speed), geared)
+    assert 0.8 * limits.joint_speed == pytest.approx(speed)
+    assert limits.over_speed == pytest.approx(1.25 * limits.joint_speed)
+    assert limits.motor_over_speed == pytest.approx(geared * limits.over_speed)
+
+
+@given(SPEEDS, RATIOS, st.floats(0.01, 10.0))
+def test_the_clamps_of_the_drive_are_the_limits(speed: float, geared: float, torque: float) -> None:
+    limits = wearer_limits(LimiterSettings(torque=torque), {"torque"}, SafetySettings(wearer_speed=speed), geared)
+    drive = drive_clamps(DriveSettings(node_id=1, max_torque=10.0), {"node_id", "max_torque"}, limits)
+    assert (drive.max_torque, drive.max_speed) == (limits.torque, limits.motor_over_speed)
+
+
+@given(st.tuples(ENDS, ENDS), st.tuples(ENDS, ENDS))
+def test_travel_of_an_axis_narrows_that_of_the_file_and_never_widens_it(
+    whole: tuple[float, float], own: tuple[float, float]
+) -> None:
+    if min(whole[1] - whole[0], own[1] - own[0]) < 0.3:
+        return
+    safety, limits = SafetySettings(travel=whole), LimiterSettings(torque=1.0, travel=own)
+    if whole[0] <= own[0] and own[1] <= whole[1]:
+        assert wearer_limits(limits, {"torque", "travel"}, safety, 1.0).travel == own
+    else:
+        with pytest.raises(ValueError, match="is not inside"):
+            wearer_limits(limits, {"torque", "travel"}, safety, 1.0)
+
+
+def test_travel_of_the_file_holds_for_an_axis_without_its_own() -> None:
+    limits = wearer_limits(LimiterSettings(torque=1.0), {"torque"}, SafetySettings(travel=(-1.0, 2.0)), 1.0)
+    assert limits.travel == (-1.0, 2.0)
+
+
+def test_a_written_limit_stays() -> None:
+    limits = wearer_limits(
+        LimiterSettings(torque=1.0, joint_speed=3.0), {"torque", "joint_speed"}, SafetySettings(wearer_speed=4.0), 1.0
+    )
+    assert (limits.joint_speed, limits.over_speed) == (3.0, 6.25)
+
+
+def test_without_a_wearer_the_shipped_limits_stay() -> None:
+    limits = LimiterSettings(torque=1.0)
+    assert wearer_limits(limits, {"torque"}, SafetySettings(), 2.0) == limits
+
+
+def test_a_written_limit_above_a_derived_one_is_a_contradiction() -> None:
+    with pytest.raises(ValueError, match=r"over_speed 6\.25 rad/s is not above joint_speed 10 rad/s"):
+        wearer_limits(LimiterSettings(torque=1.0), {"torque", "joint_speed"}, SafetySettings(wearer_speed=4.0), 1.0)
+
+
+def test_an_empty_travel_is_rejected() -> None:
+    with pytest.raises(ValueError, match="is empty"):
+        SafetySettings(travel=(1.0, 1.0))

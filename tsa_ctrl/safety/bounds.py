@@ -1,0 +1,93 @@
+"""Safety bounds that are looser than shipped: one table of keys, compared with the defaults of their sections."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import msgspec
+
+Shipped = Mapping[tuple[str, str], float]  # by section and key
+
+# Keys that are looser the greater they are (a flag: when it differs), by section, each with its unit.
+KEYS: Mapping[str, Mapping[str, str]] = {
+    "controller": {"stop_time": "s"},
+    "realtime": {"allow_without": ""},
+    "bus.supervision": {
+        "tolerated_misses": "cycles",
+        "tolerated_drops": "cycles",
+        "lost_share": "1",
+        "enable_timeout": "s",
+        "disable_timeout": "s",
+        "reset_timeout": "s",
+    },
+    "safety": {"zero_torque_within": "s"},
+    "axis.drive": {"host_timeout": "s", "rpdo_timeout": "s", "heartbeat_timeout": "s", "require_watchdog": ""},
+    "axis.encoder": {"heartbeat_timeout": "s"},
+    "axis.torque_sensor": {"heartbeat_timeout": "s"},
+    "axis.setpoint": {"timeout": "s", "rate": "N*m/s"},
+    "axis.law": {"compensation": "1"},
+    "axis.limits": {
+        "torque": "N*m",
+        "rate": "N*m/s",
+        "joint_speed": "rad/s",
+        "over_speed": "rad/s",
+        "motor_over_speed": "rad/s",
+        "travel": "rad",
+    },
+    "axis.plausibility": {"torque": "N*m", "joint_torque": "N*m", "duration": "s", "slip": "rad"},
+    "axis.passivity": {"energy": "J", "buzz": "N*m"},
+}
+WORN_FACTOR = 2.0  # 1: in class "worn" no bound may be looser than that times the shipped one
+
+
+class Loose(NamedTuple):
+    """A bound that is looser than shipped; `shipped` is NaN if the default follows from other settings."""
+
+    section: str
+    key: str
+    value: float
+    shipped: float
+    unit: str
+
+    @property
+    def unfit_to_wear(self) -> bool:
+        """Return True if class "worn" rejects the value."""
+        return not self.value <= WORN_FACTOR * self.shipped or self.unit == ""
+
+    def __str__(self) -> str:
+        if self.unit == "":
+            return f"[{self.section}] {self.key} = {str(bool(self.value)).lower()}"
+        shipped = f"shipped is {self.shipped:.4g}" if math.isfinite(self.shipped) else "shipped follows from the model"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"[{self.section}] {self.key} {self.value:g}{unit} ({shipped})"
+
+
+def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped) -> Iterator[Loose]:
+    """Yield every bound of some sections that is looser than shipped.
+
+    Args:
+        sections: settings by the names of their tables; an absent one is None.
+        shipped: defaults that are not those of the settings classes.
+    """
+    for name, section in sections.items():
+        if section is None:
+            continue
+        defaults = {field.encode_name: field.default for field in msgspec.structs.fields(section)}
+        for key, unit in KEYS.get(name, {}).items():
+            value = _size(getattr(section, key))
+            default = shipped.get((name, key), _size(defaults[key]))
+            if value is None:
+                continue
+            if unit == "" and value != default:
+                yield Loose(name, key, value, math.nan, unit)
+            elif default is None or not value <= default * (1.0 + 1e-9):
+                yield Loose(name, key, value, math.nan if default is None else default, unit)
+
+
+def _size(value: object) -> float | None:
+    """Return a setting as one number: of a range the end that is farther from 0."""
+    if isinstance(value, tuple):
+        return max(abs(float(end)) for end in value)
+    return float(value) if isinstance(value, int | float) else None
