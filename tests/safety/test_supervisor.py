@@ -215,6 +215,7 @@ FAULTS: list[tuple[str, Callable[[Bench], None], Cause, str]] = [
     ("interface", set_attribute(bus_fault=BusFault.INTERFACE_DOWN), Cause.BUS_FAULT, "the interface is down"),
     ("intruder", set_attribute(intruder=0x201), Cause.SECOND_MASTER, "0x201"),
     ("altered", set_attribute(altered="drive node 1: 0x1400:5 is 0x0"), Cause.ALTERED, "0x1400:5 is 0x0"),
+    ("stop", set_attribute(pressed="drive node 1: bit 3"), Cause.EMERGENCY_STOP, "drive node 1: bit 3"),
     ("stale", set_attribute(misses=3, fresh=False), Cause.STALE_PDO, "3 cycles in a row"),
     ("dropped", set_attribute(drops=3), Cause.COMMAND_DROPPED, "3 in a row"),
     ("mode", set_attribute(mode=8), Cause.WRONG_MODE, "mode 8"),
@@ -245,7 +246,7 @@ def test_fault_stays_when_its_reason_goes_and_enable_stands(failed: tuple[Bench,
     bench, cause, _ = failed
     WORDS[PowerState.OPERATION_ENABLED] = 0x1237
     image = bench.image
-    image.bus_fault = image.intruder = image.silent = image.altered = None
+    image.bus_fault = image.intruder = image.silent = image.altered = image.pressed = None
     image.misses = image.drops = 0
     image.fresh, image.mode = True, 10
     bench.state = PowerState.OPERATION_ENABLED
@@ -259,7 +260,7 @@ def test_reset_alone_suffices_only_when_no_configuration_can_be_lost(failed: tup
     bench, cause, _ = failed
     WORDS[PowerState.OPERATION_ENABLED] = 0x1237
     image = bench.image
-    image.bus_fault = image.intruder = image.silent = image.altered = None
+    image.bus_fault = image.intruder = image.silent = image.altered = image.pressed = None
     image.misses = image.drops = 0
     image.fresh, image.mode = True, 10
     bench.step(Request.DISABLE)

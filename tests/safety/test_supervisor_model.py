@@ -32,7 +32,12 @@ BRING_UP = {  # what takes the nodes' configuration with it, by the name of what
     "silent": Cause.HEARTBEAT_LOST,
     "left": Cause.NMT_STATE,
 }
-ALONE = {"emergency": Cause.EMERGENCY, "stale": Cause.STALE_PDO, "dropped": Cause.COMMAND_DROPPED}
+ALONE = {
+    "emergency": Cause.EMERGENCY,
+    "stop": Cause.EMERGENCY_STOP,
+    "stale": Cause.STALE_PDO,
+    "dropped": Cause.COMMAND_DROPPED,
+}
 
 
 class Model(RuleBasedStateMachine):
@@ -117,6 +122,8 @@ class Model(RuleBasedStateMachine):
             image.intruder = 0x201
         elif what == "altered":
             image.altered = "drive node 1: another"
+        elif what == "stop":
+            image.pressed = "drive node 1: bit 3"
         elif what == "boot-up":
             health.boot_ups += 1
             image.events += 1
@@ -144,7 +151,7 @@ class Model(RuleBasedStateMachine):
     def heal(self) -> None:
         """The cause is gone; what it did is not."""
         image = self.bench.image
-        image.bus_fault = image.intruder = image.altered = image.silent = None
+        image.bus_fault = image.intruder = image.altered = image.pressed = image.silent = None
         image.misses = image.drops = 0
         for health in image.nodes:
             health.nmt_state, health.boot_ups, health.misses = NmtState.OPERATIONAL, 0, 0

@@ -23,6 +23,7 @@ from tsa_ctrl.errors import StoppedError, TsaError
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.readiness import loose_lines
 from tsa_ctrl.safety.shut_down import shut_down
+from tsa_ctrl.safety.use_class import stop_bit
 from tsa_ctrl.system.histogram import coarse, distribution
 
 Say = Callable[[str], None]
@@ -110,7 +111,7 @@ class Operation:
                 self._tell("")
             for line in (*report.lines(), *self._joint_files.notes()):
                 self._say(line)
-            self._rig.look_after(report)
+            self._rig.look_after(report, stop_bit(file.safety))
         for axis in self._axes:
             axis.trusted = self._joint_files.trusted(axis.name)
         self._rig.start()

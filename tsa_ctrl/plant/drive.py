@@ -59,6 +59,7 @@ class DriveFaults:
     dead_stage: bool = False  # the power stage has no voltage: no torque, bit 4 low, the state machine goes on
     torque_off: bool = False  # the input of safe torque off is open
     turned: int = 1  # -1: position and velocity count the other way
+    inputs: int = 0  # 0x60FD
 
 
 class Drive:
@@ -289,6 +290,7 @@ class Drive:
         values[0x6041, 0] = self.statusword()
         mode = self.faults.wrong_mode
         values[0x6061, 0] = self._mode_shown() if mode is None else mode
+        values[0x60FD, 0] = self.faults.inputs
         values[0x6077, 0] = _bounded(round(torque * digits), 0x7FFF)
         values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
         values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))

@@ -94,6 +94,7 @@ def objects(settings: DriveSettings) -> list[Entry]:
         Entry(0x60C2, 0, Type.U8, Access.CONST, 2),
         Entry(0x60C2, 1, Type.U8, rw, 1, low=1),
         Entry(0x60C2, 2, Type.I8, rw, -3, low=-6, high=0),
+        Entry(0x60FD, 0, Type.U32, ro, mappable=True),
         Entry(0x6502, 0, Type.U32, ro, supported),
     ]
 

@@ -140,6 +140,11 @@ FAULTS: Mapping[str, FaultKind] = {
         "the drive works by a clock of its own", lambda t: swap(t.drive.faults, "clock_drift", t.value),
         0.01, "relative", -0.1, 0.1,
     ),
+    "digital_input": FaultKind(
+        "an input of the drive is active (0x60FD)",
+        lambda t: swap(t.drive.faults, "inputs", t.drive.faults.inputs ^ 1 << int(t.value)),
+        3, "bit", 0, 31,
+    ),
     **AILMENTS,
 }  # fmt: skip
 

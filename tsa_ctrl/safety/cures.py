@@ -50,6 +50,7 @@ CURES: Mapping[str, str] = MappingProxyType(
         Cause.NMT_STATE.value: f"somebody or the node itself left the operational state; {_BRING_UP}",
         "EMCY 0x8130": _HELD_UP,
         "EMCY 0x8250": _HELD_UP,
+        Cause.EMERGENCY_STOP.value: "release it once the cause is removed; then recover",
         Cause.EMERGENCY.value: "the code in the drive's manual; take away what it names, then recover",
         Cause.DRIVE_FAULT.value: "read the drive's error code (0x603F) in its manual; take it away, then recover",
         Cause.STALE_PDO.value: "bus load, a late node, or a computer that stalls: tsa doctor; then recover",

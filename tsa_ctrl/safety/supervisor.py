@@ -56,6 +56,7 @@ class Cause(Enum):
     BOOT_UP = "node booted while running"
     HEARTBEAT_LOST = "heartbeat lost"
     NMT_STATE = "node left the operational state"
+    EMERGENCY_STOP = "emergency stop"
     EMERGENCY = "emergency"
     DRIVE_FAULT = "drive fault"
     STALE_PDO = "stale PDO"
@@ -168,6 +169,7 @@ class Supervisor:
             and image.bus_fault is None
             and image.intruder is None
             and image.altered is None
+            and image.pressed is None
         ):  # the usual cycle, decided without a call
             return _RUN
         state = cia402.decode(image.statusword)
@@ -213,8 +215,9 @@ class Supervisor:
             self._latch(Cause.BUS_FAULT, image.bus_fault.value, now)
         if image.intruder is not None:
             self._latch(Cause.SECOND_MASTER, f"somebody else sent a master's frame 0x{image.intruder:03X}", now)
-        if image.altered is not None:
-            self._latch(Cause.ALTERED, image.altered, now)
+        for cause, detail in ((Cause.ALTERED, image.altered), (Cause.EMERGENCY_STOP, image.pressed)):
+            if detail is not None:
+                self._latch(cause, detail, now)
         if image.events != self._events:
             self._events = image.events
             for health in image.nodes:

@@ -16,6 +16,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.bus.live.stop_input import StopBit
 from tsa_ctrl.bus.settings import DriveSettings
 from tsa_ctrl.safety.limiter import LimiterSettings
 
@@ -30,7 +31,8 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     # rad/s of the joint, fastest motion of the wearer; a sprinter's knee reaches about 20, gait 7
     wearer_speed: Annotated[float, Meta(gt=0.0, le=20.0)] | None = None
     travel: tuple[float, float] | None = None  # rad of every joint; [axis.limits] travel narrows it for one axis
-    emergency_stop: Annotated[int, Meta(ge=0, le=31)] | None = None  # bit of 0x60FD that is 1 while the stop is pressed
+    emergency_stop: Annotated[int, Meta(ge=0, le=31)] | None = None  # bit of 0x60FD (digital inputs)
+    emergency_stop_level: Literal[0, 1] = 1  # of that bit while the stop is pressed
     zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = (
         None  # s; default: longest of what a fault takes + 0.05
     )
@@ -44,6 +46,11 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     def worn(self) -> bool:
         """Return True if a person wears the joint."""
         return self.use_class == "worn"
+
+
+def stop_bit(safety: SafetySettings) -> StopBit | None:
+    """Return where the emergency stop is wired; None without one."""
+    return None if safety.emergency_stop is None else StopBit(safety.emergency_stop, safety.emergency_stop_level)
 
 
 def wearer_speeds(wearer_speed: float, geared: float) -> dict[str, float]:

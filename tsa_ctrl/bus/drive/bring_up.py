@@ -21,6 +21,7 @@ from tsa_ctrl.bus.drive.checks import (
     check_identity,
     check_watchdog,
     confirm_mode,
+    find_inputs,
     is_on,
     read_errors,
     reset_fault,
@@ -214,6 +215,7 @@ def _configure(
             reset_fault(session, node, report)
         check_drive(session, node, report, resets_later)
         check_signs(session, node)
+        find_inputs(session, node, report)
         plan = with_consumer(session, node.node_id, plan, settings.host_node_id)
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)

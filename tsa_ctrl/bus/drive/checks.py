@@ -203,6 +203,12 @@ def check_drive(session: Session, node: Node, report: NodeReport, resets: bool) 
     _check_rated_torque(session, node, report)
 
 
+def find_inputs(session: Session, node: Node, report: NodeReport) -> None:
+    """Note if the drive has digital inputs (0x60FD), at one of which an emergency stop may be wired."""
+    if node.profile.has(objects.DIGITAL_INPUTS) and node.look(session, objects.DIGITAL_INPUTS) is not None:
+        report.digital_inputs = objects.DIGITAL_INPUTS.of(node.axis.drive.slot)
+
+
 def _instead(modes: int) -> str:
     """Why a drive without cyclic synchronous torque is refused."""
     others = [name for bit, name in ((7, "cyclic position"), (8, "cyclic velocity")) if modes >> bit & 1]

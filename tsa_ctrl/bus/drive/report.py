@@ -34,6 +34,7 @@ class NodeReport:
     node_id: int = 0
     identity: dict[str, int] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
+    digital_inputs: Object | None = None  # 0x60FD, of a drive that has it
     notes: list[str] = field(default_factory=list)  # errors that the node remembers, things that could not be checked
 
     @property

@@ -220,7 +220,7 @@ class Axis:
             health.nmt_state = NmtState.OPERATIONAL
             health.boot_ups = health.emcys = health.misses = health.warnings = 0
             health.emcy = health.warning = None
-        image.silent = image.intruder = image.altered = image.bus_fault = None
+        image.silent = image.intruder = image.altered = image.pressed = image.bus_fault = None
         image.fresh = image.joint_fresh = False
         image.misses = image.drops = image.events = 0
         self._look_again = -math.inf

@@ -75,6 +75,7 @@ class Image:
         "omega_j",
         "omega_m",
         "pdo_age",
+        "pressed",
         "q_j",
         "q_m",
         "silent",
@@ -106,6 +107,7 @@ class Image:
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
         self.intruder: int | None = None  # identifier of a frame that only a second master would send
         self.altered: str | None = None  # what a node no longer holds as it was written
+        self.pressed: str | None = None  # the emergency stop at the drive: pressed, or its state is unknown
         self.bus_fault: BusFault | None = None
 
     @property

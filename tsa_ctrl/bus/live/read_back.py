@@ -3,7 +3,7 @@
 A write by SDO that the bus carries is seen at once (`Rig`); this finds what was changed out of sight, by a tool on
 another port, or lost by the node itself, among it the watchdogs and the torque clamp. One question every 20 ms, at less
 than 1 Mbit/s that much more seldom: 80 objects of an axis are through in 2 s. As often a drive is asked which command
-it heard last (`Hearing`), the drives by turns.
+it heard last (`Hearing`), the drives by turns. An emergency stop at a drive's inputs comes before both (`StopInput`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from tsa_ctrl.bus.canopen.cia301 import SDO_REQUEST
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.hearing import Hearing
+from tsa_ctrl.bus.live.stop_input import StopInput
 from tsa_ctrl.bus.wire.seam import Bus
 
 INTERVAL = 0.02  # s between two questions at `BITRATE`: question and answer are 1.3 % of the bus then
@@ -28,6 +29,8 @@ LISTEN = 0.020618
 LEAST_UNHEARD = 3  # commands within a second, where few are asked for: one that is lost with an error stops nothing
 BITRATE = 1_000_000  # bit/s
 PATIENCE = 1.0  # s for an answer; what does not come is asked again in the next round
+STOP_PATIENCE = 0.05  # s, after which the emergency stop is asked for although another answer has not come
+STOP_INTERVAL = 0.05  # s at most between two questions for it, however slow the bus is
 _MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, objects.MODE.name})  # others write them, too
 _QUESTION = struct.Struct("<BHB4x")
 _KEY = struct.Struct("<xHB")
@@ -69,7 +72,13 @@ class ReadBack:
     """Asks and compares; `altered` says for each node what it no longer holds as it was written."""
 
     def __init__(
-        self, bus: Bus, bitrate: int, held: Iterable[Held], heard: Sequence[Heard] = (), lost_share: float = 1.0
+        self,
+        bus: Bus,
+        bitrate: int,
+        held: Iterable[Held],
+        heard: Sequence[Heard] = (),
+        lost_share: float = 1.0,
+        stops: Sequence[StopInput] = (),
     ) -> None:
         """`bitrate` in bit/s; `lost_share`: 1, of the commands asked for in a second that may be older ones."""
         self.altered: dict[int, str] = {}
@@ -78,10 +87,13 @@ class ReadBack:
         self._interval, self._listen = INTERVAL * slower, LISTEN * slower
         self._round = itertools.cycle(tuple(held))
         self._drives = itertools.cycle(heard)
-        self._asked: Held | Heard | None = None
+        self._stops = itertools.cycle(stops)
+        self._stop_interval = min(self._interval, STOP_INTERVAL) / max(1, len(stops))
+        self._asked: Held | Heard | StopInput | None = None
         self._again: Held | None = None  # differed, and is asked once more before it counts
         self._next = -math.inf
         self._next_heard = -math.inf if heard else math.inf
+        self._next_stop = -math.inf if stops else math.inf
         self._asked_at = -math.inf
         for each in heard:
             asked = 1.0 / (self._listen * len(heard))  # in a second
@@ -89,11 +101,19 @@ class ReadBack:
 
     def update(self, now: float) -> None:
         """Ask for the next object when it is due; `now` in s, monotonic."""
-        if now < self._next and now < self._next_heard:
+        if now < self._next and now < self._next_heard and now < self._next_stop:
+            return
+        if now >= self._next_stop and (self._asked is None or now >= self._asked_at + STOP_PATIENCE):
+            self._next_stop = now + self._stop_interval
+            stop = next(self._stops)
+            stop.asked(now)
+            self._ask(stop, now)
             return
         if self._asked is not None and now < self._asked_at + PATIENCE:
             return
         asked: Held | Heard
+        if now < self._next and now < self._next_heard:
+            return
         if now >= self._next:
             self._next = now + self._interval
             asked = self._again or next(self._round)
@@ -102,6 +122,9 @@ class ReadBack:
             self._next_heard = now + self._listen - (behind if behind < self._listen else 0.0)
             asked = next(self._drives)
             asked.hearing.ask()
+        self._ask(asked, now)
+
+    def _ask(self, asked: Held | Heard | StopInput, now: float) -> None:
         self._asked, self._asked_at = asked, now
         self._send(SDO_REQUEST + asked.node_id, _QUESTION.pack(_UPLOAD, *asked.entry.key))
 
@@ -112,6 +135,10 @@ class ReadBack:
             return False
         self._asked = None
         known = data[0] & _EXPEDITED_BITS == _EXPEDITED  # else an abort, or more than fits
+        if isinstance(asked, StopInput):
+            if known:
+                asked.answered(asked.entry.decode(data[4:8]))
+            return False
         if isinstance(asked, Heard):
             if known:
                 asked.hearing.answered(asked.entry.decode(data[4:8]))

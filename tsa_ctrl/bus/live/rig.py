@@ -13,10 +13,12 @@ from functools import partial
 
 from tsa_ctrl.bus.canopen import cia301
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
+from tsa_ctrl.bus.canopen.objects import DIGITAL_INPUTS
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
 from tsa_ctrl.bus.live.read_back import Heard, ReadBack, held_by
+from tsa_ctrl.bus.live.stop_input import StopBit, StopInput
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.system.sleep import Lead
@@ -116,15 +118,33 @@ class Rig:
         """Whether any drive is commanded; see `stand_off`."""
         return any(not axis.stands_off for axis in self.axes)
 
-    def look_after(self, report: Report) -> None:
-        """Read back now and then, from the next `start` on, what the nodes were given at a bring-up."""
+    def look_after(self, report: Report, stop: StopBit | None = None) -> None:
+        """Read back now and then, from the next `start` on, what the nodes were given at a bring-up.
+
+        `stop`: where the emergency stop is wired at each drive that has digital inputs; None: nowhere.
+        """
         held = held_by(report)
         if held:
             settings = self._settings
             heard = [Heard(axis.nodes.drive.node_id, axis.target, axis.hearing) for axis in self.axes]
-            self._read_back = ReadBack(self.bus, settings.bitrate, held, heard, settings.supervision.lost_share)
+            share = settings.supervision.lost_share
+            stops = self._stops(report, stop)
+            self._read_back = ReadBack(self.bus, settings.bitrate, held, heard, share, stops)
             for node_id in {each.node_id for each in held} | {each.node_id for each in heard}:
                 self._messages[cia301.SDO_ANSWER + node_id] = partial(self._compare, node_id)
+
+    def _stops(self, report: Report, wiring: StopBit | None) -> list[StopInput]:
+        """Return the emergency stop of each axis whose drive has digital inputs."""
+        if wiring is None:
+            return []
+        inputs = {(node.node_id, node.digital_inputs) for node in report.nodes if node.digital_inputs is not None}
+        return [
+            StopInput(drive.node_id, entry, wiring, axis.image)
+            for axis in self.axes
+            for drive in (axis.nodes.drive,)
+            for entry in (DIGITAL_INPUTS.of(drive.slot),)
+            if (drive.node_id, entry) in inputs
+        ]
 
     def read_back(self, now: float) -> None:
         """Ask for the next object when that is due; for the end of a cycle, when its answers are here."""
