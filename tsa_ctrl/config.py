@@ -27,10 +27,11 @@ from tsa_ctrl.control.choice import chosen
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
-from tsa_ctrl.control.plan import Plan, plan_of
+from tsa_ctrl.control.plan import TURN, Plan, plan_of
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.model.sliding import wound_by_friction
 from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
@@ -177,7 +178,8 @@ def with_limits(
     for axis, table, model in zip(file.axes, tables, models, strict=True):
         geared = model.joint_pulley_radius / model.motor_pulley_radius
         try:
-            limits = wearer_limits(axis.limits, table["limits"], file.safety, geared)
+            reversal_speed = wound_by_friction(model) / (axis.law.turn or TURN / file.controller.rate)
+            limits = wearer_limits(axis.limits, table["limits"], file.safety, geared, reversal_speed)
             drive = drive_clamps(axis.drive, table["drive"], limits)
         except ValueError as error:
             raise UsageError(f"{path}: axis '{axis.name}': {error}") from None

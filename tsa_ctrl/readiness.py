@@ -63,5 +63,5 @@ def _shipped(axis: AxisSettings, model: TendonSheath, worn: bool) -> Shipped:
         ("axis.plausibility", "joint_torque"): DEFAULT_JOINT_TORQUE * axis.limits.torque * geared,
     }
     if worn:
-        shipped |= {("axis.limits", key): value for key, value in wearer_speeds(GAIT_SPEED, geared).items()}
+        shipped |= {("axis.limits", key): value for key, value in wearer_speeds(GAIT_SPEED, geared, 0.0).items()}
     return shipped

@@ -13,7 +13,7 @@ from tsa_ctrl.plant.process import check
 from tsa_ctrl.virtual.simulation import Run
 
 
-@pytest.mark.parametrize("speed", [2.0, 6.4])
+@pytest.mark.parametrize("speed", [4.0, 6.4])
 @pytest.mark.parametrize("gear", [1.0, 5.0])
 def test_the_drive_holds_the_limits_of_the_wearer(tmp_path: Path, speed: float, gear: float) -> None:
     """0x6072 is limits.torque in per mille, 0x6080 is r_J/r_M times the joint's over-speed in rpm of the motor."""
