@@ -56,12 +56,12 @@ def test_what_is_wrong_from_the_first_torque_on_counts_from_there() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensor", [False, True])
-def test_a_zero_that_jumps_is_told_and_ends_the_torque(sensor: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("sensors", ["encoder", "sensor"])
+def test_a_zero_that_jumps_is_told_and_ends_the_torque(sensors: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Told in the next cycle, and the joint has got next to nothing by then."""
     name = "joint encoder's zero jumps by 0.1 rad"
     monkeypatch.setitem(FAULTS, name, dataclasses.replace(FAULTS[name], after=0.1))
-    row = trial(name, "weight", sensor=sensor)
+    row = trial(name, "weight", sensors)
     assert row["told"] < 0.005
     assert row["told"] < row["off"] < 0.02
     assert row["given"] < 1.0

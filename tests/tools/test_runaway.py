@@ -6,13 +6,17 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tools.campaign import runaway
-from tools.campaign.passive import scan
+from tools.campaign.passive import changes, scan, tracking
+from tools.campaign.passive.cases import Case
 from tools.campaign.passive.experiment import INERTIA
 from tools.campaign.passive.healthy import LOADS
+from tools.campaign.passive.judge import windows
 from tools.manual.tables import cells
+from tsa_ctrl.errors import UsageError
 
 TWO_MINUTES = ("runaway", "healthy", "--seconds", "120", "--sensors", "encoder", "--rows")
 
@@ -75,3 +79,36 @@ def test_the_same_seed_draws_the_same_rig_for_a_cell_whatever_other_cells_there_
     many = scan.cells(5, scan.SENSORS, tuple(INERTIA), *chosen, scan.SHARES, {})
     assert one[0] in many
     assert one != scan.cells(6, ["encoder"], ["limb"], *chosen, [0.3], {})
+
+
+def test_work_counts_in_the_window_that_makes_it_largest() -> None:
+    assert windows(np.array([-5.0, 2.0, 1.0, -4.0, 2.5, -0.5])).tolist() == [-5.0, 2.0, 3.0, -1.0, 2.5, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("case", "most"),
+    [
+        (Case("sensor", "weight", "zero", "friction", 0.5, 1, 1.2), 10e-3),
+        (Case("encoder", "free", "sine", "friction", 0.1, 1, 3.0), 60e-3),
+        (Case("encoder", "limb", "sine", "pretension", 0.5, 1, 3.0), 30e-3),
+        (Case("encoder", "limb", "sine", "pretension", 0.5, 1, 1.0), None),
+        (Case("encoder", "limb", "sine", "torque_gain", 2.0, 1, 3.0), None),
+        (Case("motor", "limb", "sine", "friction", 0.1, 1, 3.0), None),
+    ],
+)
+def test_work_has_a_goal_where_sensors_can_show_a_loss(case: Case, most: float | None) -> None:
+    assert case.most == most
+
+
+def test_an_error_that_grows_against_another_revision_is_a_goal_missed() -> None:
+    before = {"first": 90.0, "confirmed": 50.0, "again": 50.0}
+    assert tracking.missed({"first": 200.0, "confirmed": 59.0, "again": 64.0}, before) == []
+    assert tracking.missed({"first": 200.0, "confirmed": 61.0, "again": 66.0}, before) == ["confirmed", "again"]
+    assert tracking.missed({"loss": 6.0}, {"loss": 0.0}) == ["loss"]
+    assert tracking.missed({"confirmed": float("nan"), "again": 50.0}, before) == ["confirmed"]
+
+
+@pytest.mark.parametrize("text", ["friction", "friction=0", "nonsense=1", "bending=x"])
+def test_a_change_that_is_none_is_one_clear_line(text: str) -> None:
+    with pytest.raises(UsageError, match=f"--changes {text}: allowed are"):
+        changes.change_of(text)

@@ -234,3 +234,9 @@ def test_a_sample_is_safe(phase: str, count: int) -> None:
 def test_only_what_is_known_to_be_open_was_unsafe_when_the_table_was_made() -> None:
     found = hazards.load()["hazards"]
     assert {name for name, row in found.items() if row["unsafe"]} <= {each.name for each in HAZARDS if each.open}
+
+
+def test_a_trial_without_a_joint_encoder_stops_as_well() -> None:
+    blind = LOST.with_sensors("motor")
+    assert blind.key == f"{LOST.key} | motor"
+    assert judge(blind).wrong == ()

@@ -1,25 +1,30 @@
 """What is found of a motor, an encoder or a tendon that is not as the model says; when, and what the joint got by then.
 
-Usage: tools/run bench/checks [--loads held weight imposed limb] [--faults NAME ...] [--torque-sensor]
-                              [--calibrated] [--results FILE] [--json]
-The shipped actuator with true parameters and the estimator "stretch" in use, in virtual time, without a joint torque
-sensor unless it is asked for; each fault begins at 1 s. "Told" is the first line after that, "off" the time from the
-fault until the motor's torque is zero at the plant, once the axis has latched; "-" where that did not come within the
-run, that is 3 s after the fault, or 6 s where it gets worse slowly. "Given" is the most work of any window that the
-joint was given beyond what was wanted, from the fault until the torque is off, else until the end; until the first line
-it is in the objects that --json prints. Without a fault it is what the law leaves.
-Where k_t of (3.56) is not the file's the stretch is wrong from the first torque on, and the times count from there.
-Where the lever p + d/2 is not, the pretension is wrong alone, once the bending changes: it does by a fifth from 1 s to
-4 s, the angle is told, and the estimator is "map". With --calibrated the model file's [uncertainty] of stiffness and
-bends is what `tsa calibrate --stretch` leaves of a rig with a joint torque sensor, in place of what a data sheet does:
-the guard doubts less.
+Usage: tools/run bench/checks [--loads held weight imposed limb] [--faults NAME ...] [--sensors motor encoder sensor]
+                              [--set-points sine constant] [--calibrated] [--sample N] [--worst] [--results FILE]
+
+The shipped actuator with true parameters in virtual time, the estimator "stretch" in use where there are two encoders.
+Sensors: "motor" has no joint encoder and no joint torque sensor, "encoder" has the joint encoder, "sensor" has both. A
+prescribed motion gets the gait instead of the sine. Each fault begins at 1 s. A run ends 1.2 s after something latched,
+or 3 s after the fault, or 6 s where it gets worse slowly. "Told" is the first report after the fault. "Off" is the time
+from the fault until the motor's torque is zero at the plant, once the axis has latched; "-" if that did not come.
+"Given" is the largest work of any window beyond the set-point's, from the fault until the torque is off, or until the
+end. --json also prints the work until the first report. --worst adds the 20 worst of each configuration.
+
+Where k_t of (3.56) is not the file's, the elongation is wrong from the first torque on, and the times count from there.
+Where the lever p + d/2 is not, only the pretension is wrong, once the bending changes: by a fifth from 1 s to 4 s. The
+angle is commanded then, and the estimator is "map". With --calibrated the model file's [uncertainty] of stiffness and
+bends is that of `tsa calibrate --stretch` on a rig with a joint torque sensor, not that of a data sheet.
 """
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
+import itertools
 import json
-import tempfile
+import random
+import secrets
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,16 +34,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from tests.virtual.joints import GAIT, play, sine
 from tools import command
 from tools.bench.results import Results, Row
-from tools.campaign.passive.judge import windows
+from tools.campaign.passive.cases import Ended
+from tools.campaign.passive.experiment import SENSORS, Experiment
+from tools.campaign.passive.judge import peak_speed, reactions, windows
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo.rig import NOMINAL
-from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult
-from tsa_ctrl.virtual.script import Change
+from tsa_ctrl.virtual.script import Change, parse_fault_option
 
 AT = 0.9995  # s, between two cycles: what is told in the next one is told after it
 AT_ONCE, SLOWLY = 3.0, 6.0  # s that are looked at, of what is wrong at once and of what gets worse
@@ -87,7 +93,8 @@ FAULTS = {  # by what a person calls it
 STRAIGHT = 0.8  # of the bending angle, at the end of
 WITHIN = 3.0  # s
 STAIRS = 60  # angles that are told by then
-MODEL = "told.toml"
+WORST = 20
+KEY = ("fault", "load", "sensors", "set_point", "calibrated")
 # 1, as bench/stretch prints of rigs: half an interval of the stiffness, and that of the centre of the bends (MODEL and
 # COURSE_FOUND in identify/calibrate/stretch.py are their floors)
 CALIBRATED = (0.006, 0.002)
@@ -95,14 +102,11 @@ TRIPPED = "tripped by the controller: "
 NONE = 0.02  # N*m, that a drive reports of no torque
 
 
-def trial(name: str, load: str, *, sensor: bool = False, calibrated: bool = False) -> Row:
-    """One fault on one joint: what was told, and what the joint got, as `judged`."""
+def trial(name: str, load: str, sensors: str = "encoder", set_point: str = "sine", calibrated: bool = False) -> Row:
+    """Return one fault on one joint: what was reported, and the work that the joint was given, as `judged`."""
     wrong = FAULTS[name]
-    axis: dict[str, Any] = {"model": MODEL, "estimator": {"kind": "stretch", "use": True}}
+    axis: dict[str, Any] = {} if sensors == "motor" else {"estimator": {"kind": "stretch", "use": True}}
     plant: dict[str, Any] = {"perturbation": {"axial_stiffness": wrong.stiffness}}
-    if not sensor:
-        axis["torque_sensor"] = None
-        plant["torque_sensor"] = {"present": False}
     changes: tuple[Change, ...] = ()
     if wrong.straightens:
         axis |= {"estimator": {"kind": "map", "use": True}, "bending": {"source": "command"}}
@@ -111,19 +115,20 @@ def trial(name: str, load: str, *, sensor: bool = False, calibrated: bool = Fals
             Change("bending_angle", NOMINAL.bending_angle * (1.0 + (STRAIGHT - 1.0) * share), AT + WITHIN * share)
             for share in np.linspace(0.0, 1.0, STAIRS + 1)[1:].tolist()
         )
-    with tempfile.TemporaryDirectory(prefix="bench-checks-") as folder:
-        save_model(file_of(wrong, calibrated), Path(folder) / MODEL)
-        result = play(
-            Path(folder),
-            load,
-            GAIT if load == "imposed" else sine(0.6, 0.5),
-            AT + wrong.after,
-            axis=axis,
-            plant=plant,
-            changes=changes,
-            faults=[f"{wrong.fault}@{AT}"] if wrong.fault else [],
-        )
-    row: Row = {"fault": name, "load": load, "sensor": sensor, "calibrated": calibrated}
+    rig = Experiment(
+        load,
+        "gait" if load == "imposed" and set_point == "sine" else set_point,
+        sensors,
+        compensation=1.0,
+        file_model=file_of(wrong, calibrated),
+        axis=axis,
+        file={"controller": {"after_fault": "wait"}},
+        plant={**plant, "perturbation": {"friction_coefficient": 1.0, "pretension": 1.0, **plant["perturbation"]}},
+    )
+    faults = [parse_fault_option(f"{wrong.fault}@{AT}")] if wrong.fault else []
+    result = rig.play(AT + wrong.after, faults, changes, Ended(AT, False))
+    row: Row = {"fault": name, "load": load, "sensors": sensors, "set_point": set_point, "calibrated": calibrated}
+    row |= {"latched": reactions(result.summary.events, AT)["latched"], "peak": peak_speed(result, AT)}
     return {**row, **judged(result.axes[0], result.summary.events, wrong.at)}
 
 
@@ -168,30 +173,74 @@ def cell(row: dict[str, Any]) -> str:
     return f"{times}; {row['given']:.0f}"
 
 
+def worst(rows: Sequence[Row]) -> list[Table]:
+    """Return the trials in which the joint was given most work, a table for each sensor configuration."""
+    found = []
+    for sensors in SENSORS:
+        those = sorted((row for row in rows if row["sensors"] == sensors), key=lambda row: -float(row["given"]))
+        heads = ("fault", "load", "set-point", "given (mJ)", "peak (rad/s)", "reported (s)", "latched (s)")
+        table = Table(*heads, title=f"{WORST} worst, {sensors}", title_justify="left")
+        for row in those[:WORST]:
+            times = ("-" if row[key] is None else f"{row[key]:.2f}" for key in ("told", "latched"))
+            table.add_row(
+                *(row[key] for key in ("fault", "load", "set_point")),
+                f"{row['given']:.0f}",
+                f"{row['peak']:.1f}",
+                *times,
+            )
+        found += [table] if those else []
+    return found
+
+
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS[:4])
     parser.add_argument("--faults", nargs="+", choices=tuple(FAULTS), default=tuple(FAULTS))
-    parser.add_argument("--torque-sensor", action="store_true", help="with a joint torque sensor")
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
+    parser.add_argument("--set-points", nargs="+", choices=("sine", "constant"), default=("sine", "constant"))
     parser.add_argument("--calibrated", action="store_true", help="stiffness and bends as a calibration knows them")
+    parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn trials; 0: all")
+    parser.add_argument("--seed", type=int, help="of the sample (default: a fresh one, which is printed)")
+    parser.add_argument("--worst", action="store_true", help="the 20 worst of each sensor configuration, besides")
     parser.add_argument("--results", type=Path, help="a JSON object per trial; those that it holds are not run again")
+    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
     parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
-    known = Results(
-        arguments.results, lambda row: tuple(row[name] for name in ("fault", "load", "sensor", "calibrated"))
-    )
-    table = Table("told / off (s); given (mJ)", *arguments.loads, "words of the first")
-    for name in arguments.faults:
-        rows = []
-        for load in arguments.loads:
-            key = (name, load, arguments.torque_sensor, arguments.calibrated)
-            if key not in known:
-                known.add(trial(name, load, sensor=arguments.torque_sensor, calibrated=arguments.calibrated))
-            rows.append(known[key])
-            if arguments.json:
-                print(json.dumps(rows[-1]), flush=True)
-        words = next((row["words"] for row in rows if row["words"]), "nothing")
-        table.add_row(name, *map(cell, rows), words.removeprefix(TRIPPED).split(":")[0])
-    if not arguments.json:
+    kept = Results(arguments.results, lambda row: tuple(row[name] for name in KEY))
+    product = itertools.product(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)
+    wanted = [(*each, arguments.calibrated) for each in product]
+    seed = secrets.randbelow(10**6) if arguments.seed is None else arguments.seed
+    if arguments.sample:
+        wanted = random.Random(seed).sample(wanted, min(arguments.sample, len(wanted)))
+    for row in command.parallel(_trial, [key for key in wanted if key not in kept], arguments.processes):
+        kept.add(row)
+    rows = [kept[key] for key in wanted]
+    if arguments.json:
+        print("\n".join(map(json.dumps, rows)))
+        return 0
+    for table in [*tables(rows, arguments), *(worst(rows) if arguments.worst else [])]:
         Console(width=250).print(table)
+    if arguments.sample:
+        print(f"{len(rows)} trials; seed {seed}")
     return 0
+
+
+def _trial(key: tuple[str, str, str, str, bool]) -> Row:
+    return trial(*key)
+
+
+def tables(rows: Sequence[Row], arguments: argparse.Namespace) -> list[Table]:
+    """Return a table for each sensor configuration and set-point: a line for each fault, a column for each load."""
+    found = []
+    for sensors, set_point in itertools.product(arguments.sensors, arguments.set_points):
+        those = [row for row in rows if (row["sensors"], row["set_point"]) == (sensors, set_point)]
+        title = f"{sensors}, {set_point}: told / off (s); given (mJ)"
+        table = Table("fault", *arguments.loads, "words of the first", title=title, title_justify="left")
+        for name in arguments.faults:
+            by_load = {row["load"]: row for row in those if row["fault"] == name}
+            if by_load:
+                words = next((row["words"] for row in by_load.values() if row["words"]), "nothing")
+                cells = (cell(by_load[load]) if load in by_load else "" for load in arguments.loads)
+                table.add_row(name, *cells, words.removeprefix(TRIPPED).split(":")[0])
+        found += [table] if those else []
+    return found

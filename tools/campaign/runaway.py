@@ -1,8 +1,9 @@
-"""Does the controller ever sustain a motion? Four campaigns of the real loop on distributed tendons, in virtual time.
+"""Does the controller ever sustain a motion? Five campaigns of the real loop on distributed tendons, in virtual time.
 
 Usage: tools/run campaign/runaway scan      less friction than the file's from the start, one nudge
        tools/run campaign/runaway changes   friction, pretension, bending or the motor change while the loop runs
        tools/run campaign/runaway loss      a sudden loss or a drive that lies, beside the same at compensation 0
+       tools/run campaign/runaway tracking  the torque error of healthy rigs, here and on another revision
        tools/run campaign/runaway healthy   an hour with nothing wrong
 
 Each runs with three sensor configurations: the motor alone, a joint encoder, a joint encoder and a joint torque sensor.
@@ -17,13 +18,14 @@ from collections.abc import Callable
 from types import ModuleType
 
 from tools import command
-from tools.campaign.passive import changes, healthy, scan
+from tools.campaign.passive import changes, healthy, scan, tracking
 
 Options = Callable[[argparse.ArgumentParser], None]
 MODES: dict[str, tuple[ModuleType, Options]] = {
     "scan": (scan, scan.options),
     "changes": (changes, changes.options),
     "loss": (changes, functools.partial(changes.options, loss=True)),
+    "tracking": (tracking, tracking.options),
     "healthy": (healthy, healthy.options),
 }
 

@@ -1,7 +1,7 @@
 """Every fault in every phase at twenty moments of the cycle, in virtual time: what do motor and joint do?
 
 Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TEXT]... [--out FILE] [--seed 1]
-                                  [--processes 1|2] [--keep] [--json] [--list]
+                                  [--sensors motor encoder sensor] [--processes 1|2] [--keep] [--json] [--list]
 
 The daemon's own loop on the real plant under one clock: every fault of the catalogue while it starts, enables, fades
 in, runs, is tuned, stops, is in fault, resets and recovers; joint (imposed, held, free, spring, weight, limb, wearer),
@@ -22,26 +22,23 @@ hazards. Ends with the line `N trials, N safe`; exit code 1 unless all are.
 
 from __future__ import annotations
 
-import concurrent.futures
 import datetime
 import functools
 import json
-import multiprocessing
 import platform
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 from tools import command
+from tools.campaign.passive.experiment import SENSORS
 from tools.campaign.phase.catalogue import HAZARDS
 from tools.campaign.phase.plan import Trial, chosen
 from tools.campaign.phase.results import KEPT, Row, read, row, summary
-from tools.campaign.phase.stage import Stage
 from tools.campaign.phase.verdict import judge
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 
-MOST_PROCESSES = 2
+WORST = 20  # trials of each chosen sensor configuration that are printed, by energy
 
 
 def main() -> int:
@@ -50,16 +47,18 @@ def main() -> int:
     parser.add_argument("--part", default="1/1", metavar="I/N", help="every N-th trial from the I-th on")
     parser.add_argument("--sample", type=int, metavar="N", help="the first N of a drawn order")
     parser.add_argument("--only", action="append", default=[], metavar="TEXT", help="trials with TEXT in their name")
+    parser.add_argument("--sensors", nargs="+", choices=SENSORS, help="every trial with each (default: as drawn)")
     parser.add_argument("--out", type=Path, default=Path("virtual.jsonl"), help="a line for each trial")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, MOST_PROCESSES + 1))
+    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
     parser.add_argument("--keep", action="store_true", help="sum all lines up for the manual")
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.add_argument("--list", action="store_true", help="the names of all trials")
     options = parser.parse_args()
-    trials = chosen(
-        options.seed, "pairs" if options.pairs else "full", options.sample, tuple(options.only), part(options.part)
-    )
+    kind = "pairs" if options.pairs else "full"
+    trials = chosen(options.seed, kind, options.sample, tuple(options.only), part(options.part))
+    if options.sensors:
+        trials = [trial.with_sensors(sensors) for trial in trials for sensors in options.sensors]
     if options.list:
         print("\n".join(trial.key for trial in trials))
         return 0
@@ -69,7 +68,9 @@ def main() -> int:
     done = {each["key"] for each in found}
     waiting = [trial for trial in trials if trial.key not in done]
     with options.out.open("a", encoding="utf-8") as file:
-        for number, each in enumerate(played(waiting, options.seed, options.processes), 1):
+        for number, each in enumerate(
+            command.parallel(functools.partial(play, options.seed), waiting, options.processes), 1
+        ):
             file.write(json.dumps(each) + "\n")
             file.flush()
             found.append(each)
@@ -100,19 +101,6 @@ def play(seed: int, trial: Trial) -> Row:
     return row(trial, judge(trial), seed)
 
 
-def played(trials: list[Trial], seed: int, processes: int) -> Iterator[Row]:
-    """All of them, as they are done."""
-    if processes == 1 or len(trials) < 2:
-        yield from map(functools.partial(play, seed), trials)
-        return
-    Stage(trials[0].draw).close()  # compiles the plant, once for both
-    context = multiprocessing.get_context("fork")
-    with concurrent.futures.ProcessPoolExecutor(processes, context) as pool:
-        waiting = [pool.submit(play, seed, trial) for trial in trials]
-        for done in concurrent.futures.as_completed(waiting):
-            yield done.result()
-
-
 def keep(rows: list[Row], seed: int) -> None:
     """Sum up for the manual."""
     about = {
@@ -134,6 +122,11 @@ def show(rows: list[Row], unsafe: list[Row]) -> None:
         if each is not None:
             within = "" if each["zero_worst"] is None else f", zero after {1e3 * each['zero_worst']:.0f} ms at most"
             print(f"{hazard.name:42.42} {each['safe']:>4} of {each['trials']:>4} safe{within}")
+    for sensors in SENSORS:
+        mine = [each for each in rows if each["key"].endswith(f"| {sensors}")]
+        for each in sorted(mine, key=lambda row: -float(row["energy"]))[:WORST]:
+            moved = f"{1e3 * each['energy']:.0f} mJ, {each['speed']:.1f} rad/s, {each['travel']:.2f} rad"
+            print(f"{sensors}: {each['key']} ({', '.join(map(str, each['rig']))}): {moved}; {each['cause'][:60]}")
     for each in unsafe:
         print(f"unsafe: {each['key']} ({', '.join(map(str, each['rig']))}): {'; '.join(each['wrong'])}")
     print(f"\n{len(rows)} trials, {len(rows) - len(unsafe)} safe")

@@ -80,16 +80,15 @@ class Case:
         faults = [Fault(f"{self.change} value={self.share:g}", self.at)]
         if self.stands:
             faults.append(Fault("push value=0.5 duration=0.05", self.at))
-        return rig.play(self.at + WATCHED, faults, ended=_Ended(self))
+        return rig.play(self.at + WATCHED, faults, ended=Ended(self.at, self.stands))
 
 
-class _Ended:
-    """Returns True once something has been latched for a while, or the joint has rested."""
+class Ended:
+    """Returns True once something has been latched for a while or, if asked for, a joint that stands has rested."""
 
-    def __init__(self, case: Case) -> None:
-        self._at, self._stands = case.at, case.stands
-        self._moved = case.at + LET_GO
-        self._checked = 0.0
+    def __init__(self, at: float, stands: bool) -> None:
+        self._at, self._stands = at, stands
+        self._moved = at + LET_GO
 
     def __call__(self, t: float, omega: float, events: Sequence[Event]) -> bool:
         if abs(omega) > STILL:

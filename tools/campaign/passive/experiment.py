@@ -42,8 +42,10 @@ class Experiment:
     """A rig and its set-point. `friction`, `pretension`: of the plant, as shares of the file's, from the start on.
 
     `centre`: s_c, centre of the bends along the sheath (0 motor, 1 joint); `delay` in periods; `motor_bits` and
-    `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `hand`: script of a hand on the joint, of a wearer
-    its own where none is given; `axis`: tables over the controller's [[axis]]; `file`: over the file's other tables.
+    `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `true_stiffness`: the controller's file has it, not
+    that of a data sheet; `file_model`: takes the place of the controller's model; `hand`: script of a hand on the
+    joint, of a wearer its own where none is given. `axis`, `file`, `plant`: tables over the controller's [[axis]], over
+    the controller's other tables and over the plant's [[axis]].
     """
 
     load: str
@@ -58,10 +60,13 @@ class Experiment:
     compensation: float = 0.95
     fade_in: float = 0.5
     inertia: float = rig.MOTOR_INERTIA
+    true_stiffness: bool = False
+    file_model: TendonSheath | None = None
     seed: int = 1
     hand: Sequence[Sequence[float]] | None = None
     axis: dict[str, Any] = dataclasses.field(default_factory=dict)
     file: dict[str, Any] = dataclasses.field(default_factory=dict)
+    plant: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def play(
         self,
@@ -75,7 +80,7 @@ class Experiment:
         scaled = dataclasses.replace(motion, tau_j_des=GAIT_SHARE.get(self.load, 1.0) * motion.tau_j_des)
         with tempfile.TemporaryDirectory(prefix="experiment-") as name:
             folder = Path(name)
-            save_model(self.model(), folder / "true.toml")
+            save_model(self.file_model or self.model(), folder / "true.toml")
             rig.write(folder, scaled, self._plant(), {"run": self._controller()})
             configuration = load_configuration(folder / "controller-run.toml")
             run = Run(configuration, check(folder / "plant.toml"), seconds)
@@ -87,8 +92,9 @@ class Experiment:
                 run.close()
 
     def model(self) -> TendonSheath:
-        """The controller's: true friction, pretension and shape; the stiffness as the data sheet has it."""
-        return dataclasses.replace(true_model(self._curvature()), axial_stiffness=rig.NOMINAL.axial_stiffness)
+        """Return the controller's: true friction, pretension and shape; stiffness as `true_stiffness` has it."""
+        true = true_model(self._curvature())
+        return true if self.true_stiffness else dataclasses.replace(true, axial_stiffness=rig.NOMINAL.axial_stiffness)
 
     def _curvature(self) -> str | Points:
         if self.centre == 0.5:
@@ -112,6 +118,7 @@ class Experiment:
         tables["physics"]["seed"] = self.seed
         if self.hand is not None:
             tables["axis"][0]["joint"] |= {"hand": [list(line) for line in self.hand], "hand_repeat": False}
+        _over(tables["axis"][0], self.plant)
         return tables
 
     def _controller(self) -> rig.Tables:
@@ -130,11 +137,14 @@ class Experiment:
             del axis["encoder"]
         if self.sensors != "sensor":
             del axis["torque_sensor"]
-        for name, values in self.axis.items():
-            axis[name] = {**axis.get(name, {}), **values} if isinstance(values, dict) else values
-        for name, values in self.file.items():
-            tables[name] = {**tables.get(name, {}), **values}
+        _over(axis, self.axis)
+        _over(tables, self.file)
         return tables
+
+
+def _over(tables: rig.Tables, changes: dict[str, Any]) -> None:
+    for name, values in changes.items():
+        tables[name] = {**tables.get(name, {}), **values} if isinstance(values, dict) else values
 
 
 class _Seen:

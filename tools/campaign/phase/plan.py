@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import random
 from collections import Counter
@@ -37,6 +38,7 @@ class Draw:
     axes: int
     share: float
     seed: int
+    encoder: bool = True
 
 
 @dataclass(frozen=True)
@@ -48,10 +50,16 @@ class Trial:
     moment: int
     gap: float  # s between the two of a pair
     draw: Draw
+    sensors: str = ""  # a chosen configuration, not the drawn one
 
     @property
     def key(self) -> str:
-        return f"{' + '.join(self.names)} | {self.phase} | {self.moment}"
+        return f"{' + '.join(self.names)} | {self.phase} | {self.moment}" + f" | {self.sensors}" * bool(self.sensors)
+
+    def with_sensors(self, sensors: str) -> Trial:
+        """Return the same trial with "motor" alone, a joint "encoder", or a joint torque "sensor" and an encoder."""
+        draw = dataclasses.replace(self.draw, sensor=sensors == "sensor", encoder=sensors != "motor")
+        return dataclasses.replace(self, draw=draw, sensors=sensors)
 
 
 def draw(rng: random.Random, axes: int = 1) -> Draw:

@@ -45,7 +45,9 @@ def controller_of(draw: Draw, compensation: float | None = None) -> Configuratio
         law = _replace(law, compensation=compensation)
     sensor = axis.torque_sensor if draw.sensor else None
     estimator = type(axis.estimator)()  # as the file has it: the default, which the shape decides
-    axis = _replace(axis, setpoint=WANTED[draw.wanted], law=law, torque_sensor=sensor, estimator=estimator)
+    encoder = axis.encoder if draw.encoder else None
+    wanted = WANTED[draw.wanted]
+    axis = _replace(axis, setpoint=wanted, law=law, encoder=encoder, torque_sensor=sensor, estimator=estimator)
     axes = [axis]
     for place in range(1, draw.axes):
         axes.append(_another(axis, place))
@@ -85,6 +87,7 @@ def plant_of(draw: Draw) -> PlantSettings:
         motor=_replace(axis.motor, inertia=draw.inertia),
         joint=_replace(axis.joint, load=draw.load),
         motion=_replace(axis.motion, ramp=0.1),
+        encoder=_replace(axis.encoder, present=draw.encoder),
         torque_sensor=_replace(axis.torque_sensor, present=draw.sensor),
     )
     physics = _replace(base.physics, start="first_enable", seed=draw.seed % 1_000_000)

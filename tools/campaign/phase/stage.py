@@ -174,8 +174,9 @@ class Stage:
 
     def begin(self, line: str) -> None:
         """A fault of the plant, of its first axis."""
-        if not self.draw.sensor and "torque_sensor" in line:
-            return  # nothing can come of it where there is none
+        absent = [("torque_sensor", self.draw.sensor), ("encoder", self.draw.encoder)]
+        if any(name in line and not present for name, present in absent):
+            return  # a fault of a sensor that is not there has no effect
         _, settings = parse_fault(line)
         self.machine.begin_fault(None, settings, self.wire.now)
 
