@@ -31,7 +31,8 @@ from tsa_ctrl.control.plan import TURN, Plan, plan_of
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
-from tsa_ctrl.model.sliding import wound_by_friction
+from tsa_ctrl.model.plausible import check_against_motor
+from tsa_ctrl.model.sliding import sliding, wound_by_friction
 from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
@@ -41,6 +42,7 @@ from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
 
+PEAK = 3.0  # of the rated torque, that a drive gives for seconds
 MARGIN = 0.05  # s, beyond the longest time-out: to notice, to tell the drive, for its torque to fall
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 
@@ -261,6 +263,8 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f"{where}: drive.rpdo_timeout {drive.rpdo_timeout:g} s is less than two periods of "
             f"{file.controller.rate:g} Hz; raise it"
         )
+    most = max(PEAK * drive.rated_torque * drive.gear_ratio, axis.limits.torque)
+    check_against_motor(model, abs(sliding(model).motor_half_loop), most, axis.law.motor_inertia, where)
     _check_serial(where, axis)
     estimator, bending, measured = axis.estimator, axis.bending, {sensor.quantity for sensor in axis.serial}
     if estimator.kind == "sensor" and axis.torque_sensor is None and "tau_j" not in measured:

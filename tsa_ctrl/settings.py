@@ -13,7 +13,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -69,7 +69,7 @@ def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
         found, wanted = file_kind(data), FILES.get(kind.__name__)
         if found is not None and wanted is not None and found != wanted:
             raise UsageError(f"{where}: this is {found}; {wanted} is wanted here") from None
-        raise UsageError(f"{where}: {explain(str(error), kind)}") from None
+        raise UsageError(f"{where}: {explain(str(error), kind, data)}") from None
 
 
 # What each file of the project is called, by the class that reads it.
@@ -103,8 +103,8 @@ def load(path: str | Path, kind: type[T]) -> T:
     return convert(read_toml(path), kind, path)
 
 
-def explain(message: str, kind: type) -> str:
-    """Turn a msgspec message into `[section] key: found ..., allowed ...`."""
+def explain(message: str, kind: type, data: object = None) -> str:
+    """Turn a msgspec message into `[section] key: expected ..., found ...; reason`; `data`: what was converted."""
     text, _, at = message.partition(" - at ")
     place = at.strip("` ")
     key = re.sub(r"^\$\.?|`", "", place) or "top level"
@@ -114,7 +114,40 @@ def explain(message: str, kind: type) -> str:
     missing = re.match(r"Object missing required field `(.+)`", text)
     if missing:
         return f"{key}: key '{missing.group(1)}' is missing; add it"
-    return f"{key}: {text[:1].lower()}{text[1:]}"
+    found, description = _number_at(data, place), _description(kind, place)
+    value = f", found {found:g}" if found is not None else ""
+    return f"{key}: {text[:1].lower()}{text[1:]}{value}{f' ({description})' if description else ''}"
+
+
+def _number_at(data: object, place: str) -> float | None:
+    """Return the number that stands at a place of parsed TOML; None if there is none."""
+    for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
+        try:
+            data = data[name] if isinstance(data, dict) else data[int(index)]  # type: ignore[index]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return data if isinstance(data, int | float) and not isinstance(data, bool) else None
+
+
+def _description(kind: object, place: str) -> str:
+    """Return the description of the range that the field at a place has; "" if it has none."""
+    hint = kind
+    for name in re.findall(r"\.(\w+)", place):
+        struct = next(
+            (part for part in _parts(hint) if isinstance(part, type) and issubclass(part, msgspec.Struct)), None
+        )
+        if struct is None:
+            return ""
+        hints = get_type_hints(struct, include_extras=True)
+        hint = next((hints[f.name] for f in msgspec.structs.fields(struct) if f.encode_name == name), None)
+    return next((part.description for part in _parts(hint) if isinstance(part, msgspec.Meta) and part.description), "")
+
+
+def _parts(hint: object) -> Iterator[object]:
+    """Yield a type hint and everything that it is made of."""
+    yield hint
+    for part in (*get_args(hint), *getattr(hint, "__metadata__", ())):
+        yield from _parts(part)
 
 
 def _advice(name: str, place: str, kind: type) -> str:

@@ -2,16 +2,52 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
+# The description of a range is part of the error: the unit, the reason for the range, and the likely mistake.
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
-Radius = Annotated[float, Meta(gt=0.0, le=1.0)]  # m; larger is a wrong unit
-Length = Annotated[float, Meta(gt=0.0, le=100.0)]  # m
-Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
+Radius = Annotated[
+    float, Meta(ge=1e-3, le=0.5, description="m; pulleys of joints are 1 mm to 0.5 m; divide millimetres by 1000")
+]
+Stiffness = Annotated[float, Meta(gt=0.0, description="N; multiply kilonewtons by 1000")]
+SeriesStiffness = Annotated[float, Meta(gt=0.0, description="N/m; multiply N/mm by 1000")]
+Length = Annotated[
+    float, Meta(ge=0.01, le=20.0, description="m; tendons are 10 mm to 20 m long; divide millimetres by 1000")
+]
+Diameter = Annotated[
+    float,
+    Meta(ge=2e-5, le=0.01, description="m; a tendon of 0.02 mm is one fibre, one of 10 mm a rope; divide mm by 1000"),
+]
+MOST_FRICTION = 0.5  # 1
+Friction = Annotated[
+    float,
+    Meta(
+        ge=0.0,
+        le=MOST_FRICTION,
+        description="1; steel on steel without liner and lubricant has 0.5; x is this times bending_angle",
+    ),
+]
+TURNS = 6.0 * math.pi  # rad, three turns
+Angle = Annotated[
+    float, Meta(ge=0.0, le=TURNS, description="rad; a sheath is wound by three turns at most; degrees times 0.01745")
+]
+SignedAngle = Annotated[float, Meta(ge=-TURNS, le=TURNS, description="rad; degrees times 0.01745")]
+Offset = Annotated[
+    float,
+    Meta(ge=0.0, le=0.02, description="m; the tendon lies inside its sheath, at most 20 mm wide; divide mm by 1000"),
+]
+LengthChange = Annotated[
+    float, Meta(ge=0.0, le=0.5, description="m; travel of a tensioner; divide millimetres by 1000")
+]
+Pretension = Annotated[
+    float, Meta(ge=0.0, le=20e3, description="N; more than the weight of 2 t; gram-force times 0.00981, kgf times 9.81")
+]
+Share = Annotated[float, Meta(ge=0.0, le=10.0, description="1, a factor minus 1; divide per cent by 100")]
 
 
 class ActuatorSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -35,20 +71,20 @@ class RigidDriveSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[tendon]."""
 
-    axial_stiffness: Positive  # E A, N
+    axial_stiffness: Stiffness  # E A, N
     unstrained_length: Length  # l_us, m
-    diameter: Annotated[float, Meta(gt=0.0, le=0.1)]  # d, m
-    series_stiffness: Positive | None = None  # k_s, N/m, per tendon
+    diameter: Diameter  # d, m
+    series_stiffness: SeriesStiffness | None = None  # k_s, N/m, per tendon
     series_position: Literal["motor", "joint"] | None = None  # the end at which it stands; "motor"
 
 
 class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[sheath]."""
 
-    friction_coefficient: Annotated[float, Meta(ge=0.0, le=5.0)]  # mu, 1
+    friction_coefficient: Friction  # mu, 1
     bending_angle: Angle  # Theta, rad
-    contact_offset: Annotated[float, Meta(ge=0.0, le=0.1)] = 0.0  # p, m
-    unstrained_bending_angle: float | None = None  # Theta_us, rad (3.51)
+    contact_offset: Offset = 0.0  # p, m
+    unstrained_bending_angle: SignedAngle | None = None  # Theta_us, rad (3.51)
     bending_centre: Annotated[float, Meta(gt=0.0, lt=1.0)] | None = None  # s_c, where no effect gives the whole course
     bending_course: tuple[tuple[float, float], ...] | None = None  # (of the length, of the bending) about that centre
 
@@ -56,17 +92,17 @@ class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 class PretensionSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[pretension]."""
 
-    value: NonNegative | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
-    length_change: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None  # Delta l of (3.56), m: the tensioner
+    value: Pretension | None = None  # T_p0, N, at tau_M = 0 and at bending_angle
+    length_change: LengthChange | None = None  # Delta l of (3.56), m: the tensioner
 
 
 class UncertaintySection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """[uncertainty]: how far the nominal values may be off."""
 
-    friction_angle: NonNegative = 0.25  # factor either way, minus 1
-    pretension: NonNegative = 0.25
-    axial_stiffness: NonNegative = 0.1  # E A, series spring included
-    bending_centre: NonNegative = 0.05  # 1, absolute: s_c, where along the sheath the bends are
+    friction_angle: Share = 0.25  # factor either way, minus 1
+    pretension: Share = 0.25
+    axial_stiffness: Share = 0.1  # E A, series spring included
+    bending_centre: Share = 0.05  # 1, absolute: s_c, where along the sheath the bends are
 
 
 class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

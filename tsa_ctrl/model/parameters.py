@@ -16,9 +16,10 @@ import tomlkit
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.model.actuator_file import ActuatorFile, RigidDriveFile, UncertaintySection
+from tsa_ctrl.model.actuator_file import MOST_FRICTION, ActuatorFile, RigidDriveFile, UncertaintySection
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
+from tsa_ctrl.model.plausible import check_consistent
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 
 Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
@@ -94,15 +95,23 @@ class TendonSheath:
         return 0.0 if self.series_stiffness is None else self.axial_stiffness / self.series_stiffness
 
     def recalibrated(self, friction_angle: float | None = None, pretension: float | None = None) -> TendonSheath:
-        """The same actuator with another x (through mu; Theta stays) and T_p0."""
+        """The same actuator with another x and T_p0.
+
+        Theta stays and mu follows x. Beyond the greatest mu that there is, Theta follows x: it is what was wrong.
+        """
+        theta = self.bending_angle
         if friction_angle is None:
             mu = self.friction_coefficient
-        elif self.bending_angle > 0.0:
-            mu = friction_angle / self.bending_angle
+        elif theta > 0.0:
+            mu = friction_angle / theta
+            if mu > MOST_FRICTION:
+                mu, theta = MOST_FRICTION, friction_angle / MOST_FRICTION
         else:
             raise UsageError(f"{self.source or 'model'}: bending_angle is 0, so the friction angle cannot change")
         level = self.pretension if pretension is None else pretension
-        return dataclasses.replace(self, friction_coefficient=mu, pretension=level, half_loop_low=None)
+        return dataclasses.replace(
+            self, friction_coefficient=mu, bending_angle=theta, pretension=level, half_loop_low=None
+        )
 
     def with_effects(self, effects: Mapping[str, Mapping[str, Any]]) -> TendonSheath:
         """The same actuator with these effects instead of its own; validated against the catalogue."""
@@ -175,8 +184,9 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         half_loop_low=interval_low(file.provenance, "half_loop_torque"),
         origin=origin_of(file.provenance, where),
     )
-    pretension = _resolve_pretension(file, model, where)
-    return dataclasses.replace(model, pretension=pretension, effects=check_effects(file.effects, where))
+    model = dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
+    check_consistent(model)
+    return dataclasses.replace(model, effects=check_effects(file.effects, where))
 
 
 def _resolve_pretension(file: ActuatorFile, model: TendonSheath, where: str) -> float:

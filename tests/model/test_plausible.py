@@ -1,0 +1,100 @@
+"""Wrong units in a model file: each is an error that gives place, value, range and the likely mistake."""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from pathlib import Path
+
+import pytest
+import tomlkit
+
+from tests.conftest import ROOT
+from tests.model.actuator import ACTUATOR
+from tests.virtual.files import controller, merged, write
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import TendonSheath, dump_model, model_from
+
+EXAMPLE = tomllib.loads((ROOT / "config" / "actuator.toml").read_text(encoding="utf-8"))
+
+
+def rejected(changes: dict[str, dict[str, float]], words: str) -> str:
+    """The one line with which the example and these changes are rejected."""
+    with pytest.raises(UsageError, match=words) as error:
+        model_from(merged(EXAMPLE, changes), "knee.toml")
+    line = str(error.value)
+    assert "knee.toml" in line
+    assert "\n" not in line
+    return line
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "words"),
+    [
+        ("actuator", "motor_pulley_radius", 20.0, "<= 0.5, found 20 .*divide millimetres"),
+        ("actuator", "joint_pulley_radius", 0.025e-3, ">= 0.001, found 2.5e-05"),
+        ("tendon", "diameter", 0.6, "<= 0.01, found 0.6 .*divide mm"),
+        ("tendon", "unstrained_length", 1200.0, "<= 20.0, found 1200 .*divide millimetres"),
+        ("sheath", "friction_coefficient", 1.0, "<= 0.5, found 1 .*steel on steel"),
+        ("sheath", "bending_angle", 149.0, "<= 18.8.*, found 149 .*degrees"),
+        ("sheath", "contact_offset", 0.4, "<= 0.02, found 0.4 .*divide mm"),
+        ("uncertainty", "pretension", 25.0, "<= 10.0, found 25 .*per cent"),
+    ],
+)
+def test_a_number_that_no_such_part_has_is_rejected(table: str, key: str, value: float, words: str) -> None:
+    assert f"{table}.{key}" in rejected({table: {key: value}}, words)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"tendon": {"axial_stiffness": 60.0}}, "modulus of 0.212 GPa; allowed is 0.3 to 1000 GPa.*not in kN"),
+        ({"tendon": {"axial_stiffness": 60e6}}, "modulus of 2.12e.05 GPa"),
+        ({"pretension": {"value": 4500.0}}, "strains .* by 7.5 %; allowed is 4 %.*gram-force"),
+        ({"pretension": {"value": 10.0 / 0.00981}}, "stresses .* 3.61 GPa; allowed is 3 GPa.*gram-force"),
+        ({"tendon": {"diameter": 0.06e-3}}, "modulus of 2.12e.04 GPa.*diameter in m"),
+        ({"tendon": {"series_stiffness": 20.0}}, "lengthens tendon and series_stiffness 20 N/m .*not in N/mm"),
+        ({"sheath": {"bending_angle": 17.0, "friction_coefficient": 0.2}}, "17 rad is 3.4; allowed is 3.*degrees"),
+    ],
+)
+def test_numbers_that_contradict_each_other_are_rejected(changes: dict[str, dict[str, float]], words: str) -> None:
+    rejected(changes, words)
+
+
+@pytest.mark.parametrize("tension", [4.0, 10.0, 45.0, 150.0])
+def test_gram_force_is_found_with_the_motor_at_every_pretension(tmp_path: Path, tension: float) -> None:
+    path, _ = write(tmp_path)
+    document = tomlkit.parse((tmp_path / "actuator.toml").read_text(encoding="utf-8"))
+    document["pretension"] = {"value": tension / 0.00981}
+    (tmp_path / "actuator.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
+    with pytest.raises(UsageError, match=r"actuator.toml: .*gram-force times 0.00981"):
+        load_configuration(path)
+
+
+@pytest.mark.parametrize("tension", [2.0, 45.0, 150.0])
+def test_the_same_in_newtons_is_loaded(tmp_path: Path, tension: float) -> None:
+    path, _ = write(tmp_path)
+    document = tomlkit.parse((tmp_path / "actuator.toml").read_text(encoding="utf-8"))
+    document["pretension"] = {"value": tension}
+    (tmp_path / "actuator.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
+    assert load_configuration(path).models[0].pretension == tension
+
+
+def test_an_inertia_in_other_units_would_ring_as_no_motor_does(tmp_path: Path) -> None:
+    path, _ = write(tmp_path, controller(law={"motor_inertia": 1.0, "damping": 0.0}))  # g*m^2
+    with pytest.raises(UsageError, match=r"motor_inertia 1 .* would ring at 1.0. Hz; allowed is 2 to 5000 Hz"):
+        load_configuration(path)
+
+
+def test_soft_tendons_of_a_series_elastic_actuator_are_loaded() -> None:
+    soft = {"tendon": {"axial_stiffness": 5e3, "diameter": 1e-3, "series_stiffness": 3e3}}
+    assert isinstance(model_from(merged(EXAMPLE, soft), "soft.toml"), TendonSheath)
+
+
+def test_a_calibration_beyond_the_greatest_friction_coefficient_moves_the_angle_and_loads_again() -> None:
+    """Only the product is identified, so it is the bending angle that was wrong."""
+    straight = dataclasses.replace(ACTUATOR, bending_angle=0.5)
+    found = straight.recalibrated(friction_angle=0.6)
+    assert found.friction_angle == pytest.approx(0.6)
+    assert model_from(tomllib.loads(dump_model(found)), "found.toml") == dataclasses.replace(found, source="found.toml")
