@@ -265,7 +265,7 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
         )
     most = max(PEAK * drive.rated_torque * drive.gear_ratio, axis.limits.torque)
     check_against_motor(model, abs(sliding(model).motor_half_loop), most, axis.law.motor_inertia, where)
-    _check_serial(where, axis)
+    serial.check_all(axis.serial, where, {"tau_j"} if axis.torque_sensor is not None else set())
     estimator, bending, measured = axis.estimator, axis.bending, {sensor.quantity for sensor in axis.serial}
     if estimator.kind == "sensor" and axis.torque_sensor is None and "tau_j" not in measured:
         raise UsageError(
@@ -334,18 +334,3 @@ def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: Controll
         filtered=0.0 if encoder is None else 1.0 / (2.0 * math.pi * encoder.velocity_cutoff),
         where=where,
     )
-
-
-def _check_serial(where: str, axis: AxisSettings) -> None:
-    """Each sensor for itself, and that no quantity has two sources."""
-    seen = set() if axis.torque_sensor is None else {"tau_j"}
-    ports: set[str] = set()
-    for sensor in axis.serial:
-        here = f"{where}: serial {sensor.quantity}"
-        serial.check(sensor, here)
-        if sensor.quantity in seen:
-            raise UsageError(f"{here}: {sensor.quantity} already has a sensor; keep one of them")
-        if sensor.port in ports:
-            raise UsageError(f"{here}: port {sensor.port} is already read by another sensor; give each its own")
-        seen.add(sensor.quantity)
-        ports.add(sensor.port)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import msgspec
@@ -55,3 +56,21 @@ def check(settings: SerialSensorSettings, where: str) -> None:
             f"{where}: timeout {settings.timeout:g} s is shorter than the time between two values at "
             f"{settings.rate:g} Hz; raise it, or correct rate"
         )
+
+
+def check_all(sensors: Sequence[SerialSensorSettings], where: str, measured: set[str]) -> None:
+    """Check each sensor, and that no quantity has two sources; `measured`: those that another sensor measures.
+
+    Raises:
+        UsageError: a sensor is wrong, or two of them share a quantity or a port.
+    """
+    seen, ports = set(measured), set[str]()
+    for sensor in sensors:
+        here = f"{where}: serial {sensor.quantity}"
+        check(sensor, here)
+        if sensor.quantity in seen:
+            raise UsageError(f"{here}: {sensor.quantity} already has a sensor; keep one of them")
+        if sensor.port in ports:
+            raise UsageError(f"{here}: port {sensor.port} is already read by another sensor; give each its own")
+        seen.add(sensor.quantity)
+        ports.add(sensor.port)
