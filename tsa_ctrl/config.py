@@ -30,6 +30,7 @@ from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.plan import TURN, Plan, plan_of
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.model.plausible import check_against_motor
 from tsa_ctrl.model.sliding import sliding, wound_by_friction
@@ -37,7 +38,7 @@ from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
 from tsa_ctrl.safety.plausibility import PlausibilitySettings
-from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, wearer_limits
+from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, resolve_torque, wearer_limits
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
@@ -146,6 +147,11 @@ def load_configuration(path: str | Path) -> Configuration:
     """Read and check a controller file; raises UsageError in one line for anything wrong with it."""
     path = Path(path)
     data = settings.read_toml(path)
+    listed = data.get("axis", [])
+    tables = [table for table in listed if isinstance(table, dict)] if isinstance(listed, list) else []
+    _check_filled(path, data, tables)
+    for table in tables:
+        resolve_torque(table)
     file = settings.convert(data, ControllerFile, path)
     if not file.axes:
         raise UsageError(f"{path}: no [[axis]]; give at least one")
@@ -166,6 +172,13 @@ def load_configuration(path: str | Path) -> Configuration:
     configuration = Configuration(path, file, path.read_text(encoding="utf-8"), models, profiles, load, estimators)
     assert len(configuration.plans) == len(file.axes)  # or it has raised
     return configuration
+
+
+def _check_filled(path: Path, data: dict[str, Any], axes: list[dict[str, Any]]) -> None:
+    """Report every empty value of the file and its models in one message."""
+    named = dict.fromkeys(path.parent / axis["model"] for axis in axes if isinstance(axis.get("model"), str))
+    models = [(model, settings.read_toml(model), ActuatorFile) for model in named if model.is_file()]
+    settings.check_filled([(path, data, ControllerFile), *models])
 
 
 def with_limits(

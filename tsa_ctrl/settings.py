@@ -11,7 +11,7 @@ import os
 import re
 import tempfile
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
@@ -66,10 +66,36 @@ def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
     try:
         return msgspec.convert(data, kind, strict=True)
     except msgspec.ValidationError as error:
+        check_filled([(where, data, kind)])
         found, wanted = file_kind(data), FILES.get(kind.__name__)
         if found is not None and wanted is not None and found != wanted:
             raise UsageError(f"{where}: this is {found}; {wanted} is wanted here") from None
         raise UsageError(f"{where}: {explain(str(error), kind, data)}") from None
+
+
+def check_filled(files: Iterable[tuple[str | Path, dict[str, Any], type]]) -> None:
+    """Report every empty value of some files in one message; `files`: place, parsed TOML and settings class of each.
+
+    Raises:
+        UsageError: a key has the value "", which stands for a value that only the user knows.
+    """
+    found = [(where, empty) for where, data, kind in files if (empty := list(_empty(data, kind, "")))]
+    if found:
+        number = sum(len(keys) for _, keys in found)
+        lists = "; ".join(f"{where}: {', '.join(keys)}" for where, keys in found)
+        raise UsageError(f"{number} value{'s are' if number > 1 else ' is'} empty; fill in every one. {lists}")
+
+
+def _empty(value: object, kind: type, place: str) -> Iterator[str]:
+    """Yield the keys whose value is an empty text where none is meant."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _empty(inner, kind, f"{place}.{name}")
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _empty(inner, kind, f"{place}[{index}]")
+    elif value == "" and str not in _parts(_hint(kind, place)):
+        yield place.removeprefix(".")
 
 
 # What each file of the project is called, by the class that reads it.
@@ -131,16 +157,22 @@ def _number_at(data: object, place: str) -> float | None:
 
 def _description(kind: object, place: str) -> str:
     """Return the description of the range that the field at a place has; "" if it has none."""
+    parts = _parts(_hint(kind, place))
+    return next((part.description for part in parts if isinstance(part, msgspec.Meta) and part.description), "")
+
+
+def _hint(kind: object, place: str) -> object:
+    """Return the type of the field at a place of a settings class, or of the table that holds anything there."""
     hint = kind
     for name in re.findall(r"\.(\w+)", place):
         struct = next(
             (part for part in _parts(hint) if isinstance(part, type) and issubclass(part, msgspec.Struct)), None
         )
         if struct is None:
-            return ""
+            break
         hints = get_type_hints(struct, include_extras=True)
         hint = next((hints[f.name] for f in msgspec.structs.fields(struct) if f.encode_name == name), None)
-    return next((part.description for part in _parts(hint) if isinstance(part, msgspec.Meta) and part.description), "")
+    return hint
 
 
 def _parts(hint: object) -> Iterator[object]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 from pathlib import Path
 
 import pytest
 
 from tsa_ctrl.cli import main
-from tsa_ctrl.cli.init import DESK, SHIPPED, with_values
+from tsa_ctrl.cli.init import DESK, RIG, SHIPPED, Changes, with_values
 from tsa_ctrl.config import check_drives, load_configuration
+from tsa_ctrl.control.setpoint import SetPoint
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.plant.process import check
 
 
@@ -18,11 +23,78 @@ def run(*line: str) -> int:
     return int(ended.value.code or 0)
 
 
-@pytest.mark.parametrize("options", [[], ["--desk"]])
-def test_what_is_written_is_valid(options: list[str], tmp_path: Path) -> None:
-    assert run("init", *options, str(tmp_path / "new")) == 0
+def test_the_desk_set_is_valid(tmp_path: Path) -> None:
+    assert run("init", "--desk", str(tmp_path / "new")) == 0
     check_drives(load_configuration(tmp_path / "new/controller.toml"))
     assert len(check(tmp_path / "new/plant.toml").axis) == 1
+
+
+@pytest.mark.parametrize("options", [[], ["--rig"]])
+def test_an_unfilled_rig_lists_every_empty_value_in_one_line(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("init", *options, str(tmp_path / "rig")) == 0
+    capsys.readouterr()
+    assert run("run", "--check", str(tmp_path / "rig/controller.toml")) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    for name in ("controller.toml", "actuator.toml"):
+        text = (tmp_path / "rig" / name).read_text(encoding="utf-8")
+        empty = re.findall(r'^(\w+) = "" +# FILL IN: \S', text, re.MULTILINE)
+        assert len(empty) == len(re.findall(r'^\w+ = ""', text, re.MULTILINE)) > 5
+        listed = line.partition(f"{name}: ")[2].partition(";")[0]
+        assert [key.rpartition(".")[2] for key in listed.split(", ")] == empty
+    assert "15 values are empty" in line
+
+
+def test_an_empty_model_is_one_line_for_other_commands_too(tmp_path: Path) -> None:
+    run("init", "--rig", str(tmp_path / "rig"))
+    with pytest.raises(UsageError, match=r"8 values are empty; .*actuator.toml: actuator.motor_pulley_radius, .*value"):
+        load_model(tmp_path / "rig/actuator.toml")
+
+
+def filled(folder: Path) -> Path:
+    """A rig's files with every empty value filled in; returns the controller's."""
+    run("init", "--rig", str(folder))
+    shutil.copy(SHIPPED / "actuator.toml", folder)
+    path = folder / "controller.toml"
+    values = {"rated_torque": "1.5", "gear_ratio": "2.0", "counts_per_revolution": "65_536"}
+    ids = iter(("1", "32", "64"))
+    path.write_text(
+        re.sub(
+            r'^(\w+) = ""',
+            lambda found: f"{found[1]} = {next(ids) if found[1] == 'node_id' else values[found[1]]}",
+            path.read_text(encoding="utf-8"),
+            flags=re.MULTILINE,
+        ),
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_a_filled_rig_cannot_move_anything(tmp_path: Path) -> None:
+    (axis,) = load_configuration(filled(tmp_path / "rig")).file.axes
+    assert axis.limits.torque == pytest.approx(0.3)  # a tenth of the rated torque, behind the gear
+    assert axis.law.compensation == 0.0
+    play = SetPoint(axis.setpoint, 1e-3, tmp_path)
+    assert {play.update(0.01 * step) for step in range(300)} == {0.0}
+
+
+def test_the_rig_has_no_virtual_bus(tmp_path: Path) -> None:
+    run("init", "--rig", str(tmp_path / "rig"))
+    assert 'channel = "can0"' in (tmp_path / "rig/controller.toml").read_text()
+    assert not [path for path in (tmp_path / "rig").rglob("*.toml") if "vcan" in path.read_text()]
+
+
+def test_a_rig_is_no_desk(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("init", "--rig", "--desk", str(tmp_path / "new")) == 2
+    assert "give one of them" in capsys.readouterr().err
+
+
+def test_a_torque_limit_is_given_once(tmp_path: Path) -> None:
+    path = filled(tmp_path / "rig")
+    path.write_text(path.read_text().replace("torque_share = 0.1", "torque = 0.2\ntorque_share = 0.1"))
+    with pytest.raises(UsageError, match="both torque and torque_share are given; keep one"):
+        load_configuration(path)
 
 
 def test_the_desk_set_has_a_bus_and_rights_that_any_machine_has(tmp_path: Path) -> None:
@@ -41,10 +113,14 @@ def test_nothing_that_is_there_is_replaced(tmp_path: Path, capsys: pytest.Captur
     assert (tmp_path / "plant.toml").read_text() == "mine"
 
 
-@pytest.mark.parametrize("name", DESK)
-def test_every_key_that_the_desk_changes_stands_in_the_shipped_file(name: str) -> None:
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [(changes, name) for changes in (DESK, RIG) for name in changes],
+    ids=lambda name: str(name)[:9],
+)
+def test_every_key_that_a_set_changes_stands_in_the_shipped_file(changes: dict[str, Changes], name: str) -> None:
     text = (SHIPPED / name).read_text(encoding="utf-8")
-    before, after = text.splitlines(), with_values(text, DESK[name]).splitlines()
+    before, after = text.splitlines(), with_values(text, changes[name]).splitlines()
     assert len(before) == len(after)
 
     with pytest.raises(KeyError):

@@ -262,6 +262,7 @@ def test_defaults_are_those_of_the_example_file() -> None:
     """What holds when the file says nothing: careful values."""
     assert msgspec.to_builtins(LimiterSettings(torque=2.0)) == {
         "torque": 2.0,
+        "torque_share": None,
         "rate": 200.0,
         "distance": None,
         "joint_speed": 10.0,

@@ -24,10 +24,11 @@ TRIED: tuple[tuple[str, ...], ...] = (
     ("--version",),
     ("--help",),
     ("help", "rig"),
-    ("init", "rig"),
-    ("run", "--check", "rig/controller.toml"),
+    ("init", "--rig", "rig"),
+    ("init", "--desk", "desk"),
+    ("run", "--check", "desk/controller.toml"),
     ("demo", "--virtual", "--seconds", "6", "--out", "demo"),
-    ("simulate-loop", "rig/controller.toml", "rig/plant.toml", "--seconds", "2", "--out", "loop"),
+    ("simulate-loop", "desk/controller.toml", "desk/plant.toml", "--seconds", "2", "--out", "loop"),
     ("diagnose", "--example", "--out", "example"),
 )
 

@@ -45,7 +45,7 @@ CASES = (
 def prepare(place: Path) -> None:
     """The rig's files, its log, and what else the commands read."""
     for line in (
-        ("init", "."),
+        ("init", "--desk", "."),
         ("simulate-loop", "controller.toml", "plant.toml", "--seconds", "12", "--out", "run"),
         ("log", "convert", "run/tsa.mcap", "--out", "log.csv"),
     ):

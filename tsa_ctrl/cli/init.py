@@ -1,4 +1,4 @@
-"""`tsa init`: the example files of the package, commented, as a start for a rig or for a desk."""
+"""`tsa init`: commented files, as a template for a rig that cannot move anything, or as a set that runs on a desk."""
 
 from __future__ import annotations
 
@@ -17,35 +17,72 @@ _HEADER = re.compile(r"(?:# )?\[\[?(?P<table>[a-z_.]+)\]\]?")
 _KEY = re.compile(r"(?:# )?(?P<key>[a-z_]+) = [^#]*(?P<comment>#.*)?$")
 
 # On a desk: no CAN, no rights, a crowded machine. Stalls of 10 ms and more are borne, and nothing moves but numbers.
-DESK_BUS = {"interface": '"udp_multicast"', "channel": '"239.255.74.1"'}  # RFC 2365: of this machine alone
-DESK: dict[str, dict[str, dict[str, str]]] = {
+LOCAL_BUS = {"interface": '"udp_multicast"', "channel": '"239.255.74.1"'}  # RFC 2365: of this machine alone
+Changes = Mapping[str, Mapping[str, str | None]]  # by table and key: the value, None to comment the key out
+DESK: dict[str, Changes] = {
     "controller.toml": {
         "controller": {"rate": "250.0", "settle_cycles": "20"},
-        "bus": DESK_BUS,
+        "bus": LOCAL_BUS,
         "bus.supervision": {"tolerated_misses": "50", "tolerated_drops": "50", "lost_share": "0.5"},
         "realtime": {"allow_without": "true"},
         "axis.drive": {"host_timeout": "0.5", "rpdo_timeout": "0.2", "heartbeat_timeout": "1.0"},
     },
-    "plant.toml": {"bus": DESK_BUS},
+    "plant.toml": {"bus": LOCAL_BUS},
+}
+
+# A rig: no torque by set-point, compensation and limit, until a person has filled in what this rig is.
+NODE_ID = "1 to 127"  # of the keys without a comment of their own
+EMPTY = '""'  # a value that only the user knows; `tsa run --check` lists them all
+RIG: dict[str, Changes] = {
+    "controller.toml": {
+        "bus": {"channel": '"can0"'},
+        "axis.drive": {
+            "node_id": EMPTY,
+            "rated_torque": EMPTY,
+            "counts_per_revolution": EMPTY,
+            "gear_ratio": EMPTY,
+            "max_torque": None,
+        },
+        "axis.encoder": {"node_id": EMPTY, "counts_per_revolution": EMPTY},
+        "axis.torque_sensor": {"node_id": EMPTY},
+        "axis.setpoint": {"kind": '"constant"', "amplitude": None, "frequency": None},
+        "axis.law": {"compensation": "0.0"},
+        "axis.limits": {"torque": None, "torque_share": "0.1"},
+    },
+    "actuator.toml": {
+        "actuator": {"motor_pulley_radius": EMPTY, "joint_pulley_radius": EMPTY},
+        "tendon": {"axial_stiffness": EMPTY, "unstrained_length": EMPTY, "diameter": EMPTY},
+        "sheath": {
+            "friction_coefficient": EMPTY,
+            "bending_angle": EMPTY,
+            "contact_offset": None,
+            "bending_centre": None,
+        },
+        "pretension": {"value": EMPTY},
+    },
+    "plant.toml": {"bus": LOCAL_BUS},  # never on the bus of the rig
 }
 
 
 @click.command(
     "init",
-    epilog="Example: tsa init --desk mine",
+    epilog="Example: tsa init --rig mine",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.argument("folder", metavar="[DIR]", default=".", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--rig", is_flag=True, help="For a rig (default): moves nothing until its empty values are filled in.")
 @click.option("--desk", is_flag=True, help="For trying it without CAN: a bus over UDP multicast, no real-time rights.")
-def command(folder: Path, desk: bool) -> None:
+def command(folder: Path, rig: bool, desk: bool) -> None:
     """Write controller, plant, actuator model, drive profiles, service and a motion to DIR, every key commented.
 
-    Nothing that is there is replaced.
+    The set-point of a rig is 0, its compensation 0, its torque limit a tenth of the rated torque, and values that only
+    the user knows are empty. Nothing that is there is replaced.
     """
+    if rig and desk:
+        raise click.UsageError("--rig and --desk are two sets of files; give one of them")
     texts = {path.relative_to(SHIPPED): path.read_text(encoding="utf-8") for path in _shipped()}
-    if desk:
-        for name, changes in DESK.items():
-            texts[Path(name)] = with_values(texts[Path(name)], changes)
+    for name, changes in (DESK if desk else RIG).items():
+        texts[Path(name)] = with_values(texts[Path(name)], changes)
     taken = [str(folder / name) for name in (*texts, Path(MOTION)) if (folder / name).exists()]
     if taken:
         raise UsageError(f"{taken[0]}: is there already, nothing was written; choose another folder: tsa init DIR")
@@ -60,6 +97,7 @@ def command(folder: Path, desk: bool) -> None:
     if desk:
         click.echo(f"  tsa plant {folder / 'plant.toml'}\n  tsa run {folder / 'controller.toml'} --seconds 20")
     else:
+        click.echo("  fill in the empty values, which tsa run --check lists")
         click.echo(f"  tsa run --check {folder / 'controller.toml'}\n  tsa doctor {folder / 'controller.toml'}")
 
 
@@ -67,10 +105,11 @@ def _shipped() -> list[Path]:
     return sorted(path for path in SHIPPED.rglob("*") if path.suffix in (".toml", ".service"))
 
 
-def with_values(text: str, changes: Mapping[str, Mapping[str, str]]) -> str:
-    """A commented file with the keys of these tables set where they stand, as keys or as comments.
+def with_values(text: str, changes: Changes) -> str:
+    """Return a commented file with the keys of these tables set where they stand, as keys or as comments.
 
-    Raises KeyError for a key that the file does not show.
+    Raises:
+        KeyError: the file does not show a key.
     """
     open_keys = {(table, key) for table, keys in changes.items() for key in keys}
     lines, table = [], ""
@@ -82,11 +121,20 @@ def with_values(text: str, changes: Mapping[str, Mapping[str, str]]) -> str:
         key = _KEY.match(line)
         if key and (table, key["key"]) in open_keys:
             open_keys.remove((table, key["key"]))
-            line = f"{key['key']} = {changes[table][key['key']]}".ljust(COMMENTS) + (key["comment"] or "")
+            line = _changed(line, key["key"], changes[table][key["key"]], key["comment"] or "")
         lines.append(line)
     if open_keys:
         raise KeyError(*open_keys)
     return "\n".join(lines) + "\n"
+
+
+def _changed(line: str, key: str, value: str | None, comment: str) -> str:
+    """Return a line with another value of its key; None comments the key out."""
+    if value is None:
+        return line if line.startswith("#") else f"# {line}"
+    if value == EMPTY:
+        comment = f"# FILL IN: {comment.removeprefix('# ').partition('; default')[0] or NODE_ID}"
+    return f"{key} = {value}".ljust(COMMENTS) + comment
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:

@@ -40,9 +40,10 @@ class Reason(Enum):
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.limits]: the bounds of one axis' motor torque; `torque` alone has no default."""
+    """[axis.limits]: the bounds of one axis' motor torque; `torque` alone has no default of its own."""
 
     torque: Torque  # N*m at the motor, absolute
+    torque_share: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None  # 1, of the rated torque, in place of torque
     rate: Annotated[float, Meta(gt=0.0, le=100_000.0)] = 200.0  # N*m/s at the motor
     distance: Torque | None = None  # N*m, command beyond measured motor torque; default: the absolute limit
     joint_speed: Speed = 10.0  # rad/s: driving torque fades to 0 towards it, from 80 % of it on
@@ -52,6 +53,8 @@ class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     travel_margin: Annotated[float, Meta(gt=0.0, le=10.0)] = 0.1  # rad over which outward torque fades to 0
 
     def __post_init__(self) -> None:
+        if self.torque_share is not None:  # else it is `torque` by now
+            raise ValueError("both torque and torque_share are given; keep one of them")
         if self.over_speed <= self.joint_speed:
             raise ValueError(
                 f"over_speed {self.over_speed:g} rad/s is not above joint_speed {self.joint_speed:g} rad/s; raise it"

@@ -15,8 +15,9 @@ load have 64 and 40 mN*m, and the imposed gait trips.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
@@ -130,3 +131,14 @@ def drive_clamps(drive: DriveSettings, written: Collection[str], limits: Limiter
             f"{drive.max_speed:g} rad/s, which the drive enforces; lower it, or raise max_speed"
         )
     return msgspec.structs.replace(drive, max_torque=limits.torque, max_speed=limits.motor_over_speed)
+
+
+def resolve_torque(axis: dict[str, Any]) -> None:
+    """Put [axis.limits] torque in place where a parsed [[axis]] gives it as a share of the rated torque."""
+    limits, drive = axis.get("limits"), axis.get("drive")
+    if not (isinstance(limits, dict) and isinstance(drive, dict)) or "torque_share" not in limits or "torque" in limits:
+        return  # both of them are rejected by `LimiterSettings`
+    numbers = limits["torque_share"], drive.get("rated_torque", 1.0), drive.get("gear_ratio", 1.0)
+    if all(isinstance(number, int | float) for number in numbers):
+        limits["torque"] = math.prod(numbers)
+        del limits["torque_share"]
