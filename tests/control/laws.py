@@ -8,7 +8,7 @@ from typing import Any
 from tsa_ctrl.control.direction import Direction, DirectionSettings
 from tsa_ctrl.control.law import Inverse, Law, LawSettings
 from tsa_ctrl.control.motion import Motion
-from tsa_ctrl.control.plan import Plan, plan_of
+from tsa_ctrl.control.plan import Limits, Plan, plan_of
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 
@@ -18,7 +18,9 @@ COUNT = 2.0 * math.pi / (1 << 20)  # rad, of a joint encoder
 
 def plan(model: TendonSheath, **changes: Any) -> Plan:
     """At 1 kHz with rpdo = "sync", limits that are out of the way."""
-    given = {"period": PERIOD, "transport": PERIOD, "late": 0.0, "has_encoder": True, "rate": 1e4, "torque": 10.0}
+    limits = Limits(rate=1e4, torque=10.0)
+    limits = limits._replace(**{key: changes.pop(key) for key in Limits._fields if key in changes})
+    given = {"period": PERIOD, "transport": PERIOD, "late": 0.0, "has_encoder": True, "limits": limits}
     return plan_of(model, **{**given, **changes})
 
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from tests.control.laws import PERIOD, plan
 from tests.model.actuator import ACTUATOR
@@ -68,6 +71,54 @@ def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_
     assert 4.0 * math.pi**2 * inertia * moved / found.turn**3 <= 600.0
     light = plan(model, inertia=1e-6, rate=200.0, torque=10.0)
     assert (found.turn > light.turn) is longer
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    x=st.floats(0.05, 1.2),
+    place=st.floats(0.0, 0.95),
+    softness=st.floats(1.0, 2.0),
+    speed=st.floats(3.0, 30.0),
+    given_turn=st.sampled_from([None, 5e-3, 0.02]),
+    inertia=st.sampled_from([None, 3e-5, 6e-4]),
+)
+def test_a_turn_never_needs_more_than_the_motor_speed_that_is_allowed(
+    x: float, place: float, softness: float, speed: float, given_turn: float | None, inertia: float | None
+) -> None:
+    """The fastest step of the planned motion, of the whole loop either way, on soft and stiff tendons."""
+    model = dataclasses.replace(bent(((0.0, 0.0), (place, 0.0), (1.0, 1.0))), friction_coefficient=x / 2.6)
+    model = dataclasses.replace(model, axial_stiffness=model.axial_stiffness / softness)
+    amplitude = sliding(model).motor_half_loop / motor_stiffness(model)  # rad of the motor, with all bends at the joint
+    found = plan(model, speed=speed, turn=given_turn, inertia=inertia)
+    turn = Turn(found.front, found.turn, PERIOD)
+    turn.reset(-1.0)
+    ways = []
+    for _ in range(math.ceil(found.turn / PERIOD) + 2):
+        turn.update(1.0)
+        ways.append(found.front.centre * amplitude * turn.stretch)
+    assert max(np.abs(np.diff(ways))) / PERIOD <= 0.6 * speed * (1.0 + 1e-9)
+    assert given_turn is None or found.turn >= given_turn
+
+
+def test_a_speed_at_which_no_turn_is_possible_is_an_error_that_names_the_limit() -> None:
+    with pytest.raises(UsageError, match=r"drive.max_speed allows .* 0.1 rad/s; .* needs 0.381 rad/s; raise drive"):
+        plan(bent("joint_end"), speed=0.1, speed_key="drive.max_speed")
+
+
+def test_a_slow_turn_and_a_torque_below_the_friction_are_reported() -> None:
+    slow = plan(bent("joint_end"), inertia=INERTIA, speed=0.5, speed_key="drive.max_speed")
+    assert slow.turn > 0.06
+    assert any("because drive.max_speed allows a motor speed of 0.5 rad/s" in note for note in slow.notes)
+    weak = plan(bent("uniform"), inertia=INERTIA, torque=0.4)
+    assert any("limits.torque 0.4 N*m does not exceed the friction torque of 0.468 N*m" in note for note in weak.notes)
+
+
+def test_a_command_never_runs_farther_ahead_of_the_measured_torque_than_allowed() -> None:
+    model = bent("uniform")
+    close = plan(model, inertia=INERTIA, distance=0.1)
+    steps = 2.0 * sliding(model).motor_half_loop * Turn(close.front, close.turn, PERIOD).steepest()
+    assert steps / PERIOD * (close.delay + PERIOD) <= 0.1
+    assert close.turn > plan(model, inertia=INERTIA).turn
 
 
 def test_the_lead_is_half_the_turn_and_all_delays() -> None:

@@ -335,3 +335,28 @@ def test_a_cycle_of_which_nothing_is_known_takes_its_periods_with_it() -> None:
     for each in (whole, holed):
         each.update(0.3, 0.0, 0.0, 1.0, 0.3, 0.4)
     assert holed.energy == pytest.approx(whole.energy)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(("compliance", "passes"), [(0.02, True), (0.0, False)])
+def test_what_tendons_return_after_a_reversal_was_not_added(side: float, compliance: float, passes: bool) -> None:
+    """A limit took 0.8 N*m from the joint; after the reversal tendons of 0.016 rad/(N*m) give up to 5 mJ of it back."""
+    passivity, excess, found = Passivity(3e-3, SENSOR, PERIOD, compliance), -0.8 * side, []
+    for _ in range(200):
+        found.append(passivity.update(excess, 0.0, 0.0, 0.5 * side, 0.4 * side, HALF_LOOP))
+    for _ in range(200):
+        excess += 0.5 * side * PERIOD / 0.016
+        excess = side * min(0.2, side * excess)
+        found.append(passivity.update(excess, 0.0, 0.0, -0.5 * side, -HALF_LOOP * side, HALF_LOOP))
+    assert (not any(found)) is passes
+
+
+def test_what_does_not_fade_after_a_reversal_is_still_seen() -> None:
+    """Half of the friction is lost: the excess of 0.25 N*m stays, far beyond what the tendons can return."""
+    passivity, given = Passivity(3e-3, SENSOR, PERIOD, 0.016), 0.0
+    for n in range(1000):
+        side = 1.0 if n < 100 else -1.0
+        if passivity.update(0.25 * side, 0.0, 0.0, 0.5 * side, HALF_LOOP * side, HALF_LOOP):
+            break
+        given += 0.25 * 0.5 * PERIOD
+    assert given < 6e-3

@@ -5,8 +5,9 @@ Everything that [axis.law] leaves open is derived here, once, before the loop st
 * the delay from a measurement to the torque that acts: what the settings say, or transport (a period with
   rpdo = "sync"), half a period of hold, and the torque loop of a drive;
 * the duration of a turn, `TURN` periods with all bends before the middle of the sheath, less towards the joint (there
-  nothing is hidden behind a front), more where the drive's limits ask for it; `BLIND` s where the motor's inertia is
-  not known, so that no swing is planned for: slow enough for a light motor on stiff tendons;
+  nothing is hidden behind a front); `BLIND` s where the motor's inertia is not known, so that no swing is planned for:
+  slow enough for a light motor on stiff tendons; longer where a limit of [axis.limits] or of the drive requires it. The
+  limits of speed latch a fault, so they lengthen every turn, also the one of [axis.law];
 * the damping that keeps a gain margin of 2 (`margin`), none where there is no such damping.
 """
 
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from tsa_ctrl.control.front import Front, front_of
 from tsa_ctrl.control.margin import LAG, LEAST, gain_margin, largest_gain
@@ -24,7 +26,9 @@ from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, slidi
 
 TURN, TURN_AT_JOINT = 8, 5  # periods of a turn, for bends up to the middle of the sheath and for all at the joint
 BLIND = 0.02  # s of a turn without a motor inertia
-LONGEST_TURN = 0.06  # s; slower than that a gait is not followed
+LONGEST_TURN = 0.06  # s; slower than that a gait is not followed: a limit of rate or torque then cuts the turn
+MOST_TURN = 0.2  # s; no limit of speed may require more
+SPEED_SHARE = 0.6  # of the speed limit: the joint moves as well, and an estimate may find 1.6 times the friction
 # Of the limiter's rate that a turn may use, for bends up to the middle and for all at the joint. There the friction
 # turns at once, and what counts is how long the turn takes. The limiter bounds only what grows, the second half of a
 # turn, and cuts a step or two of it: an imposed gait is off by 40 mN*m with 1.6, by 51 with 0.8.
@@ -35,6 +39,16 @@ RATE_SHARE, RATE_SHARE_AT_JOINT = 0.8, 1.6
 RATE_OF_INERTIA = 3.0
 TORQUE_SHARE = 0.35  # of the limiter's torque that the motor's inertia may ask for
 MOST_LEAD = 0.03  # s; a reversal that is farther away is not predicted but guessed
+
+
+class Limits(NamedTuple):
+    """The limits of one axis that a planned reversal must respect, at the motor."""
+
+    rate: float  # N*m/s
+    torque: float  # N*m
+    distance: float = math.inf  # N*m, command beyond measured torque
+    speed: float = math.inf  # rad/s
+    speed_key: str = "limits.motor_over_speed"  # the key that sets `speed`
 
 
 @dataclass(frozen=True)
@@ -67,8 +81,7 @@ def plan_of(
     transport: float,
     late: float,
     has_encoder: bool,
-    rate: float,
-    torque: float,
+    limits: Limits,
     delay: float | None = None,
     turn: float | None = None,
     lead: float | None = None,
@@ -78,19 +91,28 @@ def plan_of(
     filtered: float = 0.0,
     where: str = "",
 ) -> Plan:
-    """Derive what is left out (None) of [axis.law]; `ringing` in Hz. Raises UsageError for a damping without margin.
+    """Derive what is left out (None) of [axis.law]; `ringing` in Hz.
 
-    `transport`: s until a command is taken; `late`: s by which the motor's velocity is late; `rate` (N*m/s) and
-    `torque` (N*m): the limiter's; `filtered`: s by which the loop's own filter makes the joint velocity of a log late,
-    which is part of a model's velocity_lag, but not of the motion that the law follows.
+    `transport`: s until a command is taken; `late`: s by which the motor's velocity is late; `filtered`: s by which the
+    loop's own filter makes the joint velocity of a log late, which is part of a model's velocity_lag, but not of the
+    motion that the law follows. Raises UsageError for a damping without margin, and for a speed limit that no turn
+    respects.
     """
     front = front_of(model)
     total = transport + 0.5 * period + LAG if delay is None else delay
     stiffness, mass = motor_stiffness(model), inertia or 0.0
     omega = 2.0 * math.pi * ringing if ringing else math.sqrt(stiffness / mass) if mass else 0.0
-    notes = []
+    notes: list[str] = []
     if turn is None:
-        turn = _duration(model, front, stiffness, mass, period, rate, torque)
+        rate = min(limits.rate, limits.distance / (total + period))  # the measured torque is late by that much
+        turn = _duration(model, front, stiffness, mass, period, limits._replace(rate=rate))
+    half_loop = abs(sliding(model).motor_half_loop)
+    turn = _slowed(turn, _way(front, half_loop, stiffness), limits, where, notes)
+    if half_loop >= limits.torque:
+        notes.append(
+            f"limits.torque {limits.torque:g} N*m does not exceed the friction torque of {half_loop:.3g} N*m at the "
+            "motor: not all of the friction is compensated; raise limits.torque or lower the pretension"
+        )
     if not mass:
         notes.append(
             f"law.motor_inertia is not given: reversals are turned in {1e3 * turn:.0f} ms, and the motor's swing on "
@@ -128,20 +150,46 @@ def plan_of(
     )
 
 
+def _way(front: Front, half_loop: float, stiffness: float) -> float:
+    """Return the angle, rad, that a whole turn moves the motor by."""
+    return 2.0 * front.centre * half_loop / stiffness
+
+
+def _slowed(turn: float, way: float, limits: Limits, where: str, notes: list[str]) -> float:
+    """Return the turn, s, lengthened until its peak motor speed is within the limit: a cycloid has 2 way/turn."""
+    allowed = SPEED_SHARE * limits.speed
+    if turn * allowed >= 2.0 * way:
+        return turn
+    least = 2.0 * way / allowed
+    if least > MOST_TURN:
+        raise UsageError(
+            f"{where}: {limits.speed_key} allows a motor speed of {limits.speed:.3g} rad/s; a friction reversal within "
+            f"{MOST_TURN:g} s needs {2.0 * way / MOST_TURN / SPEED_SHARE:.3g} rad/s; raise {limits.speed_key} or lower "
+            "the pretension"
+        )
+    if least > LONGEST_TURN:
+        notes.append(
+            f"a friction reversal takes {1e3 * least:.0f} ms, because {limits.speed_key} allows a motor speed of "
+            f"{limits.speed:.3g} rad/s: the torque follows a gait late; raise it if the rig allows that"
+        )
+    return least
+
+
 def _duration(
-    model: TendonSheath, front: Front, stiffness: float, inertia: float, period: float, rate: float, torque: float
+    model: TendonSheath, front: Front, stiffness: float, inertia: float, period: float, limits: Limits
 ) -> float:
-    """s of a turn that the drive's limits allow."""
+    """s of a turn that the drive's limits of rate and torque allow."""
     half_loop = abs(sliding(model).motor_half_loop)
     to_joint = max(0.0, 2.0 * front.centre - 1.0)
     periods = TURN - (TURN - TURN_AT_JOINT) * to_joint
     share = RATE_SHARE + (RATE_SHARE_AT_JOINT - RATE_SHARE) * to_joint
     duration = periods * period if inertia else max(BLIND, periods * period)
-    moved = 2.0 * front.centre * half_loop / stiffness  # rad of the motor
+    moved = _way(front, half_loop, stiffness)
     while duration < LONGEST_TURN:
         step = 2.0 * half_loop * Turn(front, duration, period).steepest()
         swing = 2.0 * math.pi * inertia * moved / duration**2
         slope = 2.0 * math.pi * swing / duration
+        rate, torque = limits.rate, limits.torque
         if step <= share * rate * period and swing <= TORQUE_SHARE * torque and slope <= RATE_OF_INERTIA * rate:
             break
         duration += 0.5 * period

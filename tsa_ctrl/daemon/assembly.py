@@ -31,7 +31,7 @@ from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import least_stiffness, motor_stiffness, wound_by_friction
+from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, wound_by_friction
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
@@ -81,7 +81,12 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 law=law,
                 limiter=Limiter(settings.limits, period),
                 sense=sense_of(settings, model, period),
-                guard=Guard(settings.passivity, period, by_stretch=not has_torque_sensor(settings)),
+                guard=Guard(
+                    settings.passivity,
+                    period,
+                    by_stretch=not has_torque_sensor(settings),
+                    compliance=joint_compliance(model),
+                ),
                 plausibility=Plausibility(
                     settings.plausibility,
                     settings.limits.torque,

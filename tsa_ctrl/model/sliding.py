@@ -76,6 +76,11 @@ def motor_stiffness(model: TendonSheath) -> float:
     return 2.0 * model.tendon_stiffness * model.motor_pulley_radius**2
 
 
+def joint_compliance(model: TendonSheath) -> float:
+    """Return the rotation of the joint per torque while the motor is locked, rad/(N*m), without friction."""
+    return (model.motor_pulley_radius / model.joint_pulley_radius) ** 2 / motor_stiffness(model)
+
+
 def least_stiffness(model: TendonSheath) -> float:
     """N*m/rad that the motor's angle meets at least: half of K where one tendon may pull alone, by `tendon_slack`."""
     return (0.5 if "tendon_slack" in model.effects else 1.0) * motor_stiffness(model)

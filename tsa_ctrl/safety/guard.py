@@ -15,6 +15,7 @@ from tsa_ctrl.safety.buzz import Buzz
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity, PassivitySettings
 
+FALL = 0.02  # s in which a buzzing motor loses the term: all of it at once would let the motor swing into over-speed
 HOLD = 0.05  # s without compensation: in which the swing of motor and tendons has died out
 UNWIND = 4e-3  # s against what drove the joint: a third of a ringing period; half a share for 6 ms left 10.8 mJ
 RECOVERY = 0.3  # s back to all of it: so that a joint that still moves shows within a second that it was no chance
@@ -35,9 +36,14 @@ class Guard:
     set from outside releases the latch.
     """
 
-    def __init__(self, settings: PassivitySettings, period: float, by_stretch: bool = False) -> None:
-        """`by_stretch`: the delivered torque comes from the tendons' stretch, which is less certain; `period` in s."""
-        self._passivity = Passivity(settings.energy, STRETCH if by_stretch else SENSOR, period)
+    def __init__(
+        self, settings: PassivitySettings, period: float, by_stretch: bool = False, compliance: float = 0.0
+    ) -> None:
+        """`by_stretch`: the delivered torque comes from the tendons' stretch, which is less certain; `period` in s.
+
+        `compliance`: rad/(N*m) of the joint with the motor held.
+        """
+        self._passivity = Passivity(settings.energy, STRETCH if by_stretch else SENSOR, period, compliance)
         self._buzz = Buzz(settings.buzz, period)
         self._period = period
         self.count = 0
@@ -54,6 +60,7 @@ class Guard:
         self.latched = False
         self._left = self._held = 0.0  # s, of what is forgiven and of the hold
         self._drove, self._unwinding = 0.0, 0  # 1, what drove the joint, and cycles against that
+        self._falling = 0.0  # 1, of the share that a buzzing motor still has
 
     def pass_over(self, periods: int) -> None:
         """So many periods had no cycle."""
@@ -73,7 +80,7 @@ class Guard:
         until the motor has come to rest on the tendons."""
         if self._unwinding:
             return -self._drove
-        return 0.0 if self._drove and self._held > 0.0 else self._back_off
+        return 0.0 if self._drove and self._held > 0.0 else self._back_off + self._falling
 
     @property
     def energy(self) -> float:
@@ -107,6 +114,8 @@ class Guard:
         """
         if self._unwinding:
             self._unwinding -= 1
+        if self._falling > 0.0:
+            self._falling = max(0.0, self._falling - self._period / FALL)
         if self._passivity.update(tau_j, wanted, rate, omega_j, term, half_loop, swing):
             self._energy()
         if self._buzz.update(added, ideal, turns):
@@ -143,6 +152,7 @@ class Guard:
                 "the zero and the gain of what measures the joint torque"
             )
         self._drove, self._unwinding = max(0.0, self.share), int(UNWIND / self._period)  # a slow loop has no time
+        self._falling = 0.0
         self._take_back(
             Reason.PASSIVITY,
             CAUTIOUS * max(0.0, share - UNSURE),
@@ -153,12 +163,14 @@ class Guard:
 
     def _buzzes(self) -> None:
         self.damping = self._drove = 0.0
+        before = self._back_off
         self._take_back(
             Reason.OSCILLATION,
             LEFT,
             f"oscillation: the motor buzzes at about {self._buzz.frequency:.0f} Hz",
             "the delay, the tendons' stiffness or the motor's inertia is not what the files say: tune anew",
         )
+        self._falling = max(0.0, before - self._back_off)
 
     def _take_back(self, reason: Reason, left: float, found: str, cause: str) -> None:
         again, worse = self._left > 0.0, self.latched

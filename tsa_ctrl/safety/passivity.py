@@ -17,7 +17,9 @@ joint moves, and a reversal leaves 0.3 mJ. What passes until a back-off arrives 
 no more than was there already: half a swing of the motor on its tendons is no motion. Nor is what such a swing gives
 the joint while it dies out, J_M/2 (omega_M - r_J/r_M omega_J)^2 at its fastest: a turn that is planned for another
 shape of the sheath leaves a motor of 6e-4 kg*m^2 4 mJ of it. It is left out, but for what was not counted as more than
-the term; one that feeds itself goes on beyond that. Once it was seen, half of all this is enough for the next minute
+the term; one that feeds itself goes on beyond that. Energy that the tendons return is left out, too: an excess e in
+the new direction at a reversal was there before the term turned, as after a limit, a fade-in or a small compensation,
+and it gives e^2/(2 K_J) while it unwinds. Once it was seen, half of all this is enough for the next minute
 (`wary`): a joint that is fast by then gets by that half of what else passes as a doubt.
 
 Source: B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and Automation
@@ -63,15 +65,20 @@ class OscillationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tru
 class Passivity:
     """`energy` (J) that was added; `ratio`: true half loop over the model's, as this energy shows it (1)."""
 
-    def __init__(self, threshold: float, doubts: tuple[float, float, float], period: float) -> None:
-        """`threshold` in J, `doubts`: g, z and m above, `period` in s."""
+    def __init__(
+        self, threshold: float, doubts: tuple[float, float, float], period: float, compliance: float = 0.0
+    ) -> None:
+        """`threshold` in J, `doubts`: g, z and m above, `period` in s; `compliance`: 1/K_J, rad/(N*m) of the joint."""
         self._threshold = threshold
+        self._half_compliance = 0.5 * compliance
         self._gain, self._zero, self._model = doubts
         self._period = period
         self._keep = math.exp(-period / MEMORY)
         self._calm = math.exp(-period / SWUNG)
         self._most_swing = SWING * threshold
         self._swing = 0.0  # J, fastest of late
+        self._side = 0.0  # 1 or -1, of the joint's last motion
+        self._returned = 0.0  # J, that tendons return since a reversal
         self._periods = 1  # since the last update
         self.wary = False  # of a rig on which it was seen lately
         self.reset()
@@ -117,6 +124,12 @@ class Passivity:
             side = -1.0
             omega_j, tau_j, wanted, rate, term = -omega_j, -tau_j, -wanted, -rate, -term
         excess = tau_j - wanted
+        keep = self._keep
+        self._returned *= keep
+        if side != self._side:
+            self._side = side
+            if 0.0 < excess < _WILD:
+                self._returned = max(self._returned, self._half_compliance * excess * excess)
         if not -_WILD < excess < _WILD:  # nan, too: nothing is known of this cycle
             return False
         over = excess - self._model * half_loop
@@ -125,7 +138,6 @@ class Passivity:
             given = term if term > 0.0 else 0.0
             over, beyond = given, over - given
         way = omega_j * self._period * periods
-        keep = self._keep
         energy = self.energy * keep + over * way
         if not energy > 0.0:
             if self.cycles:
@@ -150,4 +162,4 @@ class Passivity:
             return False
         swung = self._swung - cut
         doubt = self._gain * abs(work) + LATE * abs(late) + self._zero * half_loop * abs(moved)
-        return foreseen - share * doubt - (swung if swung > 0.0 else 0.0) > threshold
+        return foreseen - share * doubt - (swung if swung > 0.0 else 0.0) - self._returned > threshold

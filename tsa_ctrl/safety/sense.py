@@ -10,7 +10,8 @@ joint that is moved, friction stretches the tendon against the torque that begin
 a way of the joint, and where something moves it slowly more than a second. Before that friction may hold the motor fast
 as its torque turns, most of all in a sheath that bends there, until the torque has changed by twice the half loop: what
 motor and joint then move apart by is the way of a joint that something else moves, and says nothing of the motor. One
-that pulls the wrong way goes that way itself.
+that pulls the wrong way goes that way itself. While friction holds the motor, the limit grows (`HELD`): a motor that is
+held cannot show its sense, so a limit below the half loop would stay for ever.
 
 The stretch of a joint that is held cannot be more than the torque's, tau_M/K: friction only takes away there. Where it
 follows the torque by half as much again, the motor gives more than it reports, a tendon hangs, or the file's stiffness
@@ -60,6 +61,7 @@ SHAKEN = 0.4  # s, of a sense that was shown: a heavy motor that is shaken on it
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
 RESTS = 0.1  # s after which a torque that does not change may grow slowly, so that it shows its sense by that
 SLOWLY = 2.0  # s in which it would come to the limit: a reversed one is found within 20 ms of it
+HELD = 0.5  # s in which it would come there while friction holds the motor fast: until it slides the joint gets nothing
 PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
 
 
@@ -108,7 +110,7 @@ class Sense:
         self._shown = False
         self._begun = math.inf
         self._moved = -math.inf
-        self._pulled = self._driven = self._suspect = False
+        self._pulled = self._driven = self._suspect = self._fast = False
         self._reversed.reset()
         self._turned.reset()
         self._altered.reset()
@@ -153,7 +155,7 @@ class Sense:
         elif not self._shown:
             self._begun = min(self._begun, now)
             if now - self._begun > RESTS and not self._suspect:
-                self.ceiling += self._limit * self._period / SLOWLY
+                self.ceiling += self._limit * self._period / (HELD if self._fast else SLOWLY)
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
             self._driven = self._driven or self._pulled  # joint and tendons swing on from what came before the turn
@@ -187,6 +189,7 @@ class Sense:
         else:
             self._forget_sensor()
         if self._tt < self._least:
+            self._suspect = self._fast = False  # a constant torque shows no sense, and what came before is forgotten
             return None
         self._pulled = True
         by_stretch = _correlation(self._ta, self._tt * self._aa)
@@ -194,17 +197,18 @@ class Sense:
         sense = by_stretch if seen else 0.0
         if not seen and self._jj > self._arrives:
             sense = _correlation(self._tj, self._tt * self._jj)
-        self._suspect = sense < -SHOWN
-        if not self._suspect:
+        opposes = sense < -SHOWN
+        self._fast = opposes and seen and self._held_fast()
+        self._suspect = opposes and not self._fast
+        if not opposes:
             self._waited += self._period
         if (sense > SHOWN and not winds_up) or self._waited > PATIENCE:
             self._shown = True
         if winds_up:
             return None
-        held_fast = self._suspect and seen and self._held_fast()
-        self._driven = self._driven or (held_fast and abs(self._travel) > RESTING * self._way)
+        self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
-        if wrong.update(now, self._suspect and not held_fast):
+        if wrong.update(now, self._suspect):
             return (
                 "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
                 "sign of a torque or of an encoder is reversed"
