@@ -156,7 +156,8 @@ def test_a_sample_has_every_fault_before_any_comes_again() -> None:
 
 def test_every_fault_of_the_plant_and_every_act_is_in_the_catalogue() -> None:
     lines = [line for hazard in HAZARDS for line in hazard.lines]
-    assert {line.split()[0] for line in lines} >= set(FAULTS)
+    configured = {"digital_input"}  # [safety] emergency_stop gives it a meaning: tests/virtual/test_emergency_stop.py
+    assert {line.split()[0] for line in lines} >= set(FAULTS) - configured
     for line in lines:
         parse_fault(line)
     assert {hazard.act for hazard in HAZARDS if hazard.act} == set(ACTS)

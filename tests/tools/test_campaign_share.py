@@ -1,0 +1,64 @@
+"""A share of the runaway campaign with a fresh seed at each run: 2 % of its cases, at most 30 s of a processor."""
+
+from __future__ import annotations
+
+import argparse
+import random
+import secrets
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+
+from tools.bench import checks
+from tools.campaign.passive import cases, changes, scan
+from tools.campaign.passive.experiment import SENSORS
+
+SHARE, SECONDS = 0.02, 8.0  # of the cases; s of processor time of each campaign
+PROMISED = ("sensor",)  # configurations in which every case of the scan meets its goals
+SURE = 0.5  # J that no change may add where a joint torque sensor shows it
+FASTEST = 15.0  # rad/s: [axis.limits] over_speed is 12 rad/s as shipped
+SEED = secrets.randbelow(10**6)
+
+
+def drawn(every: Sequence[Any], play: Callable[[Any], dict[str, Any]]) -> list[dict[str, Any]]:
+    """Play a share of all, in a drawn order, until the time is over."""
+    print(f"seed {SEED}")
+    begun = time.process_time()
+    rows = []
+    for each in random.Random(SEED).sample(list(every), max(1, round(SHARE * len(every)))):
+        if time.process_time() - begun > SECONDS:
+            break
+        rows.append(play(each))
+    return rows
+
+
+@pytest.mark.slow
+def test_no_motion_is_sustained_with_less_friction_than_the_files() -> None:
+    judge = scan.Judge(0.95, "bench", scan.REST, {}, {})
+    every = scan.cells(SEED, PROMISED, ("free", "weight", "limb", "spring"), scan.SET_POINTS, scan.OF, scan.SHARES, {})
+    for row in drawn(every, judge):
+        assert scan.good(row), scan.words(row)
+
+
+@pytest.mark.slow
+def test_a_change_that_a_torque_sensor_shows_adds_little_work() -> None:
+    parser = argparse.ArgumentParser()
+    changes.options(parser)
+    shown = [case for case in changes.cases(parser.parse_args([])) if case.sensors == "sensor" and case.change]
+    for row in drawn(shown, lambda case: cases.judge(case, 0.95)):
+        assert row["added"] <= SURE, changes.words(row)
+
+
+@pytest.mark.slow
+def test_no_fault_takes_the_joint_far_beyond_its_over_speed_limit() -> None:
+    every = [
+        (name, load, sensors, set_point)
+        for name in checks.FAULTS
+        for load in checks.LOADS
+        for sensors in SENSORS
+        for set_point in ("sine", "constant")
+    ]
+    for row in drawn(every, lambda key: checks.trial(*key)):
+        assert row["peak"] <= FASTEST, row
