@@ -336,7 +336,7 @@ def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: Controll
         transport=period if file.bus.rpdo == "sync" else file.controller.collect * period,
         late=1.0 / (2.0 * math.pi * drive.velocity_cutoff) if drive.velocity_source == "position" else 0.0,
         has_encoder=encoder is not None,
-        limits=_turn_limits(axis, model),
+        limits=Limits.of(axis.limits, drive.max_speed, model, encoder is not None),
         delay=law.delay,
         turn=law.turn,
         lead=law.lead,
@@ -346,13 +346,3 @@ def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: Controll
         filtered=0.0 if encoder is None else 1.0 / (2.0 * math.pi * encoder.velocity_cutoff),
         where=where,
     )
-
-
-def _turn_limits(axis: AxisSettings, model: TendonSheath) -> Limits:
-    """Return the limits that a friction reversal must respect, at the motor."""
-    limits, gearing = axis.limits, model.joint_pulley_radius / model.motor_pulley_radius
-    speeds = {"limits.motor_over_speed": limits.motor_over_speed, "drive.max_speed": axis.drive.max_speed}
-    if axis.encoder is None:  # the motor's speed then counts as the joint's
-        speeds |= {"limits.over_speed": gearing * limits.over_speed, "limits.joint_speed": gearing * limits.joint_speed}
-    key = min(speeds, key=lambda name: speeds[name])
-    return Limits(limits.rate, limits.torque, limits.distance or limits.torque, speeds[key], key)

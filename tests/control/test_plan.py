@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from tests.control.laws import PERIOD, plan
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.control.margin import LAG, LEAST, gain_margin
-from tsa_ctrl.control.plan import BLIND, MOST_LEAD
+from tsa_ctrl.control.plan import BLIND, MOST_LEAD, Limits
 from tsa_ctrl.control.turn import Turn
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import motor_stiffness, sliding
+from tsa_ctrl.safety.limiter import LimiterSettings
 
 INERTIA = 1e-4
 
@@ -103,6 +104,13 @@ def test_a_turn_never_needs_more_than_the_motor_speed_that_is_allowed(
 def test_a_speed_at_which_no_turn_is_possible_is_an_error_that_names_the_limit() -> None:
     with pytest.raises(UsageError, match=r"drive.max_speed allows .* 0.1 rad/s; .* needs 0.381 rad/s; raise drive"):
         plan(bent("joint_end"), speed=0.1, speed_key="drive.max_speed")
+
+
+def test_the_least_speed_limit_counts_and_without_a_joint_encoder_those_of_the_joint() -> None:
+    settings_of = LimiterSettings(torque=2.0, joint_speed=6.0, over_speed=9.0, motor_over_speed=20.0)
+    found = [Limits.of(settings_of, most, ACTUATOR, encoder)[3:] for most, encoder in ((30.0, True), (15.0, True))]
+    assert found == [(20.0, "limits.motor_over_speed"), (15.0, "drive.max_speed")]
+    assert Limits.of(settings_of, 30.0, ACTUATOR, False)[3:] == (pytest.approx(7.5), "limits.joint_speed")
 
 
 def test_a_slow_turn_and_a_torque_below_the_friction_are_reported() -> None:

@@ -23,6 +23,7 @@ from tsa_ctrl.control.turn import Turn
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding
+from tsa_ctrl.safety.limiter import LimiterSettings
 
 TURN, TURN_AT_JOINT = 8, 5  # periods of a turn, for bends up to the middle of the sheath and for all at the joint
 BLIND = 0.02  # s of a turn without a motor inertia
@@ -49,6 +50,17 @@ class Limits(NamedTuple):
     distance: float = math.inf  # N*m, command beyond measured torque
     speed: float = math.inf  # rad/s
     speed_key: str = "limits.motor_over_speed"  # the key that sets `speed`
+
+    @classmethod
+    def of(cls, limits: LimiterSettings, max_speed: float, model: TendonSheath, has_encoder: bool) -> Limits:
+        """Return the limits of an axis; `max_speed`: the drive's own clamp, rad/s."""
+        gearing = model.joint_pulley_radius / model.motor_pulley_radius
+        speeds = {"limits.motor_over_speed": limits.motor_over_speed, "drive.max_speed": max_speed}
+        if not has_encoder:  # the motor's speed then counts as the joint's
+            speeds["limits.over_speed"] = gearing * limits.over_speed
+            speeds["limits.joint_speed"] = gearing * limits.joint_speed
+        key = min(speeds, key=lambda name: speeds[name])
+        return cls(limits.rate, limits.torque, limits.distance or limits.torque, speeds[key], key)
 
 
 @dataclass(frozen=True)
