@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,9 @@ import pytest
 
 from tests.daemon.machine import WITH_CELLS, Machine
 from tsa_ctrl.control.live import Parameter, Tuner, parameters_of
+from tsa_ctrl.daemon.assembly import describe, tuners_of
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.parameters import change
 
 KINDS = ("fixed", "sensor", "map", "motor", "stretch", "tension")
 
@@ -106,7 +110,7 @@ ALWAYS = {  # name: bounds and unit/s; None: another kind's. With x = 0.26, T_p0
 }
 USED = {"use_estimate": (0.0, 1.0, math.inf)}
 OF_KIND = {
-    "fixed": {"friction_angle": (0.0, 0.52, 0.13), "pretension": (0.0, 90.0, 22.5)},
+    "fixed": {"friction_angle": (0.0, 0.325, 0.13), "pretension": (0.0, 56.25, 22.5)},  # [uncertainty] 0.25
     "sensor": USED,
     "map": {"bending_angle": (0.0, 100.0, 2.0)},
     "motor": USED,
@@ -127,6 +131,54 @@ def test_bounds_and_rates_are_those_of_the_kind(kind: str, tmp_path: Path) -> No
     assert list(found) == list(expected)
     for name, values in expected.items():
         assert found[name] == pytest.approx(values), name
+    machine.close()
+
+
+@pytest.mark.parametrize("name", ["friction_angle", "pretension"])
+@pytest.mark.parametrize("factor", [0.5, 1.2])
+def test_the_law_uses_what_a_client_sets_and_never_more_than_the_file_has(
+    tmp_path: Path, name: str, factor: float
+) -> None:
+    """Less friction is compensated less; more is not proven by anybody's word, so the file's stays the bound."""
+    machine = machine_of(tmp_path, "fixed")
+    axis, law = machine.axis, machine.axis.law
+    parameters = parameters_of(axis)
+    index, chosen = next((n, p) for n, p in enumerate(parameters) if p.name == name)
+    tuner, nominal = Tuner(parameters, 1e-3), law.half_loop
+
+    def used() -> float:
+        """Half loop (N*m) that the law has after one step of its inverse."""
+        law._inverse.update(0.0, 1.0, 0.1)
+        return law._inverse.half_loop()
+
+    tuner.set(index, factor * chosen.value)
+    seen = []
+    for _ in range(2000):
+        tuner.update()
+        axis.adapt()
+        seen.append(used() * law.confirmed)
+    friction = (
+        2.0
+        * 45.0
+        * 0.020
+        * (factor if name == "pretension" else 1.0)
+        * math.tanh(0.26 * (factor if name == "friction_angle" else 1.0))
+    )  # N*m, (3.55)
+    assert used() == pytest.approx(friction, rel=2e-3)
+    assert seen[-1] == pytest.approx(min(friction, nominal), rel=2e-3)
+    assert max(seen) <= nominal * (1.0 + 1e-9)
+    assert max(abs(b - a) for a, b in itertools.pairwise(seen)) < 2e-3  # N*m in a cycle: no step
+    machine.close()
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "fixed"])
+def test_where_an_estimator_determines_them_the_reason_is_given(kind: str, tmp_path: Path) -> None:
+    machine = machine_of(tmp_path, kind)
+    tuners = tuners_of(machine.axes, 1e-3)
+    description = describe(machine.configuration, tuners)
+    for name in ("friction_angle", "pretension"):
+        with pytest.raises(UsageError, match=f"'{name}' cannot be set .* the estimator determines it, kind = .fixed."):
+            change(machine.mailbox, description, name, 0.2)
     machine.close()
 
 

@@ -12,12 +12,12 @@ from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound
 from tsa_ctrl.control.delivered import delivered_of
-from tsa_ctrl.control.estimator import EstimateState, Estimator, Sample, toward
+from tsa_ctrl.control.estimator import EstimateState, Estimator, Fixed, Sample, toward
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import transmitted_by
+from tsa_ctrl.model.sliding import sliding, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
@@ -89,9 +89,7 @@ class ControlAxis:
         self.joint_torque = joint_torque
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
         self.most_age = most_age
-        self.trusted = (
-            False  # a tuning of this very joint wrote the model file; each bring-up decides, before any enable
-        )
+        self.trusted = False  # a tuning of this joint wrote the model file; each bring-up decides, before any enable
         self.request = Request.DISABLE
         self.ramp = 1.0
         self.terms = Terms()
@@ -108,6 +106,7 @@ class ControlAxis:
         limiter.ceiling = self.sense.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
+        self._nominal_half_loop = abs(sliding(model).motor_half_loop)
         self._transmitted = transmitted_by(model)
         self.delivered = delivered_of(self.instruments, joint_torque.stretch, has_torque_sensor)
         law.bound = self._bounded()
@@ -298,4 +297,7 @@ class ControlAxis:
         if parameters != self._used:
             self._used = parameters
             self.law.set_parameters(*parameters)
+            if isinstance(self.estimator, Fixed):  # a client's word proves no friction beyond the file's
+                half_loop = abs(sliding(self.model, 1.0, *parameters).motor_half_loop)
+                self.law.confirmed = min(1.0, self._nominal_half_loop / half_loop) if half_loop > 0.0 else 1.0
             self.joint_torque.set_parameters(*parameters)

@@ -91,10 +91,10 @@ class Estimator(Protocol):
 
 
 class Fixed:
-    """The model file's values, or those that the user sets."""
+    """The model file's values, or those that a client sets, which the law uses from then on."""
 
     state = EstimateState.FIXED
-    use = False
+    use = True
     sure = None
     why = ""
     found = math.nan

@@ -124,6 +124,7 @@ class Law:
         r_m, r_j = radii
         self.compensation = settings.compensation
         self.bound = math.inf  # 1, of it: as well as the friction is known, see `bound`
+        self.confirmed = 1.0  # 1, of the half loop in use that the file has: what a client set beyond it is not proven
         self.slew = settings.slew
         self.plan = plan
         self.ideal = self.friction_term = self.planned = 0.0
@@ -229,7 +230,7 @@ class Law:
         fade = self._fade
         if fade < 1.0:
             self._fade = fade = min(1.0, fade + self._fade_step)
-        compensation, bound = self.compensation, self.bound
+        compensation, bound = self.compensation, self.bound * self.confirmed
         if compensation > bound:
             compensation = bound
         share = compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted

@@ -44,19 +44,20 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     """
     law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
     fixed = isinstance(estimator, Fixed)
-    angle, pretension = 2.0 * model.friction_angle, 2.0 * model.pretension  # no more than twice the model file's
-    angles = (0.0, angle) if fixed else _NONE
-    tensions = (0.0, pretension) if fixed else _NONE
+    angle, pretension = model.friction_angle, model.pretension  # raised by no more than [uncertainty] leaves open
+    angles = (0.0, angle * (1.0 + model.friction_angle_uncertainty)) if fixed else _NONE
+    tensions = (0.0, pretension * (1.0 + model.pretension_uncertainty)) if fixed else _NONE
     use = (0.0, 1.0) if isinstance(estimator, Recursive | ByStretch | ByTension) else _NONE
     bends = (0.0, 100.0) if axis.bending.settable else _NONE
     damps = (0.0, law.plan.damping) if law.plan.damping > 0.0 else _NONE
+    why = "" if fixed else '; the estimator determines it, kind = "fixed" in [axis.estimator] lets a client set it'
     p, inf = Parameter, math.inf
     return (
         p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),
         p("slew", "N*m/s", 1.0, 10_000.0, inf, "fastest change of the friction term", law, "slew"),
         p("damping", "N*m*s/rad", *damps, inf, "of the motor's swing on its tendons", law.damping, "gain"),
-        p("friction_angle", "1", *angles, 0.25 * angle, "x = mu Theta", estimator, "friction_angle"),
-        p("pretension", "N", *tensions, 0.25 * pretension, "T_p0", estimator, "pretension"),
+        p("friction_angle", "1", *angles, 0.5 * angle, f"x = mu Theta{why}", estimator, "friction_angle"),
+        p("pretension", "N", *tensions, 0.5 * pretension, f"T_p0{why}", estimator, "pretension"),
         p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
         p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
         p("direction_zone", "rad/s", LEAST_ZONE, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
