@@ -78,6 +78,8 @@ def drive(node_id: int = 1) -> Dictionary:
         (0x6076, 0): (U32, 1000),
         (0x6080, 0): (U32, 10000),
         (0x60A9, 0): (U32, 0x00B44700),
+        (0x60B2, 0): (I16, 120),  # per mille of the rated torque, left there by another tool
+        (0x60E0, 0): (U16, 400),
         (0x60C2, 0): (U8, 2),
         (0x60C2, 1): (U8, 2),
         (0x60C2, 2): (I8, -3),

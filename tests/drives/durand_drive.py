@@ -29,13 +29,14 @@ OBJECTS = (  # index, type, access, power-on value
     (0x605E, I16, "rw", 2), (0x6060, I8, "rw", 0), (0x6061, I8, "ro", 0), (0x6064, I32, "ro", 0),
     (0x606C, I32, "ro", 0), (0x6071, I16, "rw", 0), (0x6072, U16, "rw", 1000), (0x6076, U32, "ro", 1000),
     (0x6077, I16, "ro", 0), (0x6080, U32, "rw", 3000), (0x60A9, U32, "rw", 0x00B44700), (0x6502, U32, "ro", 0x200),
+    (0x60B2, I16, "rw", 120),  # per mille of the rated torque, left there by another tool
 )  # fmt: skip
 DISABLED, READY, ON, ENABLED = 0x0250, 0x0231, 0x0233, 0x1237
 STEPS = {(DISABLED, 0x06): READY, (READY, 0x07): ON, (ON, 0x0F): ENABLED, (ENABLED, 0x06): READY, (ON, 0x06): READY}
 
 
 class DurandDrive:
-    """The drive's application: its state machine, and torque that follows at once."""
+    """The drive's application: its state machine, and torque that follows at once, offset included."""
 
     def __init__(self, network: NetworkABC) -> None:
         self.node = MinimalNode(network, node_id=NODE)
@@ -64,7 +65,8 @@ class DurandDrive:
 
     def _pull(self, target: int) -> None:
         limit = self.get(0x6072)
-        delivered = max(-limit, min(limit, target)) if self.get(0x6041) == ENABLED else 0
+        wanted = target + self.get(0x60B2)
+        delivered = max(-limit, min(limit, wanted)) if self.get(0x6041) == ENABLED else 0
         self.node.object_dictionary.write(0x6077, 0, delivered)
 
 

@@ -103,6 +103,14 @@ def test_a_drive_says_most_of_what_a_profile_is_made_of(tmp_path: Path) -> None:
         (["objects = { '0x6060:0' = 10 }", "mode_shows = 'enabled'"], 'mode_shows = "enabled" '),
         (["absent = [0x6502, 0x6080]"], 'absent = ["max motor speed", "supported modes"]'),
         (["absent = [0x1402, 0x1403, 0x1803]"], "rpdo_count = 2"),
+        (
+            ["objects = { '0x60B2:0' = 120 }"],
+            "# 0x60B2:0 torque offset is 120 per mille of the rated torque; it adds to",
+        ),
+        (
+            ["objects = { '0x60E0:0' = 250 }"],
+            "# 0x60E0:0 positive torque limit is 250 per mille of the rated torque; it",
+        ),
         (["modes = ['csp']"], "# FINISH: no cyclic synchronous torque (bit 9)"),
         (["objects = { '0x1019:0' = 7 }"], "# 0x1019:0 SYNC counter is 7 and is set to 0"),
     ],

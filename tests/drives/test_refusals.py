@@ -24,7 +24,7 @@ ELSEWHERE = (  # messages that another function words, or ends: each is read bel
     "_not_booted",
     "node {node_id} refuses {entry}",  # ended by cure() where it is caught: test_start, campaign/drives
     "{path}: {error}",
-    "{name}: {error}; {cure(",
+    "{name}: {error}{holds}; {cure(",
     "read back {after:#x}; {cure(",
     "supported modes 0x{modes:08X}{_instead(modes)}",
     "the drive {refusal}",  # set_node_id gives both refusals with their cure: test_lss

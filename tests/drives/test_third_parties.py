@@ -71,6 +71,21 @@ def test_a_drive_on_durand_comes_up_pulls_stops_and_comes_up_again() -> None:
         assert (drive.get(0x6041), drive.get(0x6077)) == (0x0250, 0)
 
 
+def test_the_torque_offset_of_a_drive_on_durand_is_neutralised() -> None:
+    """It was left at 120 per mille, which turns the motor at command 0."""
+    master = OnDurand()
+    drive = master.durand.drive
+    drive.node.object_dictionary.write(0x6041, 0, durand_drive.ENABLED)
+    drive._pull(0)
+    assert (drive.get(0x60B2), drive.get(0x6077)) == (120, 120)
+    drive.node.object_dictionary.write(0x6041, 0, durand_drive.DISABLED)
+    master.start_up()
+    assert drive.get(0x60B2) == 0
+    master.enable(0.0)
+    assert (drive.get(0x6041), drive.get(0x6077)) == (durand_drive.ENABLED, 0)
+    assert master.stop() == []
+
+
 def test_a_drive_on_durand_has_no_watchdog_and_that_is_said() -> None:
     master = OnDurand()
     master.axis = AxisNodes(name="knee", drive=DriveSettings(node_id=3))

@@ -80,6 +80,33 @@ def test_max_torque_clamps_and_sets_the_internal_limit(bench: Bench) -> None:
     assert settled(bench, -900)[:2] == (0x1A37, -200)
 
 
+def test_the_torque_offset_adds_to_the_target(bench: Bench) -> None:
+    bench.enable()
+    bench.download(1, 0x60B2, 0, "h", -120)
+    assert settled(bench, 0)[1] == pytest.approx(-120, abs=1)
+    assert settled(bench, 300)[1] == pytest.approx(180, abs=1)
+
+
+@pytest.mark.parametrize(("index", "most"), [(0x60E0, (100, -500)), (0x60E1, (500, -100)), (0x6073, (100, -100))])
+def test_each_torque_limit_acts_on_its_side(bench: Bench, index: int, most: tuple[int, int]) -> None:
+    bench.enable()
+    bench.download(1, index, 0, "H", 100)
+    assert settled(bench, 500)[1] == pytest.approx(most[0], abs=1)
+    assert settled(bench, -500)[1] == pytest.approx(most[1], abs=1)
+
+
+@pytest.mark.parametrize(("mode", "reached"), [(10, 500), (4, 50)])
+def test_the_torque_slope_acts_in_profile_torque_only(tmp_path: Path, mode: int, reached: int) -> None:
+    """1000 per mille/s for 0.05 s."""
+    bench = Bench(tmp_path, "[[axis]]\nname = 'j'\nmotion.kind = 'still'\ndrive.modes = ['cst', 'tq']\n")
+    bench.set_up()
+    bench.download(1, 0x6060, 0, "b", mode)
+    bench.download(1, 0x6087, 0, "I", 1000)
+    bench.enable()
+    bench.sync(50, bench.command(0x0F, 500))
+    assert bench.upload(1, 0x6074, 0, "h") == pytest.approx(reached, abs=3)
+
+
 def test_no_torque_beyond_the_maximum_speed(tmp_path: Path) -> None:
     bench = Bench(tmp_path, STILL + "joint.load = 'free'\njoint.damping = 0.0\n")
     bench.set_up()

@@ -50,6 +50,14 @@ def test_fault_is_announced_and_stays_for_its_duration(bench: Bench) -> None:
     assert bench.statusword() == 0x0250
 
 
+def test_a_torque_offset_of_another_tool_turns_the_motor_for_its_duration(bench: Bench) -> None:
+    begin(bench, "torque_offset value=120 duration=0.05")
+    bench.sync(10, bench.command(0x0F, 0))
+    assert bench.unit.axis.command.torque == pytest.approx(0.12)
+    bench.sync(60, bench.command(0x0F, 0))
+    assert bench.unit.axis.command.torque == 0.0
+
+
 def test_stuck_tpdos_repeat_their_data(bench: Bench) -> None:
     before = dict(bench.sync())[0x181]
     begin(bench, "stuck_tpdo")

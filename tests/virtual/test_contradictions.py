@@ -163,6 +163,16 @@ def test_watchdogs_that_go_out_of_sight_are_found_within_two_seconds(tmp_path: P
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("offset", [-120, 30])
+def test_a_torque_offset_written_out_of_sight_stops_the_axis(tmp_path: Path, offset: int) -> None:
+    """The offset is asked for every 0.1 s and confirmed once."""
+    result = play(tmp_path, "held", CONSTANT, 1.4, faults=[f"torque_offset value={offset}@0.8"])
+    fault = next(event for event in result.summary.events if event.fault)
+    assert fault.text.startswith("a node's configuration changed: drive node 1: 0x60B2:0 torque offset is ")
+    assert fault.t < 1.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("lost", [4, 19])
 def test_a_drive_that_hears_only_some_commands_stops_the_axis(tmp_path: Path, lost: int) -> None:
     """Its RPDO timer, 20 ms, is kept quiet by each command that it does hear."""

@@ -17,6 +17,7 @@ Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 Seconds = Annotated[float, Meta(ge=0.001, le=10.0)]
 Counts = Annotated[int, Meta(ge=1, le=1 << 32)]
 Patience = Annotated[float, Meta(ge=0.05, le=60.0)]
+MOST_SLOTS = 8  # axes of one device (CiA 301)
 Cycles = Annotated[int, Meta(ge=0, le=100)]
 
 
@@ -75,7 +76,7 @@ class NodeSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     """A CiA 402 drive in cyclic synchronous torque mode. Torque, speed and angle are those of the motor pulley."""
 
-    slot: Annotated[int, Meta(ge=1, le=8)] = 1  # place in a device with several axes: objects 0x800 apart
+    slot: Annotated[int, Meta(ge=1, le=MOST_SLOTS)] = 1  # place in a device with several axes: objects 0x800 apart
     pdo_node_id: NodeId | None = None  # whose PDO identifiers it takes; default: its own, for slots 1 and 2
     profile: str = "generic"  # name of a file in drives/ beside the configuration, or a path
     rated_torque: Positive = 1.0  # N*m of the motor, what 0x6076 must say

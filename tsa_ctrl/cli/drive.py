@@ -131,7 +131,7 @@ def dump_command(out: Path | None, **options: Any) -> None:
 
     target = find_target(**options)
     with target.session() as session:
-        backup = dump(session, target.node_id, entries_of(target.plan()))
+        backup = dump(session, target.node_id, entries_of(target.plan(), target.axis.drive.slot))
     if out is None:
         click.echo(backup.text(), nl=False)
         return
@@ -171,8 +171,14 @@ def restore_command(backup_file: str, **options: Any) -> None:
 @target_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None:
-    """Compare the drive with FILE, or with what the configuration would write; nothing is changed."""
+    """Compare the drive with FILE, or with what the configuration would write; nothing is changed.
+
+    The notes list the drive's own limits and ramps of the torque, if they act.
+    """
     from tsa_ctrl.bus.drive.backup import compare, load_backup, wanted_by
+    from tsa_ctrl.bus.drive.checks import Node
+    from tsa_ctrl.bus.drive.torque_path import check_torque_path
+    from tsa_ctrl.bus.settings import Role
 
     target = find_target(**options)
     stored = None if backup_file is None else load_backup(backup_file)
@@ -182,6 +188,8 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
         else:
             wanted = [(item.entry, item.value) for item in stored.object]
         differences = compare(session, target.node_id, wanted)
+        node = Node(target.axis, target.profile, Role.DRIVE, target.axis.drive)
+        _, notes = check_torque_path(session, node, {entry.key for entry, _ in wanted if stored is None})
     if as_json:
         found = [
             {
@@ -193,11 +201,13 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
             }
             for difference in differences
         ]
-        result = {"schema": 1, "node": target.node_id, "compared": len(wanted), "differences": found}
+        result = {"schema": 1, "node": target.node_id, "compared": len(wanted), "differences": found, "notes": notes}
         click.echo(json.dumps(result, allow_nan=False))
         return
     for difference in differences:
         click.echo(str(difference))
+    for note in notes:
+        click.echo(note)
     click.echo(f"node {target.node_id}: {len(wanted)} objects compared, {len(differences)} differ")
 
 

@@ -24,6 +24,7 @@ from tsa_ctrl.plant.readings import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
 
 CST = 10  # cyclic synchronous torque mode
+_PROFILE_TORQUE = 4  # profile torque mode
 _RPM = 2.0 * math.pi / 60.0  # rad/s
 _VOLTAGE_ENABLED, _WARNING, _REMOTE = 1 << 4, 1 << 7, 1 << 9
 _INTERNAL_LIMIT, _FOLLOWS_COMMAND = 1 << 11, 1 << 12
@@ -92,6 +93,7 @@ class Drive:
         self._unit_code = unit_code(settings)  # of a drive that does not have 0x60A9
         self._modes = mode_numbers(settings)
         self._scale = settings.torque_sign * settings.rated_torque * settings.gear_ratio / persona.torque_digits
+        self._ramp, self._ramped_at = 0.0, 0.0  # digits of 0x6071 in the profile torque mode, and when it moved, s
         self._next_step = 0.0  # s, when a slow drive takes the next step
         self._waiting: int | None = None  # a controlword that it has not obeyed yet
         self.before_change: Callable[[float], None] = lambda now: None
@@ -212,10 +214,14 @@ class Drive:
         enabled = self.node.powered and self.machine.state is PowerState.OPERATION_ENABLED
         target = 0
         self.limited = False
-        if enabled and values[0x6060, 0] == CST and not (self.faults.ignore_command or self.faults.dead_stage):
-            wanted, limit = values[0x6071, 0], self._clamp()
-            target = max(-limit, min(limit, wanted))
+        if not enabled:
+            self._ramp = 0.0
+        elif not (self.faults.ignore_command or self.faults.dead_stage):
+            wanted = self._demand()
+            backward, forward = self._limits()
+            target = max(-backward, min(forward, wanted))
             self.limited = target != wanted
+        values[0x6074, 0] = _bounded(target, 0x7FFF)
         scale = self._scale if not values.get((0x607E, 0), 0) & _TORQUE_TURNED else -self._scale
         wanted_command = (
             target * scale * self.faults.torque_sign * self.faults.torque_gain,
@@ -225,6 +231,34 @@ class Drive:
         if wanted_command != (command.torque, command.enabled, command.max_speed):
             self.before_change(self.node.now)
             command.torque, command.enabled, command.max_speed = wanted_command
+
+    def _demand(self) -> int:
+        """Return the torque that the mode demands before any limit, in digits of 0x6071.
+
+        Cyclic torque adds the torque offset 0x60B2. Profile torque follows the ramp of the torque slope 0x6087.
+        Source: CiA 402-2, cyclic synchronous torque mode and profile torque mode.
+        """
+        values, now = self.values, self.node.now
+        mode, target = values[0x6060, 0], values[0x6071, 0]
+        elapsed, self._ramped_at = now - self._ramped_at, now
+        if mode == CST:
+            return target + self._digits(values.get((0x60B2, 0), 0))
+        if mode != _PROFILE_TORQUE:
+            self._ramp = 0.0
+            return 0
+        step = elapsed * self._digits(values.get((0x6087, 0), 0))
+        self._ramp += max(-step, min(step, target - self._ramp))
+        return round(self._ramp)
+
+    def _digits(self, per_mille: int) -> int:
+        """Convert per mille of the rated torque to digits of 0x6071."""
+        return round(per_mille * self.persona.torque_digits / 1000.0)
+
+    def _limits(self) -> tuple[int, int]:
+        """Return the largest torque backward and forward, in digits of 0x6071."""
+        most = min(self._clamp(), self._digits(self.values.get((0x6073, 0), _NO_CLAMP)))
+        forward, backward = (self._digits(self.values.get((index, 0), _NO_CLAMP)) for index in (0x60E0, 0x60E1))
+        return min(most, backward), min(most, forward)
 
     def _clamp(self) -> int:
         """Largest torque in digits of 0x6071."""

@@ -78,12 +78,15 @@ def objects(settings: DriveSettings) -> list[Entry]:
         Entry(0x606C, 0, Type.I32, ro, mappable=True),
         Entry(0x6071, 0, Type.I16, rw, 0, mappable=True),
         Entry(0x6072, 0, Type.U16, rw, 1000, mappable=True, high=5000),
+        Entry(0x6073, 0, Type.U16, rw, 5000),  # per mille of the rated current
+        Entry(0x6074, 0, Type.I16, ro, mappable=True),
         Entry(0x6075, 0, Type.U32, rw, 5000),  # mA
         Entry(0x6076, 0, Type.U32, rw, rated),
         Entry(0x6077, 0, Type.I16, ro, mappable=True),
         Entry(0x607E, 0, Type.U8, rw, 0),
         Entry(0x6080, 0, Type.U32, rw, 3000),  # rpm of the motor
         Entry(0x6087, 0, Type.U32, rw, 100_000),  # per mille of rated torque per s
+        Entry(0x6088, 0, Type.I16, rw, 0, low=0, high=1),
         Entry(0x608F, 0, Type.U8, Access.CONST, 2),
         Entry(0x608F, 1, Type.U32, rw, settings.counts_per_revolution),
         Entry(0x608F, 2, Type.U32, rw, 1),
@@ -91,9 +94,14 @@ def objects(settings: DriveSettings) -> list[Entry]:
         Entry(0x6091, 1, Type.U32, rw, 1),
         Entry(0x6091, 2, Type.U32, rw, 1),
         Entry(0x60A9, 0, Type.U32, rw, unit_code(settings)),
+        Entry(0x60B0, 0, Type.I32, rw, 0, mappable=True),
+        Entry(0x60B1, 0, Type.I32, rw, 0, mappable=True),
+        Entry(0x60B2, 0, Type.I16, rw, 0, mappable=True),  # per mille of rated torque
         Entry(0x60C2, 0, Type.U8, Access.CONST, 2),
         Entry(0x60C2, 1, Type.U8, rw, 1, low=1),
         Entry(0x60C2, 2, Type.I8, rw, -3, low=-6, high=0),
+        Entry(0x60E0, 0, Type.U16, rw, 5000, mappable=True),  # per mille of rated torque
+        Entry(0x60E1, 0, Type.U16, rw, 5000, mappable=True),
         Entry(0x60FD, 0, Type.U32, ro, mappable=True),
         Entry(0x6502, 0, Type.U32, ro, supported),
     ]

@@ -68,6 +68,17 @@ def _foreign_sdo(target: Target) -> Undo:
     return nothing
 
 
+def _torque_offset(target: Target) -> Undo:
+    """Write 0x60B2 out of sight of the bus, as a tool on another port does."""
+    values = target.drive.values
+    before, values[0x60B2, 0] = values[0x60B2, 0], int(target.value)
+
+    def undo(now: float) -> None:
+        values[0x60B2, 0] = before
+
+    return undo
+
+
 def _replay(target: Target) -> Undo:
     target.outlet.replay(target.value)
     return nothing
@@ -108,6 +119,10 @@ FAULTS: Mapping[str, FaultKind] = {
         "bit 12 is low, the target torque is not followed", lambda t: swap(t.drive.faults, "ignore_command", True)
     ),
     "foreign_sdo": FaultKind("somebody else writes by SDO: the node watches our heartbeat no more", _foreign_sdo),
+    "torque_offset": FaultKind(
+        "another tool writes the torque offset 0x60B2 out of sight of this bus",
+        _torque_offset, 120, "per mille of the rated torque", -1000, 1000,
+    ),
     "rpdo_lost": FaultKind("commands do not reach the node", lambda t: swap(t.node, "deaf", True)),
     "heartbeat_lost": FaultKind("a node's heartbeat stops", lambda t: swap(t.outlet, "mute", True)),
     "error_frame": FaultKind("an error frame on the bus", _error_frame, 0x40, "error class", 1, 0x1FFFFFFF),

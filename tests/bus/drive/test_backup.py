@@ -85,6 +85,19 @@ def test_diff_without_a_file_shows_what_a_bring_up_would_change(nodes: Bench) ->
     assert "0 differ" in run(nodes, "diff")
 
 
+def test_dump_and_diff_list_what_acts_on_the_torque(nodes: Bench, tmp_path: Path) -> None:
+    """A start sets the offset to 0 and reports the limit, on python-canopen as on any drive."""
+    file = tmp_path / "drive.toml"
+    run(nodes, "dump", "--out", str(file))
+    found = {item.index: item.value for item in load_backup(file).object}
+    assert (found[0x60B2], found[0x60E0]) == (120, 400)
+    text = run(nodes, "diff")
+    assert "0x60B2:0 torque offset: drive 0x78, wanted 0x0" in text
+    assert "positive torque limit (0x60E0) is 400 per mille of the rated torque: the drive delivers no more" in text
+    configure(nodes)
+    assert nodes.get(1, 0x60B2, 0) == 0
+
+
 def test_diff_as_json_is_one_object(nodes: Bench) -> None:
     result = json.loads(run(nodes, "diff", "--json"))
     assert result["schema"] == 1

@@ -17,6 +17,7 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).parents[3] / "config"
+_OFFSET = "[[extra]]\nindex = {}\ntype = 'i16'\nvalue = 5\nname = 'mine'"
 NAMES = sorted(path.stem for path in (CONFIG / "drives").glob("*.toml"))
 
 
@@ -89,6 +90,11 @@ def test_unknown_profile_is_answered_with_the_known_ones() -> None:
         ("[torque_clamp]\nindex = 0x207F", "torque_clamp: give rated_index, the object that holds its value"),
         ("[torque_clamp]\nindex = 0x207F\nrated = 1\nrated_index = 0x2000", "and not both"),
         ("absent = ['max torqe']", "absent: unknown object 'max torqe'; did you mean 'max torque'?"),
+        (
+            _OFFSET.format(0x60B2),
+            "[[extra]] 'mine' writes 5 to 0x60B2, which the drive adds to the command; allowed is 0",
+        ),
+        (_OFFSET.format(0x70B1), "[[extra]] 'mine' writes 5 to 0x70B1"),
         ("absent = ['max torque']", "no object limits the drive's torque"),
         ("[units]\nvelocity = 'furlong'", "units.velocity: invalid enum value 'furlong'"),
         ("[reactions]\nfault = 'keeep'", "reactions.fault"),

@@ -59,6 +59,21 @@ def test_every_object_is_asked_for_in_turn_and_one_every_20_ms() -> None:
     assert [data[1:4] for _, _, data in node.asked[:4]] == [b"\x00\x14\x05", b"\x72\x60\x00"] * 2
 
 
+def test_a_torque_offset_is_asked_for_after_every_four_others() -> None:
+    offset = Held(1, Object(0x60B2, 0, Type.I16, "torque offset"), 0)
+    others = [Held(1, Object(0x2000 + number, 0, Type.U16, "another"), 0) for number in range(50)]
+    asked: list[int] = []
+    reader = ReadBack(Node(), 1_000_000, [*others, offset])  # type: ignore[arg-type]
+    reader._send = lambda can_id, data: asked.append(*struct.unpack_from("<H", data, 1)) is None
+    for cycle in range(2000):
+        reader.update(1e-3 * cycle)
+        index = asked[-1]
+        reader.answer(1, struct.pack("<BHBI", 0x4B, index, 0, 0))
+    places = [place for place, index in enumerate(asked) if index == 0x60B2]
+    assert {later - earlier for earlier, later in itertools.pairwise(places)} == {5}
+    assert set(asked) == {0x60B2, *range(0x2000, 0x2032)}
+
+
 def test_a_slow_bus_is_asked_more_seldom() -> None:
     node = Node(bitrate=250_000)
     node.run(1.0)

@@ -84,6 +84,12 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("mapping fixed, another", {"read_only": ["0x1600", "0x1A00"]}, refused="with the maker's tool"),
     # left by another tool
     Variation("SYNC counter and period left", _objects(x1019_0=10, x1006_0=5000)),
+    Variation("torque offset left", _objects(x60B2_0=120)),
+    Variation("torque offset that cannot be written", {"read_only": ["0x60B2"], **_objects(x60B2_0=120)},
+              refused="allowed is 0"),
+    Variation("no offsets", {"absent": [0x60B0, 0x60B1, 0x60B2]}),
+    Variation("positive torque limit left", _objects(x60E0_0=400), told="positive torque limit (0x60E0) is 400"),
+    Variation("slow torque slope left", _objects(x6087_0=500), told="torque slope (0x6087) is 500"),
     Variation("SYNC window left", _objects(x1007_0=100)),
     Variation("heartbeat consumer left in entry 2", _objects(x1016_2=0x7F0064)),
     Variation("heartbeat consumer of another in entry 1", _objects(x1016_1=0x0503E8)),

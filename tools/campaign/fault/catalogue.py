@@ -65,6 +65,7 @@ FAULTS: tuple[Fault, ...] = (
     Fault("second master sends SYNC", _stops("second master"), act="second_master"),
     Fault("second master sends commands", _stops("second master"), act="second_commander"),
     Fault("second master writes by SDO", _stops("second master"), "foreign_sdo"),
+    Fault("torque offset of another tool", _stops("configuration changed.*0x60B2", 0.4, "read back"), "torque_offset"),
     Fault("a node is reset by somebody", _stops("second master|node booted"), act="reset_node"),
     Fault("joint encoder jumps", _stops("over-speed|moved apart"), "encoder_jump"),
     Fault(

@@ -144,6 +144,10 @@ HAZARDS: tuple[Hazard, ...] = (
         "a tool on another port takes the watchdogs", NOBODY, "configuration changed", ("watchdogs_lost",), lie=True,
         residual="found within 2 s, by reading back; until then only the loop itself ends the torque",
     ),
+    Hazard(
+        "a tool on another port writes a torque offset", MOVES, "configuration changed|reports", ("torque_offset",),
+        lie=True, residual="found within 0.2 s, by reading back",
+    ),
     # the computer
     Hazard("loop stands still for 0.3 s", OLD, _LOST + "|0x8", act="hang"),
     Hazard("loop stands still for 10 ms", OLD, "", act="hitch", goes_on="shorter than every time-out"),

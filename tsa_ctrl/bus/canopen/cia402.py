@@ -5,7 +5,11 @@ No I/O, no time. Nothing here leaves a fault by itself: `next_controlword` never
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import Enum, IntEnum
+
+from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.canopen.objects import Object
 
 
 class PowerState(Enum):
@@ -46,6 +50,52 @@ WARNING = 1 << 7  # a warning is present, as of temperature; the state stays
 REMOTE = 1 << 9  # the controlword is processed
 INTERNAL_LIMIT = 1 << 11  # a limit of the drive's own is active: it may give less than it is told
 FOLLOWS_COMMAND_BIT = 1 << 12  # in cyclic modes; low: the command is ignored
+
+
+class Effect(Enum):
+    """How an object acts on the torque between the command (0x6071) and the motor."""
+
+    ADDS = "adds to the command"
+    LIMITS = "limits the torque"
+    RAMPS = "ramps the torque"
+    SCALES = "scales the torque or turns its sign"
+
+
+@dataclass(frozen=True)
+class Influence:
+    """An object that acts on the torque of a cyclic mode.
+
+    Attributes:
+        unit: of one digit, for people.
+        restored: the value that the bring-up writes and reads back; None: the drive's own value stays.
+        watched: a change while the loop runs is a fault, because it adds to the torque or turns it.
+    """
+
+    entry: Object
+    effect: Effect
+    unit: str = ""
+    restored: int | None = None
+    watched: bool = False
+
+
+_PER_MILLE = "per mille of the rated torque"
+# Source: CiA 402-2 (IEC 61800-7-201), cyclic synchronous torque mode. The position and velocity offsets act in the
+# other cyclic modes. The slope (0x6087) and its profile (0x6088) act in the profile torque mode, on some drives also
+# in this one. The max torque (0x6072) and the max motor speed (0x6080) come from the configuration and are written.
+TORQUE_PATH: tuple[Influence, ...] = (
+    Influence(objects.POSITION_OFFSET, Effect.ADDS, restored=0),
+    Influence(objects.VELOCITY_OFFSET, Effect.ADDS, restored=0),
+    Influence(objects.TORQUE_OFFSET, Effect.ADDS, _PER_MILLE, restored=0),
+    Influence(objects.POSITIVE_TORQUE_LIMIT, Effect.LIMITS, _PER_MILLE),
+    Influence(objects.NEGATIVE_TORQUE_LIMIT, Effect.LIMITS, _PER_MILLE),
+    Influence(objects.MAX_CURRENT, Effect.LIMITS, "per mille of the rated current"),
+    Influence(objects.TORQUE_SLOPE, Effect.RAMPS, f"{_PER_MILLE} per s"),
+    Influence(objects.TORQUE_PROFILE, Effect.RAMPS),
+    Influence(objects.POLARITY, Effect.SCALES, watched=True),
+    Influence(objects.RATED_TORQUE, Effect.SCALES, watched=True),
+    Influence(objects.RATED_CURRENT, Effect.SCALES, "mA", watched=True),
+)
+OFFSETS = tuple(influence.entry for influence in TORQUE_PATH if influence.effect is Effect.ADDS)
 
 STATUSWORD_PATTERNS: tuple[tuple[int, int, PowerState], ...] = (  # mask, value, state
     (0x4F, 0x00, PowerState.NOT_READY_TO_SWITCH_ON),

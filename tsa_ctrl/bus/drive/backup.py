@@ -110,8 +110,13 @@ def load_backup(path: str | Path) -> Backup:
     return backup
 
 
-def entries_of(plan: Iterable[Write]) -> list[Object]:
-    """The objects that a plan writes, and for each PDO in it all that may be mapped."""
+def entries_of(plan: Iterable[Write], slot: int = 1) -> list[Object]:
+    """Return the objects that a plan writes, all entries of each PDO in it, and the objects of the torque path.
+
+    Args:
+        plan: the writes of one drive.
+        slot: place of the axis in its device.
+    """
     entries: dict[tuple[int, int], Object] = {}
     for write in plan:
         entries.setdefault(write.entry.key, write.entry)
@@ -121,6 +126,9 @@ def entries_of(plan: Iterable[Write]) -> list[Object]:
             for number in range(1, _MAPPABLE + 1):
                 entry = Object(index, number, Type.U32, f"mapped object {number}")
                 entries.setdefault(entry.key, entry)
+    for influence in cia402.TORQUE_PATH:
+        entry = influence.entry.of(slot)
+        entries.setdefault(entry.key, entry)
     return list(entries.values())
 
 

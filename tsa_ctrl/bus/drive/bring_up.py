@@ -35,8 +35,9 @@ from tsa_ctrl.bus.drive.report import NodeReport, Report
 from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.drive.session import Session, another_master
 from tsa_ctrl.bus.drive.signs import check_signs
+from tsa_ctrl.bus.drive.torque_path import check_torque_path
 from tsa_ctrl.bus.drive.twins import check_twins
-from tsa_ctrl.bus.drive.writing import with_consumer, write_all
+from tsa_ctrl.bus.drive.writing import further_rpdos, with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import BusError, StoppedError, TsaError
@@ -216,11 +217,17 @@ def _configure(
         check_drive(session, node, report, resets_later)
         check_signs(session, node)
         find_inputs(session, node, report)
-        plan = with_consumer(session, node.node_id, plan, settings.host_node_id)
+        plan = [
+            *further_rpdos(session, node.node_id, node.axis.drive.slot),
+            *with_consumer(session, node.node_id, plan, settings.host_node_id),
+        ]
     if isinstance(node.settings, EncoderSettings):
         check_encoder(session, node.settings, node.name)
     report.rows = write_all(session, node.node_id, node.name, plan, node.cure, report.notes)
     if node.role is Role.DRIVE:
+        rows, noted = check_torque_path(session, node, {row.entry.key for row in report.rows})
+        report.rows += rows
+        report.notes += noted
         confirm_mode(session, node, "written")
         check_watchdog(node, plan, report)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.canopen.cia402 import OFFSETS
 from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.settings import DriveSettings, NodeSettings
@@ -11,6 +12,7 @@ _NO_OBJECT = frozenset({0x06020000, 0x06090011})
 _READ_ONLY = frozenset({0x06010000, 0x06010002})
 _STATE = frozenset({0x08000022, 0x08000021, 0x08000020, 0x06060000})
 _NOT_MAPPABLE = frozenset({0x06040041, 0x06040042})
+_COUNTED_RPDOS = 4  # at most by rpdo_count of a profile
 
 _REACTIONS = {
     objects.QUICK_STOP_OPTION.key: "quick_stop",
@@ -35,6 +37,11 @@ _SETTINGS = {  # what an object's value comes from, in the controller's file
 }
 _SPECIAL = {  # objects for which `absent` alone is not enough
     objects.HEARTBEAT_PRODUCER.key: 'write supervision = "guarding" in {profile}, if it knows node guarding alone',
+    **dict.fromkeys(
+        (entry.key for entry in OFFSETS),
+        "allowed is 0, because the drive adds this object to the command and the motor would turn at command 0; set it "
+        "to 0 and store it with the maker's tool, and remove it from the drive's own PDOs and programs",
+    ),
     objects.VELOCITY_UNIT.key: 'write absent = ["SI unit velocity"] and the unit of its 0x606C as [units] velocity in '
     '{profile}, or velocity_source = "position" in [axis.drive]',
     objects.MAX_TORQUE.key: 'write absent = ["max torque"] and [torque_clamp] in {profile}: the object that limits the '
@@ -84,6 +91,8 @@ def _advice(entry: Object, node: DriveSettings, profile: DriveProfile, code: int
 def _of_a_pdo(entry: Object, code: int | None) -> str:
     received = entry.index in range(0x1400, 0x1800)
     number = entry.index % 0x40 + 1
+    if received and number > _COUNTED_RPDOS:
+        return "switch this RPDO off and store that with the maker's tool: only this controller may command torque"
     if number > (1 if received else 2):
         name = "rpdo_count" if received else "tpdo_count"
         return f"write {name} = {number - 1} in {{profile}}: this PDO is not used, and was only to be switched off"

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from tsa_ctrl.bus.canopen import objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, EMCY, SYNC
-from tsa_ctrl.bus.canopen.cia402 import Mode
+from tsa_ctrl.bus.canopen.cia402 import TORQUE_PATH, Mode
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
 from tsa_ctrl.bus.drive.layout import layout_of
@@ -81,6 +81,7 @@ def drive_plan(
             Write(Object(extra.index, extra.subindex, Type[extra.type.upper()], extra.name), extra.value)
             for extra in profile.extra
         ),
+        *(Write(each.entry, each.restored, optional=True) for each in TORQUE_PATH if each.restored is not None),
         Write(objects.TARGET_TORQUE, 0),
         Write(objects.MODE, Mode.CYCLIC_SYNC_TORQUE),
     ]

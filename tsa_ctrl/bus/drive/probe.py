@@ -13,7 +13,6 @@ from tsa_ctrl.errors import BusError
 _NAME = Object(0x1008, 0, Type.U32, "device name")
 _HARDWARE = Object(0x1009, 0, Type.U32, "hardware version")
 _SOFTWARE = Object(0x100A, 0, Type.U32, "software version")
-RATED_CURRENT = Object(0x6075, 0, Type.U32, "motor rated current")  # mA
 CURRENT_NOMINAL = Object(0x3001, 1, Type.U32, "nominal current")  # of an EPOS4
 CURRENT_LIMIT = Object(0x3001, 2, Type.U32, "output current limit")
 
@@ -25,10 +24,10 @@ READ: tuple[Object, ...] = (
     objects.CONNECTION_LOSS, objects.ERROR_CODE, objects.CONTROLWORD, objects.STATUSWORD, objects.QUICK_STOP_OPTION,
     objects.SHUTDOWN_OPTION, objects.DISABLE_OPTION, objects.HALT_OPTION, objects.FAULT_REACTION_OPTION, objects.MODE,
     objects.MODE_DISPLAY, objects.POSITION_ACTUAL, objects.VELOCITY_ACTUAL, objects.TARGET_TORQUE, objects.MAX_TORQUE,
-    RATED_CURRENT, objects.RATED_TORQUE, objects.TORQUE_ACTUAL, objects.MAX_MOTOR_SPEED, objects.ENCODER_INCREMENTS,
-    objects.ENCODER_REVOLUTIONS, objects.GEAR_MOTOR, objects.GEAR_SHAFT, objects.POLARITY, objects.VELOCITY_UNIT,
+    objects.RATED_TORQUE, objects.TORQUE_ACTUAL, objects.MAX_MOTOR_SPEED, objects.ENCODER_INCREMENTS,
+    objects.ENCODER_REVOLUTIONS, objects.GEAR_MOTOR, objects.GEAR_SHAFT, objects.VELOCITY_UNIT,
     objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT, objects.SUPPORTED_MODES, CURRENT_NOMINAL,
-    CURRENT_LIMIT,
+    CURRENT_LIMIT, *(influence.entry for influence in cia402.TORQUE_PATH if influence.entry != objects.RATED_TORQUE),
 )  # fmt: skip
 PATIENCE = 2.0  # s, for an answer: four times what bringing a drive up allows, as nothing moves meanwhile
 _SLOTS = 8

@@ -10,7 +10,6 @@ from tsa_ctrl.bus.canopen.objects import Object
 from tsa_ctrl.bus.drive.probe import (
     CURRENT_LIMIT,
     CURRENT_NOMINAL,
-    RATED_CURRENT,
     Probe,
 )
 from tsa_ctrl.bus.drive.profile import VelocityUnit
@@ -72,6 +71,7 @@ def _lines(found: Probe, where: str) -> Iterator[str]:
     yield from _identity(found)
     yield ""
     yield from _units(found)
+    yield from _torque_path(found)
     yield ""
     yield from _reactions(found)
     yield from _clamp(found)
@@ -150,6 +150,17 @@ def _sync(found: Probe) -> Iterator[str]:
             yield f"# {entry} is {found.get(entry)} and is set to 0 at the start"
     if found.get(objects.SYNC_PERIOD):
         yield f"needs_sync_period = false       # {_ASK}true, if its manual wants 0x1006 to be the period"
+
+
+def _torque_path(found: Probe) -> Iterator[str]:
+    """List the objects that act on the torque, because their values may explain a torque that is missing or left."""
+    for influence in cia402.TORQUE_PATH:
+        value = found.get(influence.entry)
+        if value is None:
+            continue
+        change = "" if influence.restored in (None, value) else f"; the start sets it to {influence.restored}"
+        unit = f" {influence.unit}" if influence.unit else ""
+        yield f"# {influence.entry} is {value}{unit}; it {influence.effect.value}{change}"
 
 
 def _timing(found: Probe) -> Iterator[str]:
@@ -238,7 +249,7 @@ def _for_the_controller(found: Probe) -> Iterator[str]:
     serial = found.get(objects.SERIAL_NUMBER)
     if serial:
         yield f"#   serial_number = {serial}"
-    rated, current = found.get(objects.RATED_TORQUE), found.get(RATED_CURRENT)
+    rated, current = found.get(objects.RATED_TORQUE), found.get(objects.RATED_CURRENT)
     if rated is not None:
         unit = 1e-6 if found.get(objects.VENDOR_ID) == MAXON else 1e-3
         yield f"#   rated_torque = {rated * unit:g}  # N*m, if the unit above is right"

@@ -16,7 +16,8 @@ from msgspec import Meta
 
 from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.settings import Patience, Positive, Word
+from tsa_ctrl.bus.canopen.cia402 import OFFSETS
+from tsa_ctrl.bus.settings import MOST_SLOTS, Patience, Positive, Word
 from tsa_ctrl.errors import UsageError
 
 
@@ -171,6 +172,13 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
             near = difflib.get_close_matches(absent, names, n=1)
             advice = f"did you mean '{near[0]}'?" if near else "use a name of the object table"
             raise UsageError(f"{path}: absent: unknown object '{absent}'; {advice}")
+    offsets = {entry.of(slot).index for entry in OFFSETS for slot in range(1, MOST_SLOTS + 1)}
+    for extra in profile.extra:
+        if extra.value and extra.index in offsets:
+            raise UsageError(
+                f"{path}: [[extra]] '{extra.name}' writes {extra.value} to 0x{extra.index:04X}, which the drive adds "
+                "to the command; allowed is 0; remove this entry"
+            )
     if not profile.has(objects.MAX_TORQUE) and profile.torque_clamp is None:
         raise UsageError(f"{path}: no object limits the drive's torque; give [torque_clamp] for a drive without 0x6072")
     clamp = profile.torque_clamp

@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.canopen.objects import Object, Write
+from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID
+from tsa_ctrl.bus.canopen.objects import Object, Type, Write
+from tsa_ctrl.bus.canopen.pdo import PDO_OFFSET, Pdo
 from tsa_ctrl.bus.drive.report import Row
 from tsa_ctrl.bus.drive.scale import PER_MILLE
 from tsa_ctrl.bus.drive.session import ABSENT, SdoRefusedError, Session
@@ -53,7 +55,8 @@ def write_all(
                 if notes is not None:
                     notes.append(f"{entry} cannot be written; its {before:#x} does as well")
                 continue
-            raise BusError(f"{name}: {error}; {cure(entry, error.code)}") from None
+            holds = "" if before is None else f"; it holds {before:#x}"
+            raise BusError(f"{name}: {error}{holds}; {cure(entry, error.code)}") from None
         if after != wanted:
             raise BusError(f"{name}: {entry}: wrote {wanted:#x}, read back {after:#x}; {cure(entry, None)}")
         first = rows.get(entry.key)
@@ -107,3 +110,25 @@ def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: i
     return [
         replace(write, entry=chosen) if write.entry.key == objects.HEARTBEAT_CONSUMER.key else write for write in plan
     ]
+
+
+def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> list[Write]:
+    """Return writes that switch off the RPDOs of a drive beyond those of the plan.
+
+    Another tool may have mapped a target or an offset of the torque into one of them.
+
+    Args:
+        session: an open session; nothing is written here.
+        node_id: of the drive.
+        slot: place of the axis in its device.
+        first: number of the first RPDO that the plan does not cover.
+    """
+    writes = []
+    for number in range(first, PDO_OFFSET + 1):
+        entry = Pdo(number, True, ()).of(slot).communication(1, Type.U32, "COB-ID")
+        found = session.upload_if_there(node_id, entry)
+        if found is None:
+            break
+        if not entry.decode(found) & COB_ID_INVALID:
+            writes.append(Write(entry, entry.decode(found) | COB_ID_INVALID))
+    return writes

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.canopen import objects
@@ -31,6 +31,7 @@ BITRATE = 1_000_000  # bit/s
 PATIENCE = 1.0  # s for an answer; what does not come is asked again in the next round
 STOP_PATIENCE = 0.05  # s, after which the emergency stop is asked for although another answer has not come
 STOP_INTERVAL = 0.05  # s at most between two questions for it, however slow the bus is
+BETWEEN = 4  # other objects between two questions for a torque offset, which turns the motor at command 0
 _MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, objects.MODE.name})  # others write them, too
 _QUESTION = struct.Struct("<BHB4x")
 _KEY = struct.Struct("<xHB")
@@ -68,6 +69,19 @@ class Heard:
     hearing: Hearing
 
 
+def _rotation(held: Sequence[Held]) -> Iterator[Held]:
+    """Yield all objects by turns without end, and a torque offset after every `BETWEEN` others."""
+    offsets = [each for each in held if each.entry.name == objects.TORQUE_OFFSET.name]
+    others = [each for each in held if each not in offsets]
+    if not offsets or not others:
+        yield from itertools.cycle(held)
+    turn = itertools.cycle(offsets)
+    for number, each in enumerate(itertools.cycle(others)):
+        if number % BETWEEN == 0:
+            yield next(turn)
+        yield each
+
+
 class ReadBack:
     """Asks and compares; `altered` says for each node what it no longer holds as it was written."""
 
@@ -85,7 +99,7 @@ class ReadBack:
         self._send = bus.send
         slower = max(1.0, BITRATE / bitrate)
         self._interval, self._listen = INTERVAL * slower, LISTEN * slower
-        self._round = itertools.cycle(tuple(held))
+        self._round = _rotation(tuple(held))
         self._drives = itertools.cycle(heard)
         self._stops = itertools.cycle(stops)
         self._stop_interval = min(self._interval, STOP_INTERVAL) / max(1, len(stops))

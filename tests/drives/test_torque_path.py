@@ -1,0 +1,124 @@
+"""The start on drives that another tool left with an offset, a limit or a ramp of the torque."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from tests.drives.rig import Foreign, refused
+from tsa_ctrl.bus.drive.profile import DriveProfile
+from tsa_ctrl.bus.live.read_back import held_by
+from tsa_ctrl.plant.dictionary import Access, Entry, Type
+from tsa_ctrl.plant.pdo import PdoDefault, Rpdo
+
+OFFSETS = {"0x60B0:0": (0x60B0, 4000), "0x60B1:0": (0x60B1, -77), "0x60B2:0": (0x60B2, -120)}
+
+
+def notes(foreign: Foreign, profile: DriveProfile | None = None, **drive: float) -> list[str]:
+    report = foreign.start(profile, **drive) if profile else foreign.start(**drive)
+    return [note for node in report.nodes for note in node.notes]
+
+
+@pytest.mark.parametrize("name", OFFSETS)
+def test_an_offset_of_another_tool_is_set_to_zero(tmp_path: Path, name: str) -> None:
+    index, left = OFFSETS[name]
+    foreign = Foreign(tmp_path, f"objects = {{'{name}' = {left}}}")
+    report = foreign.start()
+    assert foreign.node.values[index, 0] == 0
+    (row,) = [row for node in report.nodes for row in node.rows if row.entry.index == index]
+    assert (row.before, row.after) == (left, 0)
+
+
+def test_a_motor_rests_at_command_zero_although_an_offset_was_left(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "objects = {'0x60B2:0' = 120}")
+    foreign.start()
+    foreign.enable(0.0)
+    assert foreign.drive.command.torque == 0.0
+
+
+def test_the_offset_of_a_second_axis_is_its_own(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "slot = 2", "objects = {'0x60B2:0' = 120}")
+    foreign.start(slot=2)
+    assert foreign.node.values[0x68B2, 0] == 0
+
+
+def test_an_offset_that_cannot_be_written_is_refused_with_its_value(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "objects = {'0x60B2:0' = 120}", "read_only = ['0x60B2']")
+    with refused("axis 'knee' drive node 1", "0x60B2:0 torque offset", "it holds 0x78", "allowed is 0", "maker's tool"):
+        foreign.start()
+    assert not foreign.drive.command.enabled
+
+
+def test_an_offset_that_the_drive_keeps_is_refused(tmp_path: Path) -> None:
+    """The drive confirms the write and keeps its own value."""
+    foreign = Foreign(tmp_path, "objects = {'0x60B2:0' = 120}")
+    write = foreign.node.dictionary.write
+
+    def keep(key: tuple[int, int], data: bytes) -> None:
+        if key != (0x60B2, 0):
+            write(key, data)
+
+    foreign.node.dictionary.write = keep  # type: ignore[method-assign]
+    with refused("0x60B2:0 torque offset: wrote 0x0, read back 0x78", "allowed is 0"):
+        foreign.start()
+
+
+def test_an_offset_that_is_zero_and_read_only_is_accepted(tmp_path: Path) -> None:
+    Foreign(tmp_path, "read_only = ['0x60B0', '0x60B1', '0x60B2']").start()
+
+
+@pytest.mark.parametrize("absent", [[0x60B0, 0x60B1, 0x60B2, 0x60E0, 0x60E1], [0x6073, 0x6075, 0x6087, 0x6088]])
+def test_a_drive_without_these_objects_starts(tmp_path: Path, absent: list[int]) -> None:
+    assert notes(Foreign(tmp_path, f"absent = {absent}")) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("0x60E0:0", "positive torque limit (0x60E0) is 250 per mille of the rated torque: the drive delivers no more"),
+        ("0x60E1:0", "negative torque limit (0x60E1) is 250 per mille of the rated torque: the drive delivers no more"),
+        ("0x6073:0", "max current (0x6073) is 250 per mille of the rated current: the drive delivers no more"),
+        ("0x6087:0", "torque slope (0x6087) is 250 per mille of the rated torque per s: 4 s from zero to max_torque"),
+    ],
+)
+def test_a_limit_or_ramp_of_the_drive_is_reported_by_its_name(tmp_path: Path, name: str, said: str) -> None:
+    (note,) = notes(Foreign(tmp_path, f"objects = {{'{name}' = 250}}"))
+    assert note.startswith(said)
+
+
+def test_a_limit_above_the_clamp_is_not_reported(tmp_path: Path) -> None:
+    assert notes(Foreign(tmp_path, "objects = {'0x60E0:0' = 250}"), max_torque=0.25) == []
+
+
+def test_a_limit_that_cannot_be_read_is_reported(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path)
+    foreign.node.dictionary.add(Entry(0x60E0, 0, Type.U16, Access.WO))
+    (note,) = notes(foreign)
+    assert note == "0x60E0:0 positive torque limit cannot be read, so its effect on the torque is not known"
+
+
+@pytest.mark.parametrize("index", [0x607E, 0x6075, 0x6076, 0x60B2])
+def test_what_adds_to_the_torque_or_scales_it_is_read_back_while_the_loop_runs(tmp_path: Path, index: int) -> None:
+    assert index in {held.entry.index for held in held_by(Foreign(tmp_path).start())}
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_an_rpdo_of_another_tool_beyond_the_fourth_is_switched_off(tmp_path: Path, on: bool) -> None:
+    foreign = Foreign(tmp_path)
+    cob_id = 0x300 if on else 0x80000300
+    node = foreign.node
+    node.rpdos.append(Rpdo(node.dictionary, 4, PdoDefault(cob_id, 255, ((0x60B2, 0),)), node._changed))
+    report = foreign.start()
+    assert node.values[0x1404, 1] == 0x80000301
+    assert (0x1404 in {row.entry.index for found in report.nodes for row in found.rows}) is on
+
+
+def test_an_rpdo_of_another_tool_that_stays_on_is_refused(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path)
+    node = foreign.node
+    node.rpdos.append(Rpdo(node.dictionary, 4, PdoDefault(0x300, 255, ((0x60B2, 0),)), node._changed))
+    node.dictionary.add(dataclasses.replace(node.dictionary.entries[0x1404, 1], access=Access.RO))
+    with refused("0x1404:1 RPDO5 COB-ID", "it holds 0x301", "switch this RPDO off"):
+        foreign.start()
