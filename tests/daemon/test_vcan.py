@@ -34,6 +34,7 @@ PATIENT = (  # a shared machine may hold a process up for some time
     ("rate = 1000.0", "rate = 250.0"),
     ("# [bus.supervision]", "[bus.supervision]"),
     ("# tolerated_misses = 2 ", "tolerated_misses = 60 "),
+    ("# lost_share = 0.2 ", "lost_share = 1.0 "),
     ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 1.0 "),
     ("# host_timeout = 0.1 ", "host_timeout = 2.0 "),
     ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 2.0 "),

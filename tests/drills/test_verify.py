@@ -214,6 +214,7 @@ class Rig:
             ('"vcan0"', f'"{vcan}"'), ("rate = 1000.0", "rate = 100.0"),
             ("# allow_without = false", "allow_without = true"),
             ("# [bus.supervision]", "[bus.supervision]"), ("# tolerated_misses = 2 ", "tolerated_misses = 30 "),
+            ("# lost_share = 0.2 ", "lost_share = 1.0 "),
             ("# settle_cycles = 100 ", "settle_cycles = 20 "), ("# rpdo_timeout = 0.02 ", "rpdo_timeout = 0.3 "),
             ("# host_timeout = 0.1 ", "host_timeout = 0.6 "),
             ("# heartbeat_timeout = 0.2 ", "heartbeat_timeout = 0.9 "),
@@ -307,7 +308,7 @@ def two_drives(folder: Path, vcan: str, **simulated: dict[str, Any]) -> Configur
         torque_sensor=None,
         file={
             "controller": {"rate": 100.0},
-            "bus": {"channel": vcan, "supervision": {"tolerated_misses": 30}},
+            "bus": {"channel": vcan, "supervision": {"tolerated_misses": 30, "lost_share": 1.0}},
             "realtime": {"allow_without": True},
             "safety": {"zero_torque_within": PATIENT},
         },

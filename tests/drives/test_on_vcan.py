@@ -60,7 +60,7 @@ def files(folder: Path, channel: str) -> tuple[Path, Path]:
         )
     controller = {
         "controller": {"rate": RATE, "settle_cycles": 10},
-        "bus": {"channel": channel, "supervision": {"tolerated_misses": 50}},
+        "bus": {"channel": channel, "supervision": {"tolerated_misses": 50, "lost_share": 1.0}},
         "realtime": {"allow_without": True},
         "log": {"enabled": False},
         "socket": {"path": str(folder / "tsa.sock")},

@@ -405,6 +405,59 @@ def test_a_fifth_of_a_second_s_cycles_lost_is_a_fault_in_a_row_or_not(
     )
 
 
+def skip(bench: Bench, every: int, seconds: float, lost: int = 0) -> float | None:
+    """Skip one period after every so many cycles, and lose the answers of `lost` cycles in between; s to the fault."""
+    begin = bench.now
+    cycle = 0
+    while bench.now < begin + seconds:
+        cycle += 1
+        if cycle % every == 0:
+            bench.now += 0.001
+            bench.image.skipped += 1
+            bench.image.overruns.add(bench.now, 1, 1.5 * 0.001)
+        elif lost and cycle % lost == 0:
+            bench.image.nodes[1].missed += 1
+            bench.image.missed += 1
+        bench.step(Request.ENABLE)
+        if not bench.permitted:
+            return bench.now - begin
+    return None
+
+
+@pytest.mark.parametrize(("every", "seconds"), [(5, None), (4, 0.999), (1, 0.4)])
+def test_a_fifth_of_a_second_s_periods_skipped_is_a_fault_of_the_loop(every: int, seconds: float | None) -> None:
+    bench = enabled()
+    found = skip(bench, every, 5.0)
+    if seconds is None:
+        assert found is None
+        return
+    assert found == pytest.approx(seconds, abs=0.01)
+    assert bench.cause is Cause.SKIPPED
+    assert "200 of 1000 periods had no cycle: a cycle takes 1.5 ms; set rate = 500 in" in str(bench.supervisor.fault)
+
+
+@pytest.mark.parametrize(("every", "lost", "cause"), [(6, 8, Cause.SKIPPED), (10, 6, Cause.STALE_PDO), (12, 12, None)])
+def test_skipped_periods_and_lost_answers_count_together(every: int, lost: int, cause: Cause | None) -> None:
+    """Neither reaches a fifth of a second alone; the cause is the one that lost more."""
+    bench = enabled()
+    assert (skip(bench, every, 3.0, lost) is None) is (cause is None)
+    assert bench.cause is cause
+    if cause is Cause.STALE_PDO:
+        assert "skipped periods" in str(bench.supervisor.fault)
+
+
+def test_a_loop_that_stood_still_is_the_cause_of_what_the_nodes_did_meanwhile() -> None:
+    bench = enabled()
+    bench.now += 0.3
+    bench.image.skipped += 300
+    bench.image.overruns.add(bench.now, 300, 0.3)
+    bench.emergency()
+    bench.step(Request.ENABLE)
+    assert bench.cause is Cause.SKIPPED
+    assert "held the loop up for 300 ms at most; look for missing real-time rights" in str(bench.supervisor.fault)
+    assert [fault.cause for fault in bench.supervisor.faults] == [Cause.SKIPPED, Cause.EMERGENCY]
+
+
 def test_a_slow_loop_loses_as_large_a_share_and_never_fewer_than_are_tolerated_in_a_row() -> None:
     slow = Supervisor(SupervisionSettings(), rate=100.0)
     patient = Supervisor(SupervisionSettings(tolerated_misses=50), rate=100.0)

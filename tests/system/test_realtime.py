@@ -37,6 +37,58 @@ def test_overrun_skips_whole_periods(ended: int, skipped: int, next_deadline: in
     assert ticker.overruns == (skipped > 0)
 
 
+def overran(share: float, took: float, rate: int = 1000, seconds: float = 1.0) -> Ticker:
+    """Run a loop of which a share of the cycles takes `took` s; the others take a tenth of their period."""
+    period = round(1e9 / rate)
+    ticker = Ticker(period, 0)
+    due = 0.0
+    while ticker.deadline < 1e9 * seconds:
+        due += share
+        slow, due = due >= 1.0, due % 1.0
+        ticker.advance(ticker.deadline + (round(1e9 * took) if slow else period // 10))
+    return ticker
+
+
+@pytest.mark.parametrize(
+    ("rate", "took", "reached"),
+    [(1000, 1.001e-3, 500), (1000, 1.99e-3, 500), (1000, 2.001e-3, 250), (4000, 3e-4, 2000), (100, 0.0101, 50),
+     (1000, 9.9e-3, 100), (1000, 0.099, 10)],
+)  # fmt: skip
+def test_the_remedy_names_the_highest_rate_whose_period_the_cycle_fits(rate: int, took: float, reached: int) -> None:
+    history = overran(1.0, took, rate, 2.0).history
+    assert f"set rate = {reached} in [controller], which this machine reaches" in history.remedy(1.0, rate)
+
+
+def test_no_rate_is_named_where_none_is_reached() -> None:
+    assert "reaches no rate of 10 Hz or more" in overran(1.0, 0.12, 1000, 2.0).history.remedy(1.0, 1000)
+
+
+@pytest.mark.parametrize(("share", "named"), [(0.009, False), (0.02, True)])
+def test_a_rate_is_named_where_more_than_one_cycle_in_a_hundred_overruns(share: float, named: bool) -> None:
+    remedy = overran(share, 1.4e-3).history.remedy(0.0, 1000)
+    assert ("set rate = 500" in remedy) is named
+    assert ("held the loop up for 1.4 ms at most" in remedy) is not named
+
+
+@pytest.mark.parametrize("at", [0.1, 0.9, 0.95, 1.4])
+def test_the_worst_second_does_not_depend_on_when_it_is_looked_at(at: float) -> None:
+    """40 periods are skipped within 80 ms, some of them before and some after the last look at 0.92 s."""
+    ticker = Ticker(PERIOD, 0)
+    while ticker.deadline < 1.9e9:
+        burst = at <= 1e-9 * ticker.deadline < at + 0.08
+        ticker.advance(ticker.deadline + (round(1.5 * PERIOD) if burst else 0))
+    assert ticker.skipped == 40
+    if at + 0.08 > 0.92:
+        assert ticker.history.worst_second(0.92)[0] == pytest.approx(40, abs=1)
+
+
+def test_old_overruns_are_forgotten() -> None:
+    ticker = overran(1.0, 1.4e-3, seconds=6.0)
+    assert len(ticker.history._recent) < 1300
+    ticker.history.clear()
+    assert (ticker.history.skipped(0.0), ticker.history.worst_second(0.0)[0]) == (0, 0)
+
+
 def test_sleep_until_is_never_early() -> None:
     """The sleep ends at or after its absolute deadline."""
     for _ in range(20):

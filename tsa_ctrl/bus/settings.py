@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from enum import Enum
 from typing import Annotated, Literal
@@ -39,10 +40,14 @@ class SupervisionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tru
 
     tolerated_misses: Cycles = 2  # cycles without a fresh PDO in a row; one more is a fault
     tolerated_drops: Cycles = 2  # commands in a row that could not be sent; one more is a fault
-    lost_share: Fraction = 0.2  # 1, of the cycles of a second that lost either, in a row or not; more is a fault
+    lost_share: Fraction = 0.2  # 1, of the periods of a second that lost either or were skipped; more is a fault
     enable_timeout: Seconds = 2.0  # s, from the request to operation enabled
     disable_timeout: Seconds = 1.0  # s, from the request to the drive's confirmation
     reset_timeout: Seconds = 2.0  # s, for the drive to leave its fault
+
+    def most_lost(self, rate: float) -> int:
+        """Return how many periods of a second may not be lost at this rate in Hz."""
+        return max(self.tolerated_misses + 1, self.tolerated_drops + 1, math.ceil(self.lost_share * rate))
 
 
 class BusSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 @click.option("--record", type=click.Path(path_type=Path), help="CSV of the plant's own truth, as of tsa plant.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the daemon's own log, tsa.mcap.")
 @click.option("--seed", type=click.IntRange(0), help="Of all noise; default: the plant file's.")
-@click.option("--fault", "faults", multiple=True, metavar="LINE@T", help="As tsa plant --ask, at T s.")
+@click.option(
+    "--fault", "faults", multiple=True, metavar="LINE@T", help="As tsa plant --ask, or slow_loop (s per cycle), at T s."
+)
 @click.option("--set", "changes", multiple=True, metavar="NAME=VALUE@T", help="As tsa set, at T s.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(

@@ -228,7 +228,8 @@ class ControlAxis:
         return self.image.q_m - self.image.q_j / self._ratio if self._has_encoder else math.nan
 
     def pass_over(self, periods: int) -> None:
-        """So many periods had no cycle, as the machine stood still: what counts cycles counts these, too."""
+        """Count periods that had no cycle, because the loop was late, wherever cycles are counted."""
+        self.image.skipped += periods
         self.law.pass_over(periods)
         self.joint_torque.pass_over(periods)
         if self._enabled_at is not None:  # the guard begins with the torque

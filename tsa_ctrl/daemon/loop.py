@@ -75,8 +75,9 @@ class Loop:
         self._faults = [0] * len(axes)
         self._back_offs = [0] * len(axes)
         self._remarks = Remarks(axes, events)
-        self._losses = Losses(axes, events)
+        self._losses = Losses(axes, events, self._ticker.history)
         for index, axis in enumerate(axes):
+            axis.image.overruns = self._ticker.history
             axis.connect(partial(mailbox.wanted, index))
 
     @property
@@ -127,6 +128,7 @@ class Loop:
         else:  # on the same grid, so that the log has one; the time of a bring-up is a hole
             ticker.deadline += -(ticker.deadline - self._start) % ticker.period
         self.recover = False
+        ticker.history.clear()
         self._enter(first, ticker.deadline)
         self._settled = 0
         lateness, work = self._mailbox.lateness, self._mailbox.work
@@ -166,6 +168,8 @@ class Loop:
             self._telemetry.check_bus(self._t(planned))
             self._telemetry.check_server(self._t(planned))
             self._losses.update(self._t(planned), self.cycles)
+        if self.phase in (LoopPhase.SETTLING, LoopPhase.RUNNING):
+            self._losses.update_skipped(self._t(planned), planned * 1e-9, self._settings.rate)
         self._remarks.update(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
@@ -252,6 +256,7 @@ class Loop:
 
     def reset_faults(self) -> None:
         """Release every latch and ask every supervisor in fault for a reset."""
+        self._ticker.history.clear()
         for axis in self._axes:
             axis.limiter.reset()
             axis.request = Request.RESET if axis.supervisor.phase is Phase.FAULT else Request.DISABLE

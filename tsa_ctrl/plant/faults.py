@@ -6,6 +6,7 @@ import difflib
 import heapq
 import itertools
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -95,6 +96,7 @@ def _interface_down(target: Target) -> Undo:
     return up
 
 
+NO_OTHERS: Mapping[str, FaultKind] = MappingProxyType({})
 FAULTS: Mapping[str, FaultKind] = {
     "power_cycle": FaultKind("the nodes of the axis lose power; after the duration they boot", _power_cycle),
     "fault": FaultKind("the drive faults", _fault, 0x2310, "error code", 1, 0xFFFF),
@@ -188,11 +190,18 @@ CHANGES: Mapping[str, FaultKind] = {
 """What may happen to a healthy rig while it runs; begun, ended and parsed as faults are."""
 
 
-def check_fault(fault: FaultSettings, where: str) -> FaultKind:
-    """The kind that a fault names; raises UsageError for an unknown name or a value out of range."""
-    kind = FAULTS.get(fault.name) or CHANGES.get(fault.name)
+def check_fault(fault: FaultSettings, where: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> FaultKind:
+    """Return the kind that a fault names; raise UsageError for an unknown name or a value out of range.
+
+    Args:
+        fault: the fault.
+        where: its place, for the message.
+        others: kinds beyond those of the plant.
+    """
+    kinds = {**FAULTS, **CHANGES, **others}
+    kind = kinds.get(fault.name)
     if kind is None:
-        known = [*FAULTS, *CHANGES]
+        known = list(kinds)
         near = difflib.get_close_matches(fault.name, known, n=1, cutoff=0.5)
         advice = f"did you mean '{near[0]}'?" if near else f"known faults are {', '.join(known)}"
         raise UsageError(f"{where}: unknown fault '{fault.name}'; {advice}")
@@ -208,8 +217,8 @@ def check_fault(fault: FaultSettings, where: str) -> FaultKind:
     return kind
 
 
-def parse_fault(text: str) -> tuple[str | None, FaultSettings]:
-    """`torn_tendon axis=knee value=1 duration=0.5` as on the control socket; axis None is the first one."""
+def parse_fault(text: str, others: Mapping[str, FaultKind] = NO_OTHERS) -> tuple[str | None, FaultSettings]:
+    """Parse `torn_tendon axis=knee value=1 duration=0.5` as on the control socket; axis None is the first one."""
     name, *pairs = text.split()
     values: dict[str, Any] = {"name": name}
     for pair in pairs:
@@ -222,7 +231,7 @@ def parse_fault(text: str) -> tuple[str | None, FaultSettings]:
         fault = msgspec.convert(values, FaultSettings, strict=False)
     except msgspec.ValidationError as error:
         raise UsageError(f"fault {name}: {error}; keys are axis, node, value, duration, at") from None
-    check_fault(fault, "control")
+    check_fault(fault, "control", others)
     return axis, fault
 
 

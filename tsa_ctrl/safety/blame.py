@@ -23,7 +23,14 @@ def lossy(image: Image, cycles: int) -> str:
     """Whose answers were lost now and then, never enough of them in a row."""
     lost = [f"{health} {health.missed}" for health in image.nodes if health.missed]
     lost += [f"commands {image.dropped}"] if image.dropped else []
+    lost += [f"skipped periods {image.skipped}"] if image.skipped else []
     return f"{cycles} cycles within a second lost answers or commands (since the start: {', '.join(lost)})"
+
+
+def skipped(image: Image, begin: float, planned: int) -> str:
+    """Return how many of the periods `planned` since `begin` (s) the loop skipped, and the remedy."""
+    overruns = image.overruns
+    return f"{overruns.skipped(begin)} of {planned} periods had no cycle: {overruns.remedy(begin, planned)}"
 
 
 def _missing(health: NodeHealth) -> str:

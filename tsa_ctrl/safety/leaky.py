@@ -39,14 +39,15 @@ class Often:
     """Counts what happens now and then: whether it did so `most` times within the last second."""
 
     def __init__(self, most: int) -> None:
+        self._most = most
         self._times: deque[float] = deque(maxlen=most)
 
     def reset(self) -> None:
         """Nothing has happened."""
         self._times.clear()
 
-    def happened(self, now: float) -> bool:
-        """It happened in this cycle, at `now` s; whether that is too often."""
+    def happened(self, now: float, count: int = 1) -> bool:
+        """Count that it happened at `now` s, `count` times, and return True if that is too often."""
         times = self._times
-        times.append(now)
+        times.extend([now] * min(count, self._most))
         return len(times) == times.maxlen and now - times[0] <= SECOND

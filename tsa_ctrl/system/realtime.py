@@ -9,6 +9,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +20,11 @@ from msgspec import Meta
 from tsa_ctrl.errors import BusError
 
 MCL_CURRENT, MCL_FUTURE = 1, 2  # asm-generic/mman.h
+RATES = (2000, 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10)  # Hz, with periods that every drive takes (0x60C2)
+SKIPPED_SHARE = 0.01  # 1, of the periods of a second; from this share on skipped periods are reported
+_SECOND = 1.0  # s
+_HOLD_UPS = 2  # overruns within a second that show nothing of how long a cycle takes
+_KEPT = 2.5  # s of overruns that are kept: those of the second before the last look, too
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -99,6 +105,69 @@ def release() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
+class Overruns:
+    """Keep the cycles of the last seconds that took longer than their period."""
+
+    def __init__(self) -> None:
+        self._recent: deque[tuple[float, int, float]] = deque()
+
+    def add(self, now: float, periods: int, took: float) -> None:
+        """Keep one overrun.
+
+        Args:
+            now: when the cycle ended, s.
+            periods: how many periods it skipped.
+            took: time from its deadline to its end, s.
+        """
+        recent = self._recent
+        recent.append((now, periods, took))
+        while now - recent[0][0] > _KEPT:
+            recent.popleft()
+
+    def skipped(self, begin: float) -> int:
+        """Return how many periods were skipped since `begin`, s."""
+        return sum(periods for now, periods, _ in self._recent if now >= begin)
+
+    def worst_second(self, since: float) -> tuple[int, float]:
+        """Return the most periods that were skipped within a second that ended after `since` (s), and its begin, s."""
+        worst, begin, within = 0, since, 0
+        first, recent = 0, tuple(self._recent)
+        for now, periods, _ in recent:
+            within += periods
+            while now - recent[first][0] > _SECOND:
+                within -= recent[first][1]
+                first += 1
+            if now >= since and within > worst:
+                worst, begin = within, now - _SECOND
+        return worst, begin
+
+    def clear(self) -> None:
+        """Forget all overruns, after a new bring-up."""
+        self._recent.clear()
+
+    def remedy(self, begin: float, planned: int) -> str:
+        """Return what ends the overruns: a rate that this machine reaches, or what to look for.
+
+        Args:
+            begin: start of the time that is judged, s.
+            planned: periods in that time. A rate is reached if less than `SKIPPED_SHARE` of the cycles take longer.
+        """
+        took = sorted((took for now, _, took in self._recent if now >= begin), reverse=True)
+        if not took:
+            return "a cycle took longer than its period; set a lower rate in [controller]"
+        rare = max(_HOLD_UPS, int(SKIPPED_SHARE * (planned - self.skipped(begin))))
+        if rare >= len(took):
+            return (
+                f"the computer held the loop up for {1e3 * took[0]:.3g} ms at most; look for missing real-time rights "
+                "and for other programs with tsa doctor"
+            )
+        reached = [rate for rate in RATES if rate * took[rare] <= 1.0]
+        cycle = f"a cycle takes {1e3 * took[rare]:.3g} ms"
+        if not reached:
+            return f"{cycle}, so this machine reaches no rate of {RATES[-1]} Hz or more; use a faster machine"
+        return f"{cycle}; set rate = {reached[0]} in [controller], which this machine reaches"
+
+
 class Ticker:
     """Gives the absolute deadlines of a fixed rate; `skipped` counts whole periods that were lost."""
 
@@ -108,6 +177,7 @@ class Ticker:
         self.deadline = start
         self.skipped = 0
         self.overruns = 0
+        self.history = Overruns()
 
     def advance(self, now: int) -> int:
         """Move to the next deadline after one cycle that ended at `now`; returns how many periods were skipped."""
@@ -116,6 +186,7 @@ class Ticker:
         if late <= 0:
             return 0
         skip = late // self.period + 1
+        self.history.add(1e-9 * now, skip, 1e-9 * (late + self.period))
         self.deadline += skip * self.period
         self.skipped += skip
         self.overruns += 1

@@ -191,7 +191,21 @@ class End:
 
 
 class HostEnd(End):
-    """The controller's end: time passes while it waits here."""
+    """The controller's end: time passes while it waits here, and while it computes.
+
+    Attributes:
+        cycle_time: how long the controller's computer takes for a cycle, from its wake-up on, s.
+    """
+
+    def __init__(self, wire: Wire) -> None:
+        super().__init__(wire)
+        self.cycle_time = 0.0
+        self._woke = -math.inf
+
+    def compute(self) -> None:
+        """Let the time of the present cycle pass, if it has not passed yet."""
+        if self._woke + self.cycle_time > self._wire.now:
+            self._wire.pass_until(self._woke + self.cycle_time)
 
     def arrived(self, can_id: int, data: bytes) -> None:
         """A frame is through."""
@@ -208,6 +222,7 @@ class HostEnd(End):
     def gather(self, until: float, most: int) -> list[Frame]:
         if until > self._wire.now:
             self._wire.pass_until(until)
+            self._woke = self._wire.now
         return super().gather(until, most)
 
     def answers(self, timeout: float, most: int) -> list[Frame]:

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.plant.fault_kind import FaultKind, nothing
 from tsa_ctrl.plant.faults import parse_fault
 from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.settings import FaultSettings
+from tsa_ctrl.virtual.lockstep import Wire
 
 RECOVERY = "recover"  # as `tsa set recover 1`
+
+
+HOST_FAULTS: Mapping[str, FaultKind] = {
+    "slow_loop": FaultKind("each cycle of the controller takes this long", lambda target: nothing, 1.5e-3, "s", 0, 10),
+}
 
 
 @dataclass(frozen=True)
@@ -65,20 +73,36 @@ def _number(text: str) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def beginnings(machine: Machine, faults: Iterable[Fault]) -> list[tuple[Callable[[float], None], float]]:
-    """What begins each fault, and when; raises UsageError for one that the plant does not take."""
+def beginnings(machine: Machine, faults: Iterable[Fault], wire: Wire) -> list[tuple[Callable[[float], None], float]]:
+    """Return what begins each fault, and when; raise UsageError for a fault that neither plant nor host has."""
     found: list[tuple[Callable[[float], None], float]] = []
     for fault in faults:
         if fault.line == "clear":
             found.append((lambda now: _clear(machine, now), fault.at))
         else:
             try:
-                axis, settings = parse_fault(fault.line)
-                begin = machine.beginning(axis, settings)
+                axis, settings = parse_fault(fault.line, HOST_FAULTS)
+                host = settings.name in HOST_FAULTS
+                begin = _slow_loop(wire, settings) if host else machine.beginning(axis, settings)
             except UsageError as error:
                 raise UsageError(f"fault '{fault.line}' at {fault.at:g} s: {error}") from None
             found.append((begin, fault.at + settings.at))
     return found
+
+
+def _slow_loop(wire: Wire, settings: FaultSettings) -> Callable[[float], None]:
+    """Return what makes each cycle of the host take `value` s, for the duration if there is one."""
+    value = HOST_FAULTS["slow_loop"].value if settings.value is None else settings.value
+
+    def end(now: float) -> None:
+        wire.host.cycle_time = 0.0
+
+    def begin(now: float) -> None:
+        wire.host.cycle_time = value
+        if settings.duration > 0.0:
+            wire.at(now + settings.duration, end)
+
+    return begin
 
 
 def _clear(machine: Machine, now: float) -> None:

@@ -130,7 +130,7 @@ class Run:
         )
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
-        script = beginnings(self.machine, faults)
+        script = beginnings(self.machine, faults, self._wire)
         settings = commands([axis.name for axis in self.axes], self._tuners, changes)
         operation = Operation(self._configuration, self.rig, self.axes, self.loop, simulated=True)
         self.machine.start()
@@ -155,6 +155,8 @@ class Run:
         self._mailbox.close()
 
     def _nanoseconds(self) -> int:
+        """Return the loop's time, ns; a slow computer has taken its time for the cycle by then."""
+        self._wire.host.compute()
         return round(self._wire.now * 1e9)
 
     def _every(self, period: float, action: Callable[[float], None]) -> None:

@@ -38,7 +38,7 @@ def _goes_on(why: str, said: str = "") -> Expected:
 
 
 _LOST = "stale PDO|heartbeat lost|node booted"
-_WATCHDOG = "0x8250|0x8130|drive fault|drive left operation enabled"
+_WATCHDOG = "skipped periods|0x8250|0x8130|drive fault|drive left operation enabled"
 
 FAULTS: tuple[Fault, ...] = (
     Fault("power cycle of all nodes", _stops(_LOST), "power_cycle duration=0.3", watch=0.7),

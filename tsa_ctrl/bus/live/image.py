@@ -8,6 +8,7 @@ from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.emcy import Emcy
 from tsa_ctrl.bus.settings import Role
 from tsa_ctrl.bus.wire.seam import BusFault
+from tsa_ctrl.system.realtime import Overruns
 
 
 class NodeHealth:
@@ -74,11 +75,13 @@ class Image:
         "now",
         "omega_j",
         "omega_m",
+        "overruns",
         "pdo_age",
         "pressed",
         "q_j",
         "q_m",
         "silent",
+        "skipped",
         "statusword",
         "tau_j",
         "tau_m",
@@ -103,6 +106,8 @@ class Image:
         self.pdo_age = math.inf  # s, how much older than the last SYNC the values are; 0 when fresh
         self.drops = 0  # commands in a row that could not be sent
         self.dropped = 0  # such commands since the start
+        self.skipped = 0  # periods without a cycle since the start, because the loop was late
+        self.overruns = Overruns()  # of the loop, the same for all axes
         self.events = 0  # counts emergencies, boot-ups and changes of NMT state of all nodes
         self.silent: NodeHealth | None = None  # a node whose heartbeat is overdue
         self.intruder: int | None = None  # identifier of a frame that only a second master would send
