@@ -233,9 +233,8 @@ class Drive:
             command.torque, command.enabled, command.max_speed = wanted_command
 
     def _demand(self) -> int:
-        """Return the torque that the mode demands before any limit, in digits of 0x6071.
+        """Return the torque before any limit, in digits of 0x6071: with the offset 0x60B2, or on the ramp of 0x6087.
 
-        Cyclic torque adds the torque offset 0x60B2. Profile torque follows the ramp of the torque slope 0x6087.
         Source: CiA 402-2, cyclic synchronous torque mode and profile torque mode.
         """
         values, now = self.values, self.node.now

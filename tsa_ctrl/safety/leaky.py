@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from tsa_ctrl.bus.live.image import Image
+
 LEAK = 0.25  # s taken back per s of agreement: what is wrong more than a fifth of the time is found in the end
 SECOND = 1.0  # s in which `Often` counts
 
@@ -51,3 +53,43 @@ class Often:
         times = self._times
         times.extend([now] * min(count, self._most))
         return len(times) == times.maxlen and now - times[0] <= SECOND
+
+
+class LostPeriods:
+    """Counts the periods of a second that lost answers or commands, or that the loop skipped.
+
+    Attributes:
+        lost: all of them since the start.
+        too_many: periods of a second that may not be lost.
+    """
+
+    def __init__(self, too_many: int) -> None:
+        self.lost = 0
+        self.too_many = too_many
+        self._skipped = 0
+        self._often = Often(too_many)
+
+    def reset(self) -> None:
+        """Forget the last second."""
+        self._often.reset()
+
+    def update(self, image: Image, now: float) -> tuple[bool, bool]:
+        """Count what this cycle lost.
+
+        Args:
+            image: of the axis.
+            now: time of the cycle, s.
+
+        Returns:
+            Whether too many periods were lost, most of them on the bus; and the same, most of them by the loop.
+        """
+        lost = image.missed + image.dropped + image.skipped
+        if lost == self.lost:
+            return False, False
+        skipped, self._skipped = image.skipped - self._skipped, image.skipped
+        answers = lost - self.lost - skipped  # a cycle that lost an answer and a command counts once
+        self.lost = lost
+        if not self._often.happened(now, skipped + min(answers, 1)):
+            return False, False
+        late = 2 * image.overruns.skipped(now - SECOND) >= self.too_many
+        return not late, late

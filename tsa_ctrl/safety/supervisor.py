@@ -16,7 +16,7 @@ from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
 from tsa_ctrl.safety import blame
-from tsa_ctrl.safety.leaky import SECOND, Often
+from tsa_ctrl.safety.leaky import SECOND, LostPeriods, Often
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
@@ -127,11 +127,8 @@ class Supervisor:
         self._power_bits = 0  # those of the power bits that this drive showed, ever
         self._misses = settings.tolerated_misses
         self._drops = settings.tolerated_drops
-        self._lost = 0  # cycles without all answers, commands that were not sent, and skipped periods
-        self._skipped = 0  # of them the skipped periods
         self._planned = round(rate * SECOND)
-        self._too_many = settings.most_lost(rate)
-        self._losses = Often(self._too_many)
+        self._losses = LostPeriods(settings.most_lost(rate))
         self._repeated = 0  # PDOs of the drive that came twice in a cycle
         self._most_owed = max(_LEAST_REPEATED, math.ceil(_REPEATED_SHARE * rate))
         self._twins = Often(self._most_owed)
@@ -163,7 +160,7 @@ class Supervisor:
             and image.mode == _TORQUE_MODE
             and image.misses <= self._misses
             and image.drops <= self._drops
-            and image.missed + image.dropped + image.skipped == self._lost
+            and image.missed + image.dropped + image.skipped == self._losses.lost
             and image.nodes[0].repeated == self._repeated
             and image.events == self._events
             and image.silent is None
@@ -212,7 +209,7 @@ class Supervisor:
 
     def _watch(self, image: Image, now: float) -> None:
         """What stops an axis in every phase."""
-        lossy, late = self._count_losses(image, now)
+        lossy, late = self._losses.update(image, now)
         if late:  # first, because what nodes do without commands follows from it
             self._latch(Cause.SKIPPED, blame.skipped(image, now - SECOND, self._planned), now)
         if image.bus_fault is not None:
@@ -234,7 +231,7 @@ class Supervisor:
         if image.drops > self._drops:
             self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
         if lossy:
-            self._latch(Cause.STALE_PDO, blame.lossy(image, self._too_many), now)
+            self._latch(Cause.STALE_PDO, blame.lossy(image, self._losses.too_many), now)
         drive = image.nodes[0]
         self._owed = min(self._owed + drive.missed - self._unanswered, self._most_owed)
         self._unanswered = drive.missed
@@ -243,23 +240,6 @@ class Supervisor:
             self._owed = max(self._owed, 0) - 1  # an answer that is late by a period comes in one cycle with the next
             if self._owed < 0 and self._twins.happened(now):
                 self._latch(Cause.REPEATED_PDO, f"{drive}: {drive.repeated}; another node may have the same id", now)
-
-    def _count_losses(self, image: Image, now: float) -> tuple[bool, bool]:
-        """Count periods that lost answers or commands or were skipped.
-
-        Returns:
-            Whether a second lost too many of them, most of them on the bus; and the same, most of them by the loop.
-        """
-        lost = image.missed + image.dropped + image.skipped
-        if lost == self._lost:
-            return False, False
-        skipped, self._skipped = image.skipped - self._skipped, image.skipped
-        answers = lost - self._lost - skipped  # a cycle that lost both counts once
-        self._lost = lost
-        if not self._losses.happened(now, skipped + min(answers, 1)):
-            return False, False
-        late = 2 * image.overruns.skipped(now - SECOND) >= self._too_many
-        return not late, late
 
     def _examine(self, image: Image, health: NodeHealth, now: float) -> None:
         if health.boot_ups:
