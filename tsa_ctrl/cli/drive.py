@@ -171,7 +171,7 @@ def restore_command(backup_file: str, **options: Any) -> None:
 @target_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None:
-    """Compare the drive with FILE, or with what the configuration would write; nothing is changed.
+    """Compare the drive with FILE or with the configuration, and change nothing.
 
     The notes list the drive's own limits and ramps of the torque, if they act.
     """

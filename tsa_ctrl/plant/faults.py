@@ -196,7 +196,7 @@ def check_fault(fault: FaultSettings, where: str, others: Mapping[str, FaultKind
     Args:
         fault: the fault.
         where: its place, for the message.
-        others: kinds beyond those of the plant.
+        others: kinds in addition to those of the plant.
     """
     kinds = {**FAULTS, **CHANGES, **others}
     kind = kinds.get(fault.name)

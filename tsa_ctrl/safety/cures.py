@@ -54,10 +54,7 @@ CURES: Mapping[str, str] = MappingProxyType(
         Cause.EMERGENCY.value: "the code in the drive's manual; take away what it names, then recover",
         Cause.DRIVE_FAULT.value: "read the drive's error code (0x603F) in its manual; take it away, then recover",
         Cause.STALE_PDO.value: "bus load, a late node, or a computer that stalls: tsa doctor; then recover",
-        Cause.SKIPPED.value: (
-            "a cycle takes longer than its period: a lower rate in [controller]; tsa doctor measures what is reached; "
-            "then recover"
-        ),
+        Cause.SKIPPED.value: "a cycle outlasts its period: a lower rate in [controller] (tsa doctor); then recover",
         Cause.REPEATED_PDO.value: (
             "two nodes of one id: give each its own (switches, maker's tool, tsa drive set-node-id); then recover"
         ),

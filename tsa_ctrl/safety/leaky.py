@@ -74,14 +74,15 @@ class LostPeriods:
         self._often.reset()
 
     def update(self, image: Image, now: float) -> tuple[bool, bool]:
-        """Count what this cycle lost.
+        """Count the periods that were lost since the last call.
 
         Args:
             image: of the axis.
             now: time of the cycle, s.
 
         Returns:
-            Whether too many periods were lost, most of them on the bus; and the same, most of them by the loop.
+            True and False if too many periods were lost, most of them on the bus. False and True if most of them were
+            lost by the loop.
         """
         lost = image.missed + image.dropped + image.skipped
         if lost == self.lost:

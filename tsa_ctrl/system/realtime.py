@@ -24,7 +24,7 @@ RATES = (2000, 1000, 500, 250, 200, 125, 100, 50, 40, 25, 20, 10)  # Hz, with pe
 SKIPPED_SHARE = 0.01  # 1, of the periods of a second; from this share on skipped periods are reported
 _SECOND = 1.0  # s
 _HOLD_UPS = 2  # overruns within a second that show nothing of how long a cycle takes
-_KEPT = 2.5  # s of overruns that are kept: those of the second before the last look, too
+_KEPT = 2.5  # s for which an overrun is kept: a second before the last report, and the second since
 _libc = ctypes.CDLL(None, use_errno=True)
 
 

@@ -1,4 +1,4 @@
-"""Read what a drive does to the torque on its own: limits, ramps and scales between the command and the motor."""
+"""Read the limits, ramps and scales that a drive applies between the torque command and the motor."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def check_torque_path(
 
 
 def _effect(influence: Influence, found: int, node: Node) -> str:
-    """Return what the value does to the torque, or nothing if it does not act."""
+    """Return the effect of a value on the torque, or an empty text if it has none."""
     drive = node.axis.drive
     most = drive_scale(drive, node.profile, f"axis '{node.axis.name}'").max_torque_digits
     rated = drive.rated_torque * drive.gear_ratio / PER_MILLE

@@ -113,7 +113,7 @@ def with_consumer(session: Session, node_id: int, plan: Sequence[Write], host: i
 
 
 def further_rpdos(session: Session, node_id: int, slot: int, first: int = 5) -> list[Write]:
-    """Return writes that switch off the RPDOs of a drive beyond those of the plan.
+    """Return writes that switch off each RPDO of a drive that the plan does not list.
 
     Another tool may have mapped a target or an offset of the torque into one of them.
 
