@@ -40,7 +40,7 @@ from rich.table import Table
 
 from tools import command
 from tools.bench.results import Results
-from tools.campaign.passive.cases import AT, Case, judge
+from tools.campaign.passive.cases import AT, CONFIRMED, Case, judge
 from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS
 from tsa_ctrl.errors import UsageError
 
@@ -52,6 +52,7 @@ CHANGES = {
 }
 LOSSES = (("pretension", 0.5), ("friction", 0.1), ("torque_gain", 1.4), ("torque_gain", 2.0))
 WORST = 20
+LOSS_TITLE = "loss: worst work added (mJ) before; once both directions have slid"
 
 
 def cases(chosen: argparse.Namespace) -> list[Case]:
@@ -108,6 +109,7 @@ def listing(title: str, rows: Iterable[dict[str, Any]]) -> Table:
     heads = ("sensors", "load", "set-point", "change", "delay", "at (s)", "then (rad/s)", "added (mJ)", "c = 0 (mJ)")
     more = ("peak (rad/s)", "reported (s)", "latched (s)", "after (mJ)", "late (mJ)", "words")
     found = Table(*heads, *more, title=title, title_justify="left")
+    found.columns[-1].no_wrap = True
     for row in rows:
         without = f"{1e3 * row['work_without']:.1f}" if "work_without" in row else "-"
         found.add_row(
@@ -122,8 +124,25 @@ def listing(title: str, rows: Iterable[dict[str, Any]]) -> Table:
             *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("reported", "latched")),
             "-" if row["acted"] is None else f"{1e3 * row['after']:.1f}",
             f"{1e3 * row['late_added']:.1f}",
-            row["words"].split(";")[0].split(":")[0][:40],
+            row["words"].split(";")[0].split(":")[0].removesuffix(" by the controller")[:24],
         )
+    return found
+
+
+def losses(rows: Sequence[dict[str, Any]]) -> Table:
+    """Return a line for each load, set-point and loss: the worst work before and once both directions have slid, mJ."""
+    found = Table("load", "set-point", "change", *SENSORS, "c = 0", title=LOSS_TITLE, title_justify="left")
+    keys = dict.fromkeys((row["load"], row["set_point"], case_of(row).what) for row in rows)
+    for key in keys:
+        those = [row for row in rows if (row["load"], row["set_point"], case_of(row).what) == key]
+        cells = []
+        for sensors in SENSORS:
+            mine = [row for row in those if row["sensors"] == sensors]
+            early, late = ([row for row in mine if (row["at"] >= CONFIRMED) is known] for known in (False, True))
+            cells.append(
+                "; ".join(f"{1e3 * max(r['added'] for r in each):.0f}" if each else "-" for each in (early, late))
+            )
+        found.add_row(*key, *cells, f"{1e3 * max(row.get('work_without', 0.0) for row in those):.0f}")
     return found
 
 
@@ -178,7 +197,7 @@ def run(chosen: argparse.Namespace) -> int:
         print("\n".join(map(json.dumps, rows)))
         return 0 if all(row["good"] for row in rows) else 1
     changed = [row for row in rows if row["change"]]
-    tables = [listing("loss", changed)] if chosen.loss else [table(rows)]
+    tables = [losses(changed)] if chosen.loss else [table(rows)]
     tables += worst(rows) if chosen.worst else []
     tables += [listing("missed", [row for row in changed if not row["good"]])] if chosen.which else []
     for each in tables:
