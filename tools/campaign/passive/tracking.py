@@ -10,9 +10,10 @@ values of the delivered joint torque less the desired one, by the plant's truth,
   again       the first 4 s after an EMCY disabled the drive and a recovery enabled it again
 
 A held joint at a constant set-point of 0.3 N*m loses "loss", % of the delivered torque, from 1.5 s to 20 s. With
---against REV the same cells also run on the package of another revision, in a worktree below .cache/against that is
-kept with its rows, and each value is followed by its ratio to that revision. Goals: confirmed at most 1.2 times, again
-at most 1.3 times (values below 2 mN*m count as 2), loss at most 5 %. Exit code 1: a goal was missed.
+--against REV the same cells also run on the package of another revision, without --axis and --file, in a worktree below
+.cache/against that is kept with its rows. Each value is then followed by its ratio to that revision. Goals: confirmed
+at most 1.2 times, again at most 1.3 times (values below 2 mN*m count as 2), loss at most 5 %. Exit code 1: a goal was
+missed.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import math
 import shutil
 import subprocess
 import sys
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -123,7 +125,8 @@ def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) 
         subprocess.run([*git, "worktree", "add", "--quiet", "--detach", str(place), revision], check=True)
     shutil.rmtree(place / "tools")
     shutil.copytree(command.ROOT / "tools", place / "tools")
-    rows = place / "tracking.jsonl"
+    measured_by = b"".join(Path(__file__).with_name(name).read_bytes() for name in ("tracking.py", "experiment.py"))
+    rows = place / f"tracking-{zlib.crc32(measured_by):08x}.jsonl"
     names = {"--" + name.replace("_", "-"): getattr(chosen, name) for name in ("sensors", "loads", "set_points")}
     options = [str(word) for name, values in names.items() for word in (name, *values)]
     options += ["--rows", str(rows), "--json", "--compensation", str(chosen.compensation), "--delay", str(chosen.delay)]
