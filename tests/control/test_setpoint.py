@@ -394,3 +394,11 @@ def test_a_set_point_from_a_file_maps_no_memory_that_a_lock_would_fill(tmp_path:
     ranges = re.findall(r"^([0-9a-f]+)-([0-9a-f]+) rw", run.stdout, re.MULTILINE)
     assert ranges
     assert max(int(end, 16) - int(begin, 16) for begin, end in ranges) < 256 << 20
+
+
+def test_no_gain_takes_the_set_point_beyond_its_limit() -> None:
+    for gain in (-2.0, 2.0):
+        point = SetPoint(SetPointSettings(kind="socket", rate=10_000.0), 1e-3, limit=1.5)
+        point.gain = gain
+        point.receive(1.0, 0.0)
+        assert point.update(0.0) == math.copysign(1.5, gain)

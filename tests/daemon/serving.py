@@ -42,7 +42,7 @@ def description(path: Path, axes: list[str]) -> Description:
 
 
 QUARTERS = AxisStatus(*(0.25 for _ in AxisStatus._fields))._replace(
-    state=1.0, estimate_state=0.0, limit_reason=0.0, missed=3.0
+    state=1.0, estimate_state=0.0, limit_reason=0.0, missed=3.0, drive_age=0.0, joint_age=0.0, sensor_age=0.0
 )
 
 
@@ -52,11 +52,10 @@ class Serving:
     _said = ""
 
     def __init__(self, path: Path, axes: list[str]) -> None:
+        self._axes = axes
         self.path = str(path)
         self.mailbox = Mailbox(len(axes), 2)
-        general = General(time=time.monotonic(), phase=2.0, cycles=7.0)
-        axis = QUARTERS._replace(tau_j=float("nan"), tau_j_model=float("nan"))
-        self.mailbox.publish(general, [(axis, (0.95, 45.0)) for _ in axes])
+        self.publish(LoopPhase.RUNNING)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "tsa_ctrl.ipc.server", str(self.mailbox.descriptor)],
             stdin=subprocess.PIPE,
@@ -70,6 +69,12 @@ class Serving:
         self.process.stdin.flush()
         self.greeting = self.process.stdout.readline()
         self.ready = self.greeting == READY
+
+    def publish(self, phase: LoopPhase) -> None:
+        """Write a status in this phase."""
+        general = General(time=time.monotonic(), phase=float(phase.value), cycles=7.0)
+        axis = QUARTERS._replace(tau_j=float("nan"), tau_j_model=float("nan"))
+        self.mailbox.publish(general, [(axis, (0.95, 45.0)) for _ in self._axes])
 
     @property
     def worker(self) -> int:

@@ -21,10 +21,11 @@ from rich.console import Console
 from tests.daemon.serving import PATIENCE, Serving, description
 from tests.daemon.test_server import loop_taking
 from tsa_ctrl.cli import cli, set_
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.page import Page, sparkline
-from tsa_ctrl.ipc.protocol import Set
+from tsa_ctrl.ipc.protocol import Recover, Set
 from tsa_ctrl.ipc.report import status_report
 from tsa_ctrl.system.processes import tsa
 
@@ -102,6 +103,9 @@ def test_what_is_no_number_is_said_to_be_none(serving: Serving, arguments: tuple
 def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
     """`tsa set recover 1` asks for a new start; any other value is refused."""
     monkeypatch.setattr(set_, "HELD", 0.0)
+    result = call(serving, "set", "recover", "1")
+    assert "no fault is latched, the phase is running" in str(result.exception)
+    serving.publish(LoopPhase.FAULTED)
     with loop_taking(serving) as taken:
         assert call(serving, "set", "recover", "1").exit_code == 0
     assert taken == [Command(0, RECOVER, 0.0)]
@@ -111,12 +115,16 @@ def test_set_recover(serving: Serving, monkeypatch: pytest.MonkeyPatch) -> None:
 class Phases:
     """A client whose daemon goes through these phases, one an answer; the last one stays."""
 
-    def __init__(self, *phases: str) -> None:
+    def __init__(self, *phases: str, failed: int = 0) -> None:
         self._phases = list(phases)
+        self._failed = failed
 
     def ask(self, request: object) -> dict[str, object]:
+        if isinstance(request, Recover):
+            return {}
+        failed = self._failed if len(self._phases) == 1 else 0
         phase = self._phases.pop(0) if len(self._phases) > 1 else self._phases[0]
-        return {"phase": phase, "faults": [{"text": "over-speed"}]}
+        return {"phase": phase, "faults": [{"text": "over-speed"}], "events": [], "recovery": {"failed": failed}}
 
 
 @pytest.mark.parametrize(
@@ -136,6 +144,13 @@ def test_a_recovery_that_does_not_last_is_told(
     monkeypatch.setattr(set_, "RECOVERY", 0.3 if len(phases) == 1 else 60.0)
     with pytest.raises(BusError, match=words):
         set_._recovered(Phases(*phases))  # type: ignore[arg-type]
+
+
+def test_a_recovery_that_fails_is_reported_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The command does not wait for its time-out."""
+    monkeypatch.setattr(set_, "RECOVERY", 60.0)
+    with pytest.raises(BusError, match="the recovery failed, phase faulted: over-speed"):
+        set_._recovered(Phases("faulted", "resetting", "faulted", failed=1))  # type: ignore[arg-type]
 
 
 def test_stop_asks_once_and_says_when_the_daemon_stays(serving: Serving) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 import tsa_ctrl
 from tests.daemon.serving import PATIENCE, Serving, until
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc.client import Client, Lease
 from tsa_ctrl.ipc.mailbox import Reading
@@ -162,7 +163,7 @@ def test_a_value_that_is_refused_is_told_at_a_later_one(serving: Serving) -> Non
     """And the lease goes on."""
     with Client(serving.path) as client, client.lease(10.0) as lease:
         with contextlib.suppress(UsageError):  # as soon as it is known
-            lease.send({"knee": 99.0})
+            lease.send({"knee": 0.5}, client.clock() - 5.0)
             client.measure()
             lease.send({"knee": 0.5})
             raise AssertionError("it was not refused")
@@ -200,6 +201,9 @@ def test_a_daemon_of_another_version_is_one_line(serving: Serving, monkeypatch: 
 
 def test_stop_and_recover(serving: Serving) -> None:
     with Client(serving.path) as client:
+        with pytest.raises(UsageError, match="no fault is latched, the phase is running"):
+            client.recover()
+        serving.publish(LoopPhase.FAULTED)
         with pytest.raises(UsageError, match="did not take the command"):
             client.recover()
         assert serving.mailbox.take() is not None

@@ -17,6 +17,7 @@ import msgspec
 import pytest
 
 from tests.daemon.serving import PATIENCE, QUARTERS, description
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
@@ -90,6 +91,11 @@ class Desk:
         for _ in range(30):
             self.server.step(0.0)
 
+    def fault(self) -> None:
+        """Latch a fault in the loop."""
+        general = General(time=self.now, phase=float(LoopPhase.FAULTED.value))
+        self.mailbox.publish(general, [(QUARTERS, (0.95, 45.0))] * 2)
+
     def wanted(self) -> tuple[float, float] | None:
         return self.mailbox.wanted(0)
 
@@ -131,6 +137,7 @@ def test_who_may_do_what(desk: Desk, verb: str, role: Role) -> None:
     """What one may not do has no effect, and the refusal names the user."""
     more, least = VERBS[verb]
     groups = {Role.WATCH: (WATCH,), Role.COMMAND: (COMMAND, WATCH), Role.OWNER: ()}[role]
+    desk.fault()
     client = desk.client(*groups)
     client.say(verb=verb, **more)
     refused = [line["error"] for line in client.told() if line.get("ok") is False]
@@ -258,6 +265,7 @@ def test_a_value_without_a_lease_owns_the_set_point_while_it_acts(desk: Desk) ->
 
 def test_who_holds_the_lease_may_recover(desk: Desk) -> None:
     """A member of the group that commands, while it does."""
+    desk.fault()
     member = desk.client(COMMAND)
     assert "only who holds the set-point's lease" in member.ask("recover")["error"]
     member.ask("lease", seconds=0.2)

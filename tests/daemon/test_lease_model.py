@@ -91,6 +91,7 @@ class Model(RuleBasedStateMachine):
     @rule(who=WHO)
     def recover(self, who: str) -> None:
         """By the one who started the daemon, or by whom the set-point listens to."""
+        self.desk.fault()
         may = who == "owner" or (who == "member" and self.holder == who and not self.silent)
         while self.desk.mailbox.take() is not None:
             pass

@@ -16,8 +16,9 @@ from tsa_ctrl.daemon import loop as module
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.phase import LoopPhase
-from tsa_ctrl.ipc.mailbox import RECOVER, Command
+from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command
 from tsa_ctrl.safety.cures import CURES
+from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.safety.supervisor import Cause, Fault, Phase, Request
 from tsa_ctrl.system.histogram import BINS
 
@@ -229,7 +230,7 @@ def test_the_status_is_told_fifty_times_a_second_and_its_helpers_looked_after_on
     period = round(1e9 / rate)
     begin = START + STEP + period
     assert len(told) == loop.cycles // every + 1
-    planned, start, counts, phase = told[0]
+    planned, start, counts, phase, *_ = told[0]
     assert (planned, start) == pytest.approx(((begin + (every - 1) * period) * 1e-9, begin * 1e-9))
     assert (counts, phase) == ((every, every, 0, 0), (LoopPhase.SETTLING if every == 1 else LoopPhase.RUNNING).value)
     assert told[-1][3] == LoopPhase.ENDED.value
@@ -248,7 +249,7 @@ def test_the_status_is_told_fifty_times_a_second_and_its_helpers_looked_after_on
 def test_what_the_status_counts(bench: Bench) -> None:
     bench.late[5] = 3_200_000
     bench.run(19)
-    _, _, counts, _ = bench.telemetry.of("publish")[-1]
+    _, _, counts, *_ = bench.telemetry.of("publish")[-1]
     assert counts == (bench.loop.cycles, bench.loop.cycles + 3, 3, 1)
 
 
@@ -407,15 +408,65 @@ def test_a_recovery_is_asked_for_in_a_fault_alone(bench: Bench) -> None:
     for phase in LoopPhase:
         bench.loop._enter(phase, START)
         bench.commands = [Command(0, RECOVER, 0.0)]
+        bench.loop._releases = ReleaseBudget()
         bench.loop._take_command(START + MS)
         assert bench.loop._recovery_asked == (5.001 if phase is LoopPhase.FAULTED else math.inf)
     assert [entry for entry in bench.set if entry[1] != "update"] == []
     bench.loop._enter(LoopPhase.FAULTED, START)
+    bench.loop._releases = ReleaseBudget()
     bench.loop._ask_for_recovery(START)
     bench.loop._enter(LoopPhase.FAULTED, START)  # still
     assert bench.loop._recovery_asked == 5.0
     bench.loop._enter(LoopPhase.STOPPING, START)
     assert bench.loop._recovery_asked == math.inf
+
+
+def test_repeated_recoveries_are_limited_in_rate_and_number(bench: Bench) -> None:
+    """Two seconds lie between two of them, and ten fit into ten minutes."""
+    asked = []
+    for second in range(700):
+        bench.loop._enter(LoopPhase.RUNNING, START)
+        bench.loop._enter(LoopPhase.FAULTED, START)
+        bench.loop._ask_for_recovery(START + 1000 * second * MS)
+        if bench.loop._recovery_asked < math.inf:
+            asked.append(second)
+    assert asked == [*range(0, 20, 2), *range(600, 620, 2)]
+    assert "recovery rejected: the next one is permitted in" in bench.texts()[-1][2]
+
+
+def test_a_guard_is_released_from_a_latch_alone_and_within_the_budget(bench: Bench) -> None:
+    released = []
+    guard = bench.axes[1].guard
+    guard.latched, guard.release = False, lambda: released.append(1)
+    for latched in (False, True, True):
+        guard.latched = latched
+        bench.commands = [Command(1, RELEASE, 1.0)]
+        bench.loop._take_command(START)
+    assert released == [1]
+    assert [text for _, axis, text, _ in bench.texts() if axis == "hip"] == [
+        "release of the guard's latch number 1 on request",
+        "release of the guard's latch rejected: the next one is permitted in 2 s; find the cause of the fault first",
+    ]
+
+
+def test_a_run_that_ends_after_a_recovery_has_not_failed(bench: Bench) -> None:
+    """The fault is over; one that comes later counts again."""
+    loop = bench.loop
+    loop.faulty = True
+    faulted(bench)
+    loop._judge(START + 1000 * MS, math.inf)
+    loop._enter(LoopPhase.RUNNING, START)
+    assert (loop.faulty, loop._recovered, loop._failed) == (False, 1, 0)
+    bench.events.add(1.0, "", "over-speed", fault=True)
+    loop._fault(START)
+    assert loop.faulty
+
+
+def test_a_recovery_that_ends_in_a_fault_is_counted(bench: Bench) -> None:
+    faulted(bench)
+    bench.loop._judge(START + 1000 * MS, math.inf)
+    bench.loop._enter(LoopPhase.FAULTED, START)
+    assert (bench.loop._recovered, bench.loop._failed) == (0, 1)
 
 
 def test_a_fault_that_nobody_wants_to_recover_from_stays(bench: Bench) -> None:

@@ -23,6 +23,7 @@ import msgspec
 import pytest
 
 from tests.daemon.serving import PATIENCE, Serving, until
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.listener import CLIENTS, listen
@@ -50,6 +51,8 @@ def loop_taking(serving: Serving) -> Iterator[list[Command]]:
             command = serving.mailbox.take()
             if command is not None:
                 taken.append(command)
+                if command.parameter == RECOVER:
+                    serving.publish(LoopPhase.RUNNING)
 
     thread = threading.Thread(target=take)
     thread.start()
@@ -111,7 +114,6 @@ def test_set_reaches_the_loop(serving: Serving) -> None:
         (Set("knee.compensation", 1.3), "compensation 1.3 is out of bounds; allowed is 0 to 1.2$"),
         (Set("knee.compensation", -0.1), "out of bounds"),
         (Set("knee.pretension", 40.0), "cannot be set"),
-        (SetPointValue("knee", 2.1), "set-point 2.1 N.m is out of bounds; allowed is -2 to 2"),
         (SetPointValue("hip", 0.1), "does not come over the socket"),
     ],
 )
@@ -159,11 +161,35 @@ def test_set_point_recover_and_stop(serving: Serving) -> None:
         now = time.monotonic()
         client.ask(SetPointValue("knee", -0.5, now))
         assert serving.mailbox.wanted(0) == (-0.5, now)
+        serving.publish(LoopPhase.FAULTED)
         client.ask(Recover())
     assert taken == [Command(0, RECOVER, 0.0)]
     with Client(serving.path) as client:
         client.ask(Stop())
     assert serving.mailbox.stop_requested
+
+
+@pytest.mark.parametrize(("value", "taken"), [(2.1, 2.0), (-7.0, -2.0), (1e12, 2.0)])
+def test_a_set_point_beyond_its_range_is_clamped_and_flagged(serving: Serving, value: float, taken: float) -> None:
+    """The range is part of each measurement."""
+    with Client(serving.path) as client:
+        assert client.measure()["knee"].set_point_limit == 2.0
+        assert client.measure()["hip"].set_point_limit is None
+        assert client.ask(SetPointValue("knee", value)) == {"axis": "knee", "clamped": taken}
+        wanted = serving.mailbox.wanted(0)
+        assert wanted is not None
+        assert wanted[0] == taken
+        assert client.measure()["knee"].clamped
+        assert client.ask(SetPointValue("knee", 0.5)) == {}
+        assert not client.measure()["knee"].clamped
+
+
+def test_a_stream_beyond_its_range_is_clamped_and_flagged_once(serving: Serving) -> None:
+    with Client(serving.path) as client, client.lease(10.0) as lease:
+        for _ in range(20):
+            lease.send({"knee": 3.0})
+        assert until(lambda: bool(client.measure()["knee"].clamped))
+        assert lease.clamped == {"knee": 2.0}
 
 
 def test_loop_that_hangs_is_told(serving: Serving) -> None:

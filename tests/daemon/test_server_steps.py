@@ -19,12 +19,15 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests.daemon.serving import description
+from tests.daemon.serving import QUARTERS, description
 from tests.daemon.test_lease import COMMAND, GROUP, SET_POINT, WATCH, Desk, measured
+from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import server
 from tsa_ctrl.ipc.listener import CLIENTS, listen
-from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, AxisStatus, Command, General, Mailbox
+from tsa_ctrl.ipc.protocol import Range
+from tsa_ctrl.ipc.report import status_report
 from tsa_ctrl.ipc.server import Server
 
 SET = {"verb": "set", "name": "knee.compensation", "value": 0.5}
@@ -313,6 +316,7 @@ def test_who_stops_is_told_what_is_waited_for(desk: Desk) -> None:
 
 def test_a_recovery_is_its_own_command_and_of_whom_the_set_point_listens_to(desk: Desk) -> None:
     owner, member, other = desk.client(), desk.client(COMMAND), desk.client(COMMAND)
+    desk.fault()
     owner.say(verb="recover")
     desk.steps()
     assert desk.mailbox.take() == Command(0, RECOVER, 0.0)
@@ -325,6 +329,86 @@ def test_a_recovery_is_its_own_command_and_of_whom_the_set_point_listens_to(desk
     assert member.told() == []
     assert desk.mailbox.take() == Command(0, RECOVER, 0.0)
     assert member.told() == [{"ok": True}]
+
+
+def status(desk: Desk, general: General, axis: AxisStatus) -> dict[str, Any]:
+    """The status that a client gets of these values."""
+    desk.mailbox.publish(general, [(axis, (0.95, 45.0))] * 2)
+    return desk.client().ask("status")
+
+
+def test_a_value_that_is_not_known_is_null_and_each_has_its_age(desk: Desk) -> None:
+    """A drive that has been silent for 25 s has no state, while the loop and the joint encoder still have values."""
+    dead = QUARTERS._replace(drive_age=25.0, joint_age=0.125)
+    axis = status(desk, General(time=desk.now, phase=3.0), dead)["axes"][0]
+    assert (axis["state"], axis["tau_m"], axis["tau_j_stretch"], axis["tau_j_model"]) == (None, None, None, None)
+    assert (axis["q_j"], axis["tau_j_des"], axis["limit_reason"]) == (0.25, 0.25, "none")
+    ages = axis["ages"]
+    assert (ages["state"], ages["q_j"], ages["tau_j_des"], ages["tau_j_stretch"]) == (25.0, 0.125, 0.0, 25.0)
+
+
+def test_a_loop_that_hangs_has_no_values_but_its_parameters(desk: Desk) -> None:
+    axis = status(desk, General(time=desk.now - 5.0, phase=2.0), QUARTERS)["axes"][0]
+    assert {axis[name] for name in ("state", "tau_m", "q_j", "tau_j_des", "limit_reason")} == {None}
+    assert axis["parameters"]["compensation"]["value"] == 0.95
+
+
+def test_before_the_first_cycle_nothing_is_known(tmp_path: Path) -> None:
+    mailbox = Mailbox(1, 2)
+    found = status_report(mailbox, description(tmp_path / "x", ["knee"]), 100.0)
+    (axis,) = found["axes"]
+    assert found["uptime"] is None
+    assert {axis[name] for name in ("state", "tau_j", "tau_m", "omega_j", "missed", "estimate_state")} == {None}
+    assert {figures["value"] for figures in axis["parameters"].values()} == {None}
+    mailbox.close()
+
+
+def test_a_fault_before_the_last_recovery_is_an_event_without_a_remedy_to_follow(desk: Desk) -> None:
+    told = [{"number": n, "t": 1.0, "axis": "", "text": "stale PDO", "fault": True} for n in (0, 7)]
+    desk.mailbox.publish_text(msgspec.json.encode(told))
+    found = status(desk, General(time=desk.now, phase=2.0, first_fault=5.0, recovered=1.0), QUARTERS)
+    assert [event["number"] for event in found["faults"]] == [7]
+    assert [event["number"] for event in found["events"]] == [0]
+    assert found["recovery"]["done"] == 1
+
+
+def test_a_recovery_without_a_fault_is_rejected_with_the_phase(desk: Desk) -> None:
+    answer = desk.client().ask("recover")
+    assert answer["error"] == "recover: no fault is latched, the phase is running; nothing to do"
+    desk.fault()
+    measured(desk, desk.now, LoopPhase.RESETTING.value)  # newer than the status
+    assert "the phase is resetting" in desk.client().ask("recover")["error"]
+
+
+GUARD = [Range("back_off", "1", 0.0, 1.0, "of the guard", True), Range("pretension", "N", None, None, "T_p0")]
+
+
+@pytest.mark.parametrize(
+    ("groups", "latched", "value", "wait", "words"),
+    [
+        ((COMMAND,), 1.0, 1.0, 0.0, "only root and the user who started the daemon"),
+        ((), 0.0, 1.0, 0.0, "the guard is not latched"),
+        ((), 1.0, 0.6, 0.0, "back_off 0.6 is above 0.4"),
+        ((), 1.0, 1.0, 1.5, "4 releases were made; the next one is permitted in 1.5 s"),
+    ],
+)
+def test_a_latch_is_released_by_its_owner_alone_and_not_too_often(
+    desk: Desk, groups: tuple[int, ...], latched: float, value: float, wait: float, words: str
+) -> None:
+    desk.server._description = msgspec.structs.replace(desk.server._description, parameters=[GUARD, GUARD])
+    general = General(time=desk.now, phase=2.0, releases=4.0, release_next=desk.now + wait)
+    desk.mailbox.publish(general, [(QUARTERS._replace(guard_latched=latched), (0.4, 45.0))] * 2)
+    assert words in desk.client(*groups).ask("set", name="knee.back_off", value=value)["error"]
+
+
+def test_a_release_is_a_command_of_its_own(desk: Desk) -> None:
+    desk.server._description = msgspec.structs.replace(desk.server._description, parameters=[GUARD, GUARD])
+    desk.mailbox.publish(General(time=desk.now, phase=2.0), [(QUARTERS._replace(guard_latched=1.0), (0.4, 45.0))] * 2)
+    owner, member = desk.client(), desk.client(COMMAND)
+    owner.say(verb="set", name="hip.back_off", value=1.0)
+    member.say(verb="set", name="knee.back_off", value=0.2)  # lower, which anyone who commands may do
+    desk.steps()
+    assert [desk.mailbox.take(), desk.mailbox.take()] == [Command(1, RELEASE, 1.0), Command(0, 0, 0.2)]
 
 
 def test_a_lease_where_no_axis_listens_is_refused(desk: Desk) -> None:
@@ -388,8 +472,8 @@ def test_values_of_each_axis_are_its_own(desk: Desk) -> None:
     owner.ask(**SET_POINT, value=2.0, time=128.0)
     assert owner.ask("setpoint", axis="hip", value=-1.0, time=127.9375)["ok"]
     assert (desk.mailbox.wanted(0), desk.mailbox.wanted(1)) == ((2.0, 128.0), (-1.0, 127.9375))
-    assert "is out of bounds; allowed is -1 to 1" in owner.ask("setpoint", axis="hip", value=1.5)["error"]
-    assert "is out of bounds; allowed is -2 to 2" in owner.ask(**SET_POINT, value=-2.5)["error"]
+    assert owner.ask("setpoint", axis="hip", value=1.5) == {"ok": True, "axis": "hip", "clamped": 1.0}
+    assert owner.ask(**SET_POINT, value=-2.5) == {"ok": True, "axis": "knee", "clamped": -2.0}
     assert owner.ask(**SET_POINT, value=1.0, time=128.0)["ok"]  # of the same time
     assert "before the one that is there" in owner.ask(**SET_POINT, value=0.5, time=127.9375)["error"]
     owner.ask("release")

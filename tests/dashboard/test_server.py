@@ -115,6 +115,9 @@ def test_stop_asks_the_daemon_to_stop(client: TestClient, daemon: Played) -> Non
 
 def test_recover_reaches_the_daemon(client: TestClient, daemon: Played) -> None:
     assert client.post("/recover").status_code == 403
+    assert "no fault is latched" in client.post("/recover", headers=ALLOWED).json()["error"]
+    daemon.fail("stale PDO")
+    assert until(lambda: bool(Feed(daemon.path).status()["phase"] == "faulted"))
     assert client.post("/recover", headers=ALLOWED).status_code == 200
     assert daemon.taken == [Command(0, RECOVER, 0.0)]
 

@@ -153,27 +153,38 @@ def test_lost_friction_leaves_the_damping() -> None:
     assert Rig().run(1.0).damping == 1.0
 
 
-def test_a_back_off_that_is_set_stays_until_it_is_set_to_1() -> None:
+def test_a_back_off_that_is_set_stays_until_it_is_released() -> None:
     rig = Rig(share=1.0)
     rig.guard.back_off = 0.4
     assert rig.run(1.0).back_off == 0.4
     rig.guard.back_off = 1.0
+    assert rig.run(1.0).back_off == 0.4
+    rig.guard.release()
     assert rig.run(1.0).back_off == 1.0
     rig.guard.back_off = 0.95
     assert rig.run(1.0).back_off == 0.95
 
 
-def test_a_back_off_that_is_set_releases_the_latch_and_forgives() -> None:
+def test_a_release_is_not_forgiven() -> None:
+    """The compensation returns to less than all of it, and the next violation latches again at once."""
     rig = Rig()
     assert rig.run(0.5).latched
-    rig.guard.back_off = 1.0
-    assert (rig.guard.latched, rig.guard.reason) == (False, Reason.NONE)
+    rig.guard.release()
+    assert not rig.guard.latched
     count = rig.guard.count
     while rig.guard.count == count:
-        rig.run(PERIOD)
-    assert not rig.guard.latched
-    assert "taken back, up again" in rig.guard.words
-    assert not rig.guard.latched
+        assert rig.run(PERIOD).back_off <= RETURNED
+    assert rig.guard.latched
+
+
+def test_a_back_off_that_is_set_in_each_cycle_changes_nothing() -> None:
+    """A client that repeats 1 must not hide the energy from the guard."""
+    alone, repeated = Rig(), Rig()
+    alone.run(0.5)
+    for _ in range(round(0.5 / PERIOD)):
+        repeated.guard.back_off = 1.0
+        repeated.run(PERIOD)
+    assert (repeated.guard.count, repeated.guard.back_off) == (alone.guard.count, alone.guard.back_off)
 
 
 def test_the_stretch_is_less_certain() -> None:

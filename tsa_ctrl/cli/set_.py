@@ -65,7 +65,6 @@ def command(
         if name == "recover":
             if value != 1.0:
                 raise UsageError(f"recover {value:g}: only 1 is possible, it asks for a new start after a fault")
-            client.ask(protocol.Recover())
             click.echo(_recovered(client))
             return
         answer = client.ask(protocol.Set(name, value))
@@ -75,10 +74,21 @@ def command(
 
 
 def _recovered(client: Client) -> str:
-    """Wait for what comes of a recovery; raises BusError where the rig does not run after RECOVERY, or not for HELD."""
+    """Request a recovery and return its result.
+
+    Raises:
+        UsageError: No fault is latched, or this client may not request a recovery now.
+        BusError: The recovery failed, or the rig does not run within RECOVERY, or does not run for HELD.
+    """
+    failed = client.ask(protocol.Status())["recovery"]["failed"]
+    client.ask(protocol.Recover())
     end, running = time.monotonic() + RECOVERY, 0.0
     while True:
         status, now = client.ask(protocol.Status()), time.monotonic()
+        if status["recovery"]["failed"] > failed and not running:
+            reasons = [event["text"] for event in status["events"] if event["text"].startswith("recovery failed")]
+            reason = (reasons or [fault["text"] for fault in status["faults"]] or ["see its events"])[-1]
+            raise BusError(f"the recovery failed, phase {status['phase']}: {reason}; remedy that, then repeat")
         if status["phase"] == "running":
             running = running or now
             if now - running >= HELD:

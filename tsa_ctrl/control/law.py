@@ -245,7 +245,7 @@ class Law:
             progress = 0.5 * (1.0 + turn.force * direction.sigma)
             full -= progress * slip.shortfall(tau_j, inverse.friction_angle, inverse.pretension, direction.moving)
         change = share * (full - ideal) - self.friction_term
-        step = self.slew * self._period
+        step = self.slew * self._period if back_off == 1.0 else math.inf  # the guard's action is never delayed
         if change > step:
             change = step
         elif change < -step:

@@ -31,6 +31,7 @@ class Parameter:
     doc: str
     part: Any
     attribute: str
+    restores: bool = False  # its highest value releases a latch; no other value may raise it
 
     @property
     def value(self) -> float:
@@ -38,17 +39,22 @@ class Parameter:
 
 
 def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
-    """The live parameters of an axis, the same names for each; limits can be lowered, never raised.
+    """Return the live parameters of an axis, the same names for each axis.
 
-    Without bounds: the parameter belongs to another kind of estimator, or source of bending, than this axis has.
+    No value weakens the protection that the files give. A limit stays at or below the file's value. The zone can only
+    be widened. An estimate in use stays in use. A release alone restores the guard's share.
+    A parameter without bounds belongs to another kind of estimator, or source of bending, than this axis has.
     """
     law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
     fixed = isinstance(estimator, Fixed)
     angle, pretension = model.friction_angle, model.pretension  # raised by no more than [uncertainty] leaves open
     angles = (0.0, angle * (1.0 + model.friction_angle_uncertainty)) if fixed else _NONE
     tensions = (0.0, pretension * (1.0 + model.pretension_uncertainty)) if fixed else _NONE
-    use = (0.0, 1.0) if isinstance(estimator, Recursive | ByStretch | ByTension) else _NONE
-    bends = (0.0, 100.0) if axis.bending.settable else _NONE
+    use = _NONE
+    if isinstance(estimator, Recursive | ByStretch | ByTension):
+        use = _NONE if estimator.use else (0.0, 1.0)  # it may have found less friction than the file has
+    bends = (0.0, 2.0 * max(axis.bending.commanded, model.bending_angle)) if axis.bending.settable else _NONE
+    zone = max(LEAST_ZONE, axis.direction.zone)
     damps = (0.0, law.plan.damping) if law.plan.damping > 0.0 else _NONE
     why = "" if fixed else '; the estimator determines it, kind = "fixed" in [axis.estimator] lets a client set it'
     p, inf = Parameter, math.inf
@@ -60,9 +66,9 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
         p("pretension", "N", *tensions, 0.5 * pretension, f"T_p0{why}", estimator, "pretension"),
         p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
         p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
-        p("direction_zone", "rad/s", LEAST_ZONE, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
+        p("direction_zone", "rad/s", zone, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
-        p("back_off", "1", 0.0, 1.0, 0.5, "of the guard; 1 restores", axis.guard, "back_off"),
+        p("back_off", "1", 0.0, 1.0, inf, "of the guard; 1 releases its latch", axis.guard, "back_off", restores=True),
         p(
             "torque_limit",
             "N*m",

@@ -74,9 +74,14 @@ class SetPoint:
         delay: float = 0.0,
         lead: float = 0.0,
         horizon: float = 0.0,
+        limit: float = math.inf,
     ) -> None:
-        """`folder` is where a relative file is looked for; times in s. UsageError for a file that cannot be played."""
+        """`folder` is where a relative file is looked for; times in s. UsageError for a file that cannot be played.
+
+        `limit`, N*m: no gain takes the set-point beyond it.
+        """
         self.gain = 1.0
+        self._limit = limit
         self._source = None if settings.kind == "socket" else waveform(settings, folder)
         self._period = period
         self._step = settings.rate * period
@@ -134,10 +139,13 @@ class SetPoint:
 
     def _target(self, t: float) -> float:
         if self._source is not None:
-            return self.gain * self._source(t)
-        if t - self._received_at <= self._timeout:
-            return self.gain * self._received
-        return 0.0
+            target = self.gain * self._source(t)
+        elif t - self._received_at <= self._timeout:
+            target = self.gain * self._received
+        else:
+            return 0.0
+        limit = self._limit
+        return limit if target > limit else -limit if target < -limit else target
 
     def _limited(self, target: float) -> float:
         change, step = target - self._last, self._step

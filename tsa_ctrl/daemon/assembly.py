@@ -74,7 +74,13 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     supervision, profile.reports_following, profile.mode_shows == "enabled", file.controller.rate
                 ),
                 set_point=SetPoint(
-                    settings.setpoint, period, configuration.folder, plan.delay, plan.lead, plan.turn + plan.delay
+                    settings.setpoint,
+                    period,
+                    configuration.folder,
+                    plan.delay,
+                    plan.lead,
+                    plan.turn + plan.delay,
+                    set_point_limit(settings, model),
                 ),
                 bending=Bending(settings.bending, model.bending_angle),
                 estimator=estimator_of(settings, model, joint_torque, period),
@@ -127,6 +133,11 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
     way = wound_by_friction(model) * r_m / r_j
     seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way)
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
+
+
+def set_point_limit(settings: AxisSettings, model: TendonSheath) -> float:
+    """Return the largest set-point in N*m: the joint torque of the motor's torque limit without friction."""
+    return settings.limits.torque * model.joint_pulley_radius / model.motor_pulley_radius
 
 
 def give_of(settings: AxisSettings, model: TendonSheath) -> Give:
@@ -238,15 +249,15 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
         name=file.controller.name,
         period=configuration.period,
         axes=[axis.name for axis in file.axes],
-        parameters=[[Range(p.name, p.unit, p.low, p.high, p.doc) for p in tuner.parameters] for tuner in tuners],
+        parameters=[
+            [Range(p.name, p.unit, p.low, p.high, p.doc, p.restores) for p in tuner.parameters] for tuner in tuners
+        ],
         states=[state.value for state in STATES],
         estimate_states=[state.name.lower() for state in EstimateState],
         reasons=[reason.name.lower() for reason in Reason],
         phases=[phase.name.lower() for phase in LoopPhase],
         set_point_limit=[
-            axis.limits.torque * model.joint_pulley_radius / model.motor_pulley_radius
-            if axis.setpoint.kind == "socket"
-            else None
+            set_point_limit(axis, model) if axis.setpoint.kind == "socket" else None
             for axis, model in zip(file.axes, configuration.models, strict=True)
         ],
         set_point_timeout=[axis.setpoint.timeout for axis in file.axes],

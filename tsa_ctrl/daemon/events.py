@@ -55,6 +55,11 @@ class Events:
     def all(self) -> tuple[Event, ...]:
         return tuple(self._kept)
 
+    @property
+    def next_number(self) -> int:
+        """The number of the next event."""
+        return self._number
+
     def since(self, number: int) -> tuple[Event, ...]:
         """Kept events from this number on."""
         return tuple(event for event in self._kept if event.number >= number)

@@ -18,8 +18,9 @@ from tsa_ctrl.daemon.losses import Losses
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.ipc.mailbox import RECOVER, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox
 from tsa_ctrl.safety.cures import CURES, cure
+from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.safety.supervisor import Cause, Phase, Request
 from tsa_ctrl.system.histogram import count
 from tsa_ctrl.system.realtime import Ticker
@@ -70,6 +71,11 @@ class Loop:
         self._since = 0.0
         self._stop_time = settings.stop_time + supervision.disable_timeout + STOP_TIME
         self._recovery_asked = math.inf  # s
+        self._releases = ReleaseBudget()
+        self._recovered = self._failed = 0  # recoveries that ended with torque, and with a fault
+        self._over = 0  # number of the first event after the last recovery
+        self.faulty = False  # a fault occurred after the last recovery
+        self._recovering = False
         self._reset_time = supervision.reset_timeout + RESET_TIME
         self._stop: str | None = None
         self._faults = [0] * len(axes)
@@ -172,7 +178,8 @@ class Loop:
             self._losses.update_skipped(self._t(planned), planned * 1e-9, self._settings.rate)
         self._remarks.update(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
-        self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value)
+        recovery = (self._recovered, self._failed, self._over)
+        self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value, self._releases, recovery)
 
     def _take_command(self, planned: int) -> None:
         """At most one command per cycle, and one step of every parameter that moves."""
@@ -180,6 +187,8 @@ class Loop:
         if command is not None:
             if command.parameter == RECOVER:
                 self._ask_for_recovery(planned)
+            elif command.parameter == RELEASE:
+                self._release(self._axes[command.axis], planned)
             else:
                 self._tuners[command.axis].set(command.parameter, command.value)
         for tuner in self._tuners:
@@ -221,6 +230,7 @@ class Loop:
         elif planned * 1e-9 - self._since > self._settings.settle_cycles * self._period + SETTLE_TIME:
             text = f"the nodes do not answer every SYNC; {CURES[Cause.STALE_PDO.value]}"
             self.events.add(self._t(planned), "", text, fault=True)
+            self.faulty = True
             self.stop(text)
 
     def _reset(self, planned: int) -> None:
@@ -235,9 +245,27 @@ class Loop:
         self._enter(LoopPhase.SETTLING if standby else LoopPhase.FAULTED, planned)
 
     def _ask_for_recovery(self, planned: int) -> None:
-        """Only from a latched fault."""
-        if self.phase is LoopPhase.FAULTED:
+        """Begin a recovery from a latched fault, if the budget of releases permits one."""
+        if self.phase is LoopPhase.FAULTED and self._permits("recovery", "", planned):
             self._recovery_asked = planned * 1e-9
+
+    def _release(self, axis: ControlAxis, planned: int) -> None:
+        """Release the latch of an axis' guard, if the budget of releases permits it."""
+        if axis.guard.latched and self._permits("release of the guard's latch", axis.name, planned):
+            axis.guard.release()
+
+    def _permits(self, what: str, axis: str, planned: int) -> bool:
+        """Count a release, and report it as an event."""
+        now = planned * 1e-9
+        permitted = self._releases.take(now)
+        wait = max(0.0, self._releases.next - now)
+        text = (
+            f"{what} number {self._releases.count} on request"
+            if permitted
+            else f"{what} rejected: the next one is permitted in {wait:.3g} s; find the cause of the fault first"
+        )
+        self.events.add(self._t(planned), axis, text)
+        return permitted
 
     def _begin_recovery(self, planned: int) -> None:
         """Once asked for, and once no axis has torque any more: reset what can be reset, or have the bus brought up.
@@ -249,6 +277,7 @@ class Loop:
         if not waited >= 0.0 or (not all(axis.is_off for axis in self._axes) and waited < self._stop_time):
             return
         self._recovery_asked = math.inf
+        self._recovering = True
         self.recover = any(axis.supervisor.needs_bring_up for axis in self._axes)
         if not self.recover:
             self.reset_faults()
@@ -276,6 +305,7 @@ class Loop:
 
     def _fault(self, planned: int) -> None:
         """One axis' fault ramps all others to 0: they move the same limb."""
+        self.faulty = True
         for axis in self._axes:
             axis.stop()
         if self._settings.after_fault == "exit" or not self._ran:  # a start that fails is not worth waiting for
@@ -292,4 +322,12 @@ class Loop:
         self.phase = phase
         if phase is not LoopPhase.FAULTED:
             self._recovery_asked = math.inf
+        if self._recovering and phase in (LoopPhase.RUNNING, LoopPhase.FAULTED):
+            self._recovering = False
+            if phase is LoopPhase.RUNNING:
+                self._recovered += 1
+                self._over = self.events.next_number
+                self.faulty = False
+            else:
+                self._failed += 1
         self._since = planned * 1e-9

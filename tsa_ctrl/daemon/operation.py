@@ -149,7 +149,7 @@ class Operation:
             rate=configuration.file.controller.rate,
             start=loop.start,
             cause=loop.cause or "ended",
-            failed=loop.events.first_fault is not None or bool(self.unconfirmed),
+            failed=loop.faulty or bool(self.unconfirmed),
             planned=loop.planned,
             sent=loop.cycles,
             skipped=loop.skipped,

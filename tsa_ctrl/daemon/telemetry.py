@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from tsa_ctrl.bus.canopen.cia402 import decode
 from tsa_ctrl.bus.live.rig import Rig
+from tsa_ctrl.bus.settings import Role
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE
@@ -20,6 +21,7 @@ from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import Record
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.system.notify import Notifier
 
 _STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
@@ -67,6 +69,7 @@ class Telemetry:
         self._written = 0
         self._lease_told = -LEASE_APART
         self._events = events
+        self._heard = [[-math.inf] * len(axis.image.nodes) for axis in axes]  # s of the log, of each node's PDOs
 
     def record(self, t: float, cycle: float, lateness: float, work: float) -> None:
         """One record per axis; `t` is the planned time, SYNC went out `lateness` later (s)."""
@@ -117,8 +120,20 @@ class Telemetry:
                 ),
             )
 
-    def publish(self, now: float, start: float, counts: tuple[int, int, int, int], phase: int) -> None:
-        """Write the status; `counts`: cycles run, planned, skipped, overruns; times in s, monotonic."""
+    def publish(
+        self,
+        now: float,
+        start: float,
+        counts: tuple[int, int, int, int],
+        phase: int,
+        releases: ReleaseBudget,
+        recovery: tuple[int, int, int] = (0, 0, 0),
+    ) -> None:
+        """Write the status; times in s, monotonic.
+
+        `counts`: cycles run, planned, skipped, overruns; `recovery`: recoveries that ended with torque, and with a
+        fault, and the number of the first event since the last of them.
+        """
         cycles, planned, skipped, overruns = counts
         general = General(
             time=now,
@@ -131,6 +146,11 @@ class Telemetry:
             log_lost=self.log_lost,
             log_silent=self._helpers[0].silent if self._log_alive and self._helpers else 0.0,
             phase=phase,
+            releases=releases.count,
+            release_next=releases.next,
+            recovered=recovery[0],
+            failed=recovery[1],
+            first_fault=recovery[2],
         )
         if self._notifier is not None:
             loop = LoopPhase(phase)
@@ -172,6 +192,12 @@ class Telemetry:
     def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[AxisStatus, Parameters]:
         image, terms, estimator, joint_torque = axis.image, axis.terms, axis.estimator, axis.joint_torque
         stretch, low, high = joint_torque.torque
+        heard = self._heard[index]
+        ages = {Role.TORQUE_SENSOR: 0.0}
+        for place, node in enumerate(image.nodes):
+            if node.misses == 0:
+                heard[place] = t
+            ages[node.role] = t - heard[place]
         status = AxisStatus(
             t=t,
             tau_j_des=terms.tau_j_des,
@@ -198,6 +224,10 @@ class Telemetry:
             tau_j_model=joint_torque.model.torque,
             tau_j_model_low=joint_torque.model.low,
             tau_j_model_high=joint_torque.model.high,
+            guard_latched=axis.guard.latched,
+            drive_age=ages[Role.DRIVE],
+            joint_age=ages.get(Role.ENCODER, ages[Role.DRIVE]),
+            sensor_age=ages[Role.TORQUE_SENSOR],
         )
         return status, tuple(parameter.value for parameter in self._tuners[index].parameters)
 

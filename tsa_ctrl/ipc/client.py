@@ -47,6 +47,8 @@ class AxisMeasured(msgspec.Struct, frozen=True):
     omega_m: float  # rad/s
     permitted: bool  # whether there may be torque
     limit_reason: str  # of the limiter, "none" while it does nothing
+    set_point_limit: float | None = None  # N*m, largest set-point either way; None: no set-point over the socket
+    clamped: bool = False  # the newest set-point was beyond that, and was clamped to it
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -193,16 +195,9 @@ class Client:
         self.ask(protocol.Recover())
 
     def stop(self) -> dict[str, Any]:
-        """Ramp the torque to 0 and end the daemon.
+        """Ramp the torque to 0 and end the daemon, by SIGTERM if its socket rejects the request or does not answer.
 
-        If the daemon's socket rejects the request or does not answer, the daemon's process gets SIGTERM.
-
-        Returns:
-            The daemon's answer, or `signalled` (the number of the process) and `reason`.
-
-        Raises:
-            UsageError: This user may not stop the daemon.
-            BusError: Neither the socket nor the process could be reached.
+        Returns the answer, or `signalled` (a process) and `reason`. Raises errors as `pid_file.stop` does.
         """
         return pid_file.stop(self._path, lambda: self.ask(protocol.Stop()))
 
@@ -282,6 +277,7 @@ class Lease:
         self.why = ""  # it was lost
         self.given_back = False
         self._client = client
+        self.clamped: dict[str, float] = {}  # N*m by axis: the limit to which a value was clamped
         self._refused = ""
         self._confirmed = client.clock()  # s: of the newest value that has arrived for sure
 
@@ -302,7 +298,8 @@ class Lease:
     def send(self, values: Mapping[str, float], wanted: float | None = None) -> None:
         """Joint torque (N*m) by axis, without an answer; its time-out counts from `wanted` (s of `clock`), or from now.
 
-        Each replaces what the axis had. Raises LeaseLostError when the lease is lost; UsageError for a value that is no
+        Each replaces what the axis had. A value beyond the axis' `set_point_limit` is clamped to it, as `clamped` and
+        the next measurement show. Raises LeaseLostError when the lease is lost; UsageError for a value that is no
         number, and now or later for one that was refused.
         """
         client = self._client
@@ -330,7 +327,9 @@ class Lease:
 
     def take(self, message: Mapping[str, Any]) -> None:
         """What the server tells of it."""
-        if message["event"] == "refused":
+        if message["event"] == "clamped":
+            self.clamped[message["axis"]] = message["clamped"]
+        elif message["event"] == "refused":
             self._refused = message["error"]
         elif message["event"] == "lease" and message["held"]:
             self._confirmed = message["time"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -63,6 +64,18 @@ class Connection:
         """Send the reason for the end of the connection, as far as the client takes it."""
         self.refuse(text)
         self.send()
+
+    def settle(self, taken: Callable[[int], bool], now: float, patience: float) -> None:
+        """Answer the commands that the loop has taken, or has not taken within `patience` s."""
+        waiting = []
+        for ticket, since, answer in self.pending:
+            if taken(ticket):
+                self.push(answer)
+            elif now - since > patience:
+                self.refuse(f"the loop did not take the command within {patience:g} s")
+            else:
+                waiting.append((ticket, since, answer))
+        self.pending = waiting
 
     def send(self) -> None:
         if not self._unsent or self.gone:

@@ -34,6 +34,11 @@ class General(NamedTuple):
     log_lost: float = 0.0
     log_silent: float = 0.0  # s for which nothing was heard of the log writer, when that is too long
     phase: float = 0.0  # code
+    releases: float = 0.0  # of latches, on request
+    release_next: float = 0.0  # s, monotonic, from which on the next one is permitted
+    recovered: float = 0.0  # recoveries that ended with torque
+    failed: float = 0.0  # recoveries that ended with a latched fault
+    first_fault: float = 0.0  # number of the first event since the last recovery: earlier faults are over
 
 
 class AxisStatus(NamedTuple):
@@ -64,6 +69,10 @@ class AxisStatus(NamedTuple):
     tau_j_model: float = 0.0
     tau_j_model_low: float = 0.0
     tau_j_model_high: float = 0.0
+    guard_latched: float = 0.0  # 1 while the guard keeps the compensation back until it is released
+    drive_age: float = 0.0  # s at `t`, since the last PDOs of the drive
+    joint_age: float = 0.0  # s, of the joint encoder, or of the drive without one
+    sensor_age: float = 0.0  # s, of the torque sensor on the bus; 0 without one
 
 
 class Reading(NamedTuple):
@@ -110,6 +119,7 @@ class Command:
 
 
 RECOVER = -1  # bring the bus up again after a latched fault
+RELEASE = -2  # release the latch of the axis' guard
 
 
 class Mailbox:

@@ -88,6 +88,8 @@ class Page:
         if key not in "+-" or not known:
             return None
         axis, name, figures = known[self._chosen]
+        if figures["value"] is None:
+            return None
         low, high, value = figures["low"], figures["high"], figures["value"]
         step = SHARE * value if 0.0 < low * DECADES <= high else STEP * (high - low)
         return Set(f"{axis}.{name}", min(max(value + (step if key == "+" else -step), low), high))
@@ -97,7 +99,7 @@ class Page:
         cycles = status["cycles"]
         head = Text(f"{status['name']}: {status['phase']}", style="bold red" if status["faults"] else "bold green")
         head.append(
-            f"   up {status['uptime']:.0f} s, {cycles['cycles']} cycles, {cycles['skipped']} skipped, "
+            f"   up {_number(status['uptime'], '.0f')} s, {cycles['cycles']} cycles, {cycles['skipped']} skipped, "
             f"{cycles['dropped']} frames dropped, {cycles['log_lost']} records lost",
             style="not bold default",
         )
@@ -126,7 +128,8 @@ class Page:
         """Values beside parameters; below each other where the terminal is narrow: no name is cut."""
         kind = f" ({axis['estimator'].partition(' (')[0]})" if axis.get("estimator") else ""
         title = (
-            f"{axis['name']}: {axis['state']}, limiter {axis['limit_reason']}, estimate {axis['estimate_state']}{kind}"
+            f"{axis['name']}: {axis['state'] or '-'}, limiter {axis['limit_reason'] or '-'}, "
+            f"estimate {axis['estimate_state'] or '-'}{kind}"
         )
         columns = shutil.get_terminal_size().columns
         values, parameters = self._values(axis, columns), self._set(axis)
@@ -153,7 +156,7 @@ class Page:
         return [
             (
                 Text(name, style="reverse" if (where, name) == chosen else ""),
-                f"{figures['value']:.4g}{of_unit(figures['unit'])}",
+                f"{_number(figures['value'], '.4g')}{of_unit(figures['unit'])}",
             )
             for where, name, figures in known
             if where == axis["name"]
@@ -167,6 +170,11 @@ def _table(title: str, headings: tuple[str, ...], rows: list[tuple[Cell, ...]]) 
     for row in rows:
         table.add_row(*row)
     return table
+
+
+def _number(value: float | None, form: str) -> str:
+    """Return a number as text, "-" while it is unknown."""
+    return "-" if value is None else format(value, form)
 
 
 def _value(found: float | dict[str, Any] | None) -> float | None:

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import difflib
+import math
 from typing import Any
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.mailbox import Command, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Description
 
 
-def change(mailbox: Mailbox, description: Description, name: str, value: float) -> tuple[Command, dict[str, Any]]:
-    """What `tsa set NAME VALUE` means, and its answer once the loop has taken it; raises UsageError."""
+def change(
+    mailbox: Mailbox, description: Description, name: str, value: float, owner: bool = False, now: float = math.inf
+) -> tuple[Command, dict[str, Any]]:
+    """Return the command of `tsa set NAME VALUE`, and its answer once the loop has taken it.
+
+    `owner`: the client's user started the daemon, or is root; `now` in s, monotonic. Raises UsageError.
+    """
     axis, dot, parameter = name.rpartition(".")
     if not dot and len(description.axes) > 1:
         raise UsageError(f"'{name}': say of which axis: {', '.join(f'{axis}.{name}' for axis in description.axes)}")
@@ -26,11 +32,47 @@ def change(mailbox: Mailbox, description: Description, name: str, value: float) 
             check_bounds(parameter, value, known.low, known.high, known.unit)
             before = mailbox.status()[1][index][1][number]
             answer = {"axis": description.axes[index], "name": parameter, "unit": known.unit}
-            return Command(index, number, value), {**answer, "before": before, "value": value}
+            release = known.restores and value == known.high
+            if release:
+                _check_release(mailbox, index, owner, now)
+            elif known.restores and value > before:
+                raise UsageError(
+                    f"{parameter} {value:g} is above {before:g}; it can be lowered, or released by {known.high:g}"
+                )
+            return Command(index, RELEASE if release else number, value), {**answer, "before": before, "value": value}
     names = [known.name for known in ranges]
     near = difflib.get_close_matches(parameter, names, n=1)
     advice = f"did you mean '{near[0]}'?" if near else f"known are {', '.join(names)}"
     raise UsageError(f"no parameter '{parameter}'; {advice}")
+
+
+def _check_release(mailbox: Mailbox, axis: int, owner: bool, now: float) -> None:
+    """Raise UsageError unless this client may release the latch of an axis' guard now."""
+    if not owner:
+        raise UsageError("back_off: only root and the user who started the daemon may release the guard's latch")
+    if not mailbox.status()[1][axis][0].guard_latched:
+        raise UsageError("back_off: the guard is not latched; it restores the compensation without a request")
+    check_budget(mailbox, "back_off", now)
+
+
+def check_budget(mailbox: Mailbox, what: str, now: float) -> None:
+    """Raise UsageError unless the next release of a latch is permitted at `now` (s, monotonic)."""
+    general = mailbox.status()[0]
+    if now < general.release_next:
+        raise UsageError(
+            f"{what}: {general.releases:.0f} releases were made; the next one is permitted in "
+            f"{general.release_next - now:.3g} s; find the cause of the fault first"
+        )
+
+
+def recovery(mailbox: Mailbox, description: Description, now: float) -> Command:
+    """Return the command of a recovery; raise UsageError unless a fault is latched and the budget permits one."""
+    _, cycle, code, _ = mailbox.measured()  # newer than the status
+    phase = description.phases[code if cycle else int(mailbox.status()[0].phase)]
+    if phase != "faulted":
+        raise UsageError(f"recover: no fault is latched, the phase is {phase}; nothing to do")
+    check_budget(mailbox, "recover", now)
+    return Command(0, RECOVER, 0.0)
 
 
 def axis_index(description: Description, name: str) -> int:
@@ -46,6 +88,13 @@ def check_bounds(name: str, value: float, low: float, high: float, unit: str) ->
     if not low <= value <= high:
         of = of_unit(unit)
         raise UsageError(f"{name} {value:g}{of} is out of bounds; allowed is {low:g} to {high:g}{of}")
+
+
+def clamped(value: float, limit: float) -> float:
+    """Return a set-point within its range, -`limit` to `limit` in N*m; raises UsageError unless it is finite."""
+    if not math.isfinite(value):
+        raise UsageError(f"set-point {value} N*m is not a finite number; allowed is {-limit:g} to {limit:g} N*m")
+    return min(max(value, -limit), limit)
 
 
 def of_unit(unit: str) -> str:

@@ -12,6 +12,7 @@ One that is quiet has no answer. Who asked for the lease is told what happens by
 * {"event": "lease", "held": true, "time": 1234.5}: the value of that time has arrived; four times in a lease's time
 * {"event": "lease", "held": false, "why": "..."}: it is lost
 * {"event": "refused", "error": "..."}: a quiet set-point was refused
+* {"event": "clamped", "axis": "knee", "clamped": 2.0}: a quiet set-point was beyond its range and was clamped to it
 * {"event": "told", "number": 3, "t": 1.5, "axis": "knee", "text": "...", "fault": true}: an event of the daemon
 """
 
@@ -103,6 +104,7 @@ class Range(msgspec.Struct, frozen=True):
     low: float | None
     high: float | None
     doc: str
+    restores: bool = False  # its highest value releases a latch; no other value may raise it
 
 
 class Description(msgspec.Struct, frozen=True):

@@ -9,6 +9,7 @@ import queue
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -18,6 +19,17 @@ from tsa_ctrl.ipc.protocol import Description
 from tsa_ctrl.system.histogram import coarse, distribution
 
 SCHEMA = 1
+KNOWN = 1.0  # s: an older value is unknown, because the node or the loop that gave it is silent
+OWN_AGE = ("drive_age", "joint_age", "sensor_age")
+SOURCES = {  # of the values that nodes measure: whose age counts
+    "tau_m": ("drive_age",),
+    "state": ("drive_age",),
+    "tau_j": ("sensor_age",),
+    "omega_j": ("joint_age",),
+    "q_j": ("joint_age",),
+    "tau_j_stretch": ("drive_age", "joint_age"),
+    "tau_j_model": ("drive_age",),
+}
 
 
 def status_report(
@@ -30,17 +42,27 @@ def status_report(
     if not stage and general.time == 0.0:  # nothing was published yet: the loop is not late
         since, stage = now, "the first cycle"
     events = msgspec.json.decode(text) if text else []
+    events = [event | {"cure": _cure(description, event["text"])} if event["fault"] else event for event in events]
+    present = [event for event in events if event["fault"] and event["number"] >= general.first_fault]
+    begun = general.time > 0.0
+    age = max(0.0, now - general.time) if begun else math.inf
     report: dict[str, Any] = {
         "schema": SCHEMA,
         "name": description.name,
         "phase": description.phases[int(general.phase)],
         "age": max(0.0, now - max(general.time, now if stage else 0.0)),
-        "uptime": general.time - general.start,
+        "uptime": general.time - general.start if begun else None,
         "waiting_for": stage or None,
         "waiting": max(0.0, now - since) if stage else None,
-        "axes": [_axis(description, index, *axis) for index, axis in enumerate(axes)],
-        "faults": [event | {"cure": _cure(description, event["text"])} for event in events if event["fault"]],
-        "events": [event for event in events if not event["fault"]],
+        "axes": [_axis(description, index, *axis, age) for index, axis in enumerate(axes)],
+        "faults": present,
+        "events": [event for event in events if event not in present],
+        "recovery": {
+            "requests": int(general.releases),
+            "done": int(general.recovered),
+            "failed": int(general.failed),
+            "wait": max(0.0, general.release_next - now),
+        },
         "cycles": {
             "period": description.period,
             "planned": int(general.planned),
@@ -64,8 +86,11 @@ def _cure(description: Description, text: str) -> str | None:
     return next((cure for words, cure in description.cures.items() if words in text), None)
 
 
-def measurement(mailbox: Mailbox, description: Description, now: float) -> dict[str, Any]:
-    """What the newest cycle measured; `now` in s, monotonic."""
+def measurement(mailbox: Mailbox, description: Description, now: float, clamped: Sequence[bool] = ()) -> dict[str, Any]:
+    """Return what the newest cycle measured, and the range of each axis' set-point.
+
+    `now` in s, monotonic; `clamped`: per axis, the newest set-point was beyond its range.
+    """
     time, cycle, phase, axes = mailbox.measured()
     return {
         "time": time,
@@ -74,9 +99,16 @@ def measurement(mailbox: Mailbox, description: Description, now: float) -> dict[
         "phase": description.phases[phase],
         "axes": [
             {"name": name}
-            | {key: _known(value) for key, value in axis._asdict().items()}
+            | {key: _finite(value) for key, value in axis._asdict().items()}
             | {"permitted": axis.permitted != 0.0, "limit_reason": description.reasons[int(axis.limit_reason)]}
-            for name, axis in zip(description.axes, axes, strict=True)
+            | {"set_point_limit": limit, "clamped": flag}
+            for name, axis, limit, flag in zip(
+                description.axes,
+                axes,
+                description.set_point_limit,
+                clamped or [False] * len(axes),
+                strict=True,
+            )
         ],
     }
 
@@ -87,35 +119,60 @@ def events_since(mailbox: Mailbox, number: int) -> list[dict[str, Any]]:
     return [event for event in (msgspec.json.decode(text) if text else []) if event["number"] >= number]
 
 
-def _axis(description: Description, index: int, axis: AxisStatus, live: Parameters) -> dict[str, Any]:
-    values: dict[str, Any] = {name: _known(value) for name, value in axis._asdict().items()}
-    values["state"] = description.states[int(axis.state)]
-    values["estimate_state"] = description.estimate_states[int(axis.estimate_state)]
+def _axis(description: Description, index: int, axis: AxisStatus, live: Parameters, age: float) -> dict[str, Any]:
+    """Return the status of one axis; `age` in s, of the loop's values. Each unknown value is None."""
+    ages = {name: age + _own_age(name, axis) for name in axis._fields}
+    values: dict[str, Any] = {name: known(value, ages[name]) for name, value in axis._asdict().items()}
+    codes = {
+        "state": description.states,
+        "estimate_state": description.estimate_states,
+        "limit_reason": description.reasons,
+    }
+    values |= {name: None if values[name] is None else words[int(values[name])] for name, words in codes.items()}
     values["estimator"] = description.estimators[index] if description.estimators else None
-    values["limit_reason"] = description.reasons[int(axis.limit_reason)]
-    values |= {name: int(getattr(axis, name)) for name in COUNTS}
+    values["guard_latched"] = None if values["guard_latched"] is None else bool(axis.guard_latched)
+    values |= {name: None if age == math.inf else int(getattr(axis, name)) for name in COUNTS}
     for name in BANDS:
         ends = {end: values.pop(f"{name}_{end}") for end in ("low", "high")}
         values[name] = None if values[name] is None else {"value": values[name], **ends, "unit": "N*m"}
+    for name in OWN_AGE:
+        values.pop(name)
+    values["ages"] = {name: _finite(ages[name]) for name in values if name in ages}
     parameters = {
-        known.name: {"value": _known(value), "low": known.low, "high": known.high, "unit": known.unit}
-        for known, value in zip(description.parameters[index], live, strict=True)
+        each.name: {
+            "value": _finite(value) if age < math.inf else None,
+            "low": each.low,
+            "high": each.high,
+            "unit": each.unit,
+        }
+        for each, value in zip(description.parameters[index], live, strict=True)
     }
-    return {"name": description.axes[index], **values, "parameters": parameters}
+    limit = description.set_point_limit[index]
+    return {"name": description.axes[index], **values, "set_point_limit": limit, "parameters": parameters}
+
+
+def _own_age(name: str, axis: AxisStatus) -> float:
+    """Return the age in s that a value had when the status was written; 0 for a value of the loop itself."""
+    return max((getattr(axis, source) for source in SOURCES.get(name, ())), default=0.0)
 
 
 def _histogram(bins: memoryview) -> dict[str, Any]:
     found = distribution(bins)
     return {
         "samples": found.samples,
-        "p50": _known(found.p50),
-        "p99": _known(found.p99),
-        "p999": _known(found.p999),
-        "bins": [[_known(edge), samples] for edge, samples in coarse(bins)],
+        "p50": _finite(found.p50),
+        "p99": _finite(found.p99),
+        "p999": _finite(found.p999),
+        "bins": [[_finite(edge), samples] for edge, samples in coarse(bins)],
     }
 
 
-def _known(value: float) -> float | None:
+def known(value: float, age: float = 0.0) -> float | None:
+    """Return a value, or None if it is not finite or older than KNOWN; `age` in s."""
+    return value if math.isfinite(value) and age <= KNOWN else None
+
+
+def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 

@@ -29,8 +29,8 @@ from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.connection import Connection, may
 from tsa_ctrl.ipc.lease import Lease
 from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
-from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
-from tsa_ctrl.ipc.parameters import axis_index, change, check_bounds
+from tsa_ctrl.ipc.mailbox import Command, Mailbox
+from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
 from tsa_ctrl.ipc.peers import Role
 from tsa_ctrl.ipc.protocol import AnyRequest, Description
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
@@ -104,7 +104,7 @@ class Server:
         self._answer_next(now)
         self._look(now)
         for client in list(self._clients.values()):
-            self._settle(client, now)
+            client.settle(self._mailbox.taken, now, ANSWER_TIME)
             client.send()
             if client.gone or (now - client.last > IDLE and not client.pending):
                 self._drop(client)
@@ -209,15 +209,15 @@ class Server:
             case protocol.Status():
                 return status_report(mailbox, self._description, now, lease.report(now))
             case protocol.Measure():
-                return measurement(mailbox, self._description, now)
+                return measurement(mailbox, self._description, now, self._clamped)
             case protocol.Events(since=since):
                 return {"events": events_since(mailbox, since)}
             case protocol.Set(name=name, value=value):
                 may(client, "set", Role.COMMAND)
-                return change(mailbox, self._description, name, value)
+                return change(mailbox, self._description, name, value, client.role is Role.OWNER, now)
             case protocol.SetPointValue():
                 may(client, "setpoint", Role.COMMAND)
-                self._set_point(client, request, now)
+                return self._set_point(client, request, now)
             case protocol.Lease(seconds=seconds):
                 may(client, "lease", Role.COMMAND)
                 self._grant(client, seconds, now)
@@ -233,7 +233,7 @@ class Server:
                     raise UsageError(
                         "recover: only who holds the set-point's lease or started the daemon may; ask at the machine"
                     )
-                return Command(0, RECOVER, 0.0), {}
+                return recovery(mailbox, self._description, now), {}
         return {}
 
     def _grant(self, client: Connection, seconds: float, now: float) -> None:
@@ -243,13 +243,14 @@ class Server:
         events = events_since(self._mailbox, 0)
         self._told = events[-1]["number"] + 1 if events else 0
 
-    def _set_point(self, client: Connection, request: protocol.SetPointValue, now: float) -> None:
-        description, axis, value = self._description, request.axis, request.value
+    def _set_point(self, client: Connection, request: protocol.SetPointValue, now: float) -> dict[str, Any]:
+        """Take a set-point, clamped to its range; the answer says so, or an event where there is no answer."""
+        description, axis = self._description, request.axis
         index = axis_index(description, axis)
         limit, timeout = description.set_point_limit[index], description.set_point_timeout[index]
         if limit is None:
             raise UsageError(f"axis '{axis}': its set-point does not come over the socket; see setpoint.kind")
-        check_bounds("set-point", value, -limit, limit, "N*m")
+        value = clamped(request.value, limit)
         wanted = now if request.time is None else request.time
         if not now - timeout <= wanted <= now + AHEAD:
             raise UsageError(
@@ -262,9 +263,15 @@ class Server:
         self._newest[index] = wanted
         self._mailbox.want(index, value, wanted)
         self._lease.confirm(wanted, now)
+        flag = {} if value == request.value else {"axis": axis, "clamped": value}
+        if flag and request.quiet and not self._clamped[index]:
+            client.push({"event": "clamped", **flag})
+        self._clamped[index] = bool(flag)
+        return flag
 
     def _withdraw(self) -> None:
         self._newest = [-math.inf] * len(self._description.axes)  # s, when what is wanted of each axis was
+        self._clamped = [False] * len(self._description.axes)
         self._mailbox.withdraw()
 
     def _look(self, now: float) -> None:
@@ -282,18 +289,6 @@ class Server:
             for event in events_since(self._mailbox, self._told):
                 self._told = event["number"] + 1
                 lease.listener.push({"event": "told", **event})
-
-    def _settle(self, client: Connection, now: float) -> None:
-        """Answer what the loop has taken, or not taken in time."""
-        waiting = []
-        for ticket, since, answer in client.pending:
-            if self._mailbox.taken(ticket):
-                client.push(answer)
-            elif now - since > ANSWER_TIME:
-                client.refuse(f"the loop did not take the command within {ANSWER_TIME:g} s")
-            else:
-                waiting.append((ticket, since, answer))
-        client.pending = waiting
 
     def _drop(self, client: Connection) -> None:
         if client is self._lease.holder:

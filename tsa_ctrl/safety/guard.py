@@ -33,7 +33,7 @@ class Guard:
     """`back_off` multiplies the compensation, `damping` the damping of the motor; 1 until something is wrong.
 
     `count` of what happened, `words` of the last, `reason` while less than all is compensated. A `back_off` that is
-    set from outside releases the latch.
+    set from outside can only lower the compensation, and latches it there; `release` alone restores it.
     """
 
     def __init__(
@@ -72,7 +72,16 @@ class Guard:
 
     @back_off.setter
     def back_off(self, value: float) -> None:
-        self._release(value)
+        if value < self._back_off:
+            self._back_off = value
+            self.latched = True
+
+    def release(self) -> None:
+        """Release the latch: the compensation returns as after a first time, and the next time latches again.
+
+        The energy of the present motion stays counted, so a release never hides it.
+        """
+        self.latched = False
 
     @property
     def share(self) -> float:
@@ -86,11 +95,6 @@ class Guard:
     def energy(self) -> float:
         """J, that the compensation has added lately."""
         return self._passivity.energy
-
-    def _release(self, value: float) -> None:
-        self.reset()
-        self._back_off = value
-        self.latched = value < 1.0  # stays there
 
     def update(
         self,

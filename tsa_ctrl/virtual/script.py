@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command, Mailbox
 from tsa_ctrl.plant.fault_kind import FaultKind, nothing
 from tsa_ctrl.plant.faults import parse_fault
 from tsa_ctrl.plant.machine import Machine
@@ -136,7 +136,8 @@ def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Cha
                 f"{name} {change.value:g} {known.unit} is out of bounds; "
                 f"allowed is {known.low:g} to {known.high:g} {known.unit}"
             )
-        found.append((Command(place, number, change.value), change.at))
+        release = known.restores and change.value == known.high
+        found.append((Command(place, RELEASE if release else number, change.value), change.at))
     return found
 
 

@@ -41,6 +41,10 @@ function number(value, digits = 4) {
   return value === null || value === undefined ? "–" : Number(value.toPrecision(digits)).toString();
 }
 
+function spelledOut(word) { // of a state; a dash while it is not known
+  return word === null ? "–" : word.replaceAll("_", " ");
+}
+
 function product(a, b) {
   return a === null || a === undefined || b === null || b === undefined ? null : a * b;
 }
@@ -233,8 +237,8 @@ function showAxis(axis) {
   const shown = axes.get(axis.name);
   shown.article.querySelector(".title").textContent = axis.name;
   shown.article.querySelector(".figures").textContent =
-    `${axis.state.replaceAll("_", " ")}; limiter: ${axis.limit_reason.replaceAll("_", " ")}; ` +
-    `estimate: ${axis.estimate_state}; x ${number(axis.friction_angle)}, T_p ${number(axis.pretension)} N; ` +
+    `${spelledOut(axis.state)}; limiter: ${spelledOut(axis.limit_reason)}; ` +
+    `estimate: ${axis.estimate_state ?? "–"}; x ${number(axis.friction_angle)}, T_p ${number(axis.pretension)} N; ` +
     `joint torque by stretch ${band(axis.tau_j_stretch)}, by model ${band(axis.tau_j_model)}; ` +
     `${axis.missed} cycles without answer`;
   for (const [kind, lines] of Object.entries(shown.lines)) {
