@@ -44,7 +44,7 @@ ROOMS: dict[str, str] = {
     "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
-    "readiness": "model safety config",
+    "readiness": "errors settings model bus.canopen.objects safety config",
     "ipc": "errors system",
     "daemon": "errors settings outputs system log sensors model observer bus safety control config readiness ipc",
     # offline: from logs to parameters and causes, without bus and loop
@@ -57,7 +57,7 @@ ROOMS: dict[str, str] = {
     "published": "errors outputs",
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",
     "bench": "errors system log ipc bus safety control config daemon doctor",
-    "drills": "errors version settings outputs system model bus safety control config daemon",
+    "drills": "errors version settings outputs system log.table model bus safety control config readiness daemon",
     "dashboard": "errors ipc",
     "tune": (
         "errors version settings outputs system log model control config ipc daemon.joint_files doctor identify virtual"

@@ -184,22 +184,23 @@ def _check_filled(path: Path, data: dict[str, Any], axes: list[dict[str, Any]]) 
 def with_limits(
     path: Path, file: ControllerFile, tables: list[dict[str, Any]], models: tuple[TendonSheath, ...]
 ) -> ControllerFile:
-    """Return the file with complete limits and clamps, by its [[axis]] `tables` as they are written.
-
-    Raises:
-        UsageError: a written limit contradicts another one.
-    """
+    """Return the file with complete limits and clamps, by its [[axis]] `tables` as written; raises UsageError."""
     axes = []
     for axis, table, model in zip(file.axes, tables, models, strict=True):
         geared = model.joint_pulley_radius / model.motor_pulley_radius
         try:
-            reversal_speed = wound_by_friction(model) / (axis.law.turn or TURN / file.controller.rate)
-            limits = wearer_limits(axis.limits, table["limits"], file.safety, geared, reversal_speed)
+            speed = reversal_speed(axis, model, file)
+            limits = wearer_limits(axis.limits, table["limits"], file.safety, geared, speed)
             drive = drive_clamps(axis.drive, table["drive"], limits)
         except ValueError as error:
             raise UsageError(f"{path}: axis '{axis.name}': {error}") from None
         axes.append(msgspec.structs.replace(axis, limits=limits, drive=drive))
     return msgspec.structs.replace(file, axes=tuple(axes))
+
+
+def reversal_speed(axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> float:
+    """Return the speed of the motor, rad/s, while friction reverses at a joint at rest."""
+    return wound_by_friction(model) / (axis.law.turn or TURN / file.controller.rate)
 
 
 def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:

@@ -1,21 +1,202 @@
-"""The list of safety bounds that are looser than shipped, of a whole configuration."""
+"""What a configuration lacks before a person may wear the joint, and which safety bounds are looser than shipped.
+
+`verify-safety.toml` next to the controller file records what `tsa verify-safety` has shown on this rig. It holds for
+one configuration (by hash) and for the nodes that were there (by serial number).
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import msgspec
+import tomlkit
 
-from tsa_ctrl.config import MARGIN, AxisSettings, Configuration, longest_fault
+from tsa_ctrl import settings
+from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.config import MARGIN, AxisSettings, Configuration, longest_fault, reversal_speed
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.safety.bounds import Loose, Shipped, loose_bounds
+from tsa_ctrl.model.provenance import NODES, NodeIdentity
+from tsa_ctrl.safety.bounds import WORN_FACTOR, Loose, Shipped, loose_bounds
 from tsa_ctrl.safety.plausibility import DEFAULT_JOINT_TORQUE, DEFAULT_TORQUE
 from tsa_ctrl.safety.use_class import wearer_speeds
 
+RECORD = "verify-safety.toml"  # next to the controller file
 GAIT_SPEED = 7.0  # rad/s, fastest motion of a knee in level walking (400 degrees per second); hip 4, ankle 5
 STRONG_TORQUE = 50.0  # N*m at the joint: exoskeletons for walking give up to that at hip and knee
 FULL_TURN = 2.0 * math.pi  # rad; no joint of a person turns that far, so that a larger travel is in degrees
+# Sections that may change without another `tsa verify-safety`: its trials run without friction compensation, with a
+# set-point, a log and a socket of their own, and they show the same in both classes of use.
+_FREE = frozenset({"log", "socket", "realtime"})
+_FREE_OF_AXIS = frozenset({"model", "setpoint", "law", "direction", "estimator", "bending", "oscillation"})
+
+Nodes = Mapping[str, Mapping[str, NodeIdentity]]  # by axis and by `NODES`
+
+
+class SignAndGain(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """What the test on the held joint showed of one axis."""
+
+    date: str  # ISO 8601
+    gain: float  # 1, measured torque per torque of the model
+    sensor: str  # that measured it
+
+
+class SafetyRecord(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """`verify-safety.toml`."""
+
+    configuration: str  # `fingerprint`
+    nodes: dict[str, dict[str, NodeIdentity]]  # by axis and by `NODES`
+    watchdogs: str = ""  # ISO 8601, when the trials of the watchdogs passed
+    held: dict[str, SignAndGain] = {}  # by axis
+
+
+def fingerprint(configuration: Configuration) -> str:
+    """Return the SHA-256 of everything that the trials of `tsa verify-safety` depend on."""
+    data = {key: value for key, value in msgspec.to_builtins(configuration.file).items() if key not in _FREE}
+    data["safety"].pop("class")
+    for key in ("name", "after_fault"):
+        data["controller"].pop(key)
+    data["axis"] = [
+        {key: value for key, value in axis.items() if key not in _FREE_OF_AXIS}
+        | {"radii": [model.motor_pulley_radius, model.joint_pulley_radius], "profile": msgspec.to_builtins(profile)}
+        for axis, model, profile in zip(data["axis"], configuration.models, configuration.profiles, strict=True)
+    ]
+    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
+
+
+def read_record(configuration: Configuration) -> SafetyRecord | None:
+    """Return the record; None without a file.
+
+    Raises:
+        UsageError: the file is damaged.
+    """
+    path = configuration.folder / RECORD
+    return settings.load(path, SafetyRecord) if path.exists() else None
+
+
+def add_to_record(
+    configuration: Configuration, nodes: Nodes, watchdogs: str = "", held: Mapping[str, SignAndGain] | None = None
+) -> Path:
+    """Write what has just passed to the record; results of another configuration or of other nodes are dropped.
+
+    Args:
+        configuration: that passed.
+        nodes: that were there.
+        watchdogs: ISO 8601, of trials that have just passed.
+        held: of the test on the held joint, by axis.
+
+    Raises:
+        UsageError: the file cannot be written.
+    """
+    known = {axis: dict(found) for axis, found in nodes.items()}
+    before = read_record(configuration)
+    if before is None or before.configuration != fingerprint(configuration) or before.nodes != known:
+        before = SafetyRecord(configuration=fingerprint(configuration), nodes=known)
+    after = msgspec.structs.replace(
+        before, watchdogs=watchdogs or before.watchdogs, held=before.held | dict(held or {})
+    )
+    path = configuration.folder / RECORD
+    head = "# Written by tsa verify-safety. Any change of the configuration that matters invalidates it.\n"
+    settings.write_text(path, head + tomlkit.dumps(msgspec.to_builtins(after)))
+    return path
+
+
+def missing(configuration: Configuration) -> list[str]:
+    """Return what class "worn" lacks by the files alone, each with its remedy; nothing in class "bench"."""
+    if not configuration.file.safety.worn:
+        return []
+    found = []
+    if configuration.file.safety.wearer_speed is None:
+        found.append("the wearer's speed (give [safety] wearer_speed)")
+    for axis, model in zip(configuration.file.axes, configuration.models, strict=True):
+        found += [f"axis '{axis.name}': {lacking}" for lacking in _lacking(configuration, axis, model)]
+    found += [
+        f'{_of(axis)}{bound}: class "worn" allows {"the shipped one" if bound.unit == "" else _most(bound)} (change it)'
+        for axis, bound in loose(configuration)
+        if bound.unfit_to_wear
+    ]
+    return [*found, *_not_shown(configuration)]
+
+
+def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonSheath) -> Iterator[str]:
+    safety, limits = configuration.file.safety, axis.limits
+    measured = {sensor.quantity for sensor in axis.serial}
+    if axis.torque_sensor is None and "tau_j" not in measured and not {"t1", "t3"} <= measured:
+        yield "a joint torque sensor or both load cells (add [axis.torque_sensor], or [[axis.serial]] tau_j, or t1, t3)"
+    if limits.travel is None:
+        yield "the travel (give [axis.limits] travel, or [safety] travel)"
+    elif len(configuration.file.axes) > 1 and limits.travel == safety.travel:
+        yield "a travel of its own, because the file has several axes (give [axis.limits] travel)"
+    if safety.wearer_speed is not None:
+        geared = model.joint_pulley_radius / model.motor_pulley_radius
+        derived = wearer_speeds(safety.wearer_speed, geared, reversal_speed(axis, model, configuration.file))
+        for key, most in derived.items():
+            if getattr(limits, key) > most * (1.0 + 1e-9):
+                yield (
+                    f"limits.{key} {getattr(limits, key):g} rad/s is above {most:.4g} rad/s, which follows from "
+                    "wearer_speed (leave it out, or lower it)"
+                )
+    wanted = [name for name in NODES if name == "drive" or axis.encoder is not None]
+    absent = [name for name in wanted if name not in model.origin.nodes]
+    if absent:
+        yield f"the serial number of its {' and '.join(absent)} in {axis.model} (tsa tune on this joint writes it)"
+
+
+def _not_shown(configuration: Configuration) -> Iterator[str]:
+    """Yield the trials that the record lacks for this configuration."""
+    record = read_record(configuration)
+    where = f"{configuration.folder / RECORD}"
+    if record is not None and record.configuration != fingerprint(configuration):
+        yield f"a record for this configuration: that of {where} is of another one (tsa verify-safety, and with --held)"
+        return
+    if record is None or not record.watchdogs:
+        yield f"a passed tsa verify-safety in {where} (run it, joint free)"
+    for axis in configuration.file.axes:
+        if record is None or axis.name not in record.held:
+            yield f"axis '{axis.name}': a test of sign and gain in {where} (run tsa verify-safety --held, joint held)"
+
+
+def missing_on_bus(configuration: Configuration, nodes: Nodes, has_inputs: bool) -> list[str]:
+    """Return what class "worn" lacks by the nodes that are there, each with its remedy.
+
+    Args:
+        configuration: of the run.
+        nodes: that a bring-up found.
+        has_inputs: a drive has digital inputs (0x60FD).
+    """
+    safety, found = configuration.file.safety, []
+    if safety.emergency_stop is not None and not has_inputs:
+        found.append(
+            f"the emergency stop: no drive has {objects.DIGITAL_INPUTS} (leave [safety] emergency_stop out, and wire "
+            "the stop to the drive's safe-torque-off input)"
+        )
+    if not safety.worn:
+        return found
+    if safety.emergency_stop is None and has_inputs:
+        found.append(
+            f"the emergency stop: a drive has {objects.DIGITAL_INPUTS} (give its bit as [safety] emergency_stop)"
+        )
+    record = read_record(configuration)
+    for axis, each in nodes.items():
+        for name, node in each.items():
+            tested = None if record is None else record.nodes.get(axis, {}).get(name)
+            difference = "the record has no such node" if tested is None else tested.difference(node)
+            if difference:
+                found.append(
+                    f"axis '{axis}': {RECORD} is of another {name}: {difference} (run tsa verify-safety again)"
+                )
+    return found
+
+
+def require(configuration: Configuration, lacking: list[str]) -> None:
+    """Raise UsageError with everything that is lacking, in one line."""
+    if lacking:
+        of_class = f'[safety] class = "{configuration.file.safety.use_class}"'
+        raise UsageError(f"{configuration.path}: {of_class} lacks {len(lacking)}: {'; '.join(lacking)}")
 
 
 def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
@@ -40,20 +221,33 @@ def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
             "axis.plausibility": axis.plausibility,
             "axis.passivity": axis.passivity,
         }
-        for found in loose_bounds(sections, _shipped(axis, model, file.safety.worn)):
+        for found in loose_bounds(sections, _shipped(configuration, axis, model)):
             yield axis.name, found
 
 
 def loose_lines(configuration: Configuration) -> list[str]:
     """Return a line for each bound that is looser than shipped, for startup and `tsa status`."""
-    return [f"looser than shipped: {_of(axis)}{found}" for axis, found in loose(configuration)]
+    lines = [f"looser than shipped: {_of(axis)}{found}" for axis, found in loose(configuration)]
+    lines += [
+        f"axis '{axis.name}': the drive has no {objects.MAX_MOTOR_SPEED} (by its profile): the controller alone "
+        "limits the speed of the motor"
+        for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True)
+        if not profile.has(objects.MAX_MOTOR_SPEED)
+    ]
+    return lines
 
 
 def _of(axis: str) -> str:
     return f"axis '{axis}': " if axis else ""
 
 
-def _shipped(axis: AxisSettings, model: TendonSheath, worn: bool) -> Shipped:
+def _most(bound: Loose) -> str:
+    if math.isnan(bound.shipped):
+        return "what follows from the model"
+    return f"{WORN_FACTOR * bound.shipped:.4g} {bound.unit} at most"
+
+
+def _shipped(configuration: Configuration, axis: AxisSettings, model: TendonSheath) -> Shipped:
     """Return the defaults that follow from other settings; in class "worn" the speeds are those of a walking wearer."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     shipped = {
@@ -62,6 +256,7 @@ def _shipped(axis: AxisSettings, model: TendonSheath, worn: bool) -> Shipped:
         ("axis.plausibility", "torque"): DEFAULT_TORQUE * axis.limits.torque,
         ("axis.plausibility", "joint_torque"): DEFAULT_JOINT_TORQUE * axis.limits.torque * geared,
     }
-    if worn:
-        shipped |= {("axis.limits", key): value for key, value in wearer_speeds(GAIT_SPEED, geared, 0.0).items()}
+    if configuration.file.safety.worn:
+        speeds = wearer_speeds(GAIT_SPEED, geared, reversal_speed(axis, model, configuration.file))
+        shipped |= {("axis.limits", key): value for key, value in speeds.items()}
     return shipped

@@ -195,7 +195,7 @@ def test_a_drive_that_keeps_its_torque_is_exit_code_1(
 
     monkeypatch.setattr(verifying, "check_alone", lambda configuration: None)
     monkeypatch.setattr(verifying, "listening", lambda configuration: contextlib.nullcontext())
-    monkeypatch.setattr(verifying, "leave_in_order", lambda configuration, say: None)
+    monkeypatch.setattr(verifying, "leave_in_order", lambda configuration, say: {})
     monkeypatch.setattr(verifying, "run_trial", tried)
     with pytest.raises(SystemExit) as stop:
         main(["verify-safety", str(folder / "controller.toml"), "--yes", "--json"])

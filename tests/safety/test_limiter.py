@@ -247,7 +247,7 @@ def test_imports_nothing_of_the_law() -> None:
 def test_contradictory_settings_are_refused(settings: dict[str, Any], words: str) -> None:
     """Limits that contradict each other are an error before anything moves."""
     with pytest.raises(ValueError, match=words):
-        LimiterSettings(torque=1.0, **settings)
+        LimiterSettings(torque=1.0, **settings).check_order()
 
 
 @pytest.mark.parametrize("upper", [1.5 + 2.0**-20, 3.0])

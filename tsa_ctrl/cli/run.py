@@ -32,14 +32,15 @@ def command(
     """Bring the drives up, run the loop and log, until SIGTERM, SIGINT, SIGHUP or `tsa stop`."""
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.daemon.joint_files import admitted
-    from tsa_ctrl.readiness import loose_lines
+    from tsa_ctrl.readiness import loose_lines, missing, require
 
     configuration = admitted(load_configuration(controller), allow_simulated)
     if check:
         check_drives(configuration)
-        click.echo(_checked(configuration))
         for line in loose_lines(configuration):
             click.echo(line, err=True)
+        require(configuration, missing(configuration))
+        click.echo(_checked(configuration))
         for axis, profile in zip(configuration.file.axes, configuration.profiles, strict=True):
             for line in profile.unknown:
                 click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)

@@ -13,6 +13,7 @@ from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import UsageError
 
 if TYPE_CHECKING:
+    from tsa_ctrl.config import Configuration
     from tsa_ctrl.drills.trials import Outcome
     from tsa_ctrl.drills.verify import Verification
 
@@ -24,20 +25,28 @@ if TYPE_CHECKING:
 )
 @click.argument("controller", metavar="CONTROLLER.toml", type=click.Path(path_type=Path))
 @click.option("--torque", type=Finite(min=0.0, min_open=True), help="N*m at the motor; default: [safety] torque.")
+@click.option("--held", is_flag=True, help="Test sign and gain of the torque on held joints instead.")
 @click.option("--record", type=click.Path(path_type=Path), help="Folder of the record; default: that of the logs.")
 @click.option("--yes", is_flag=True, help="Do not ask before the motor pulls.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
-def command(controller: Path, torque: float | None, record: Path | None, yes: bool, as_json: bool) -> int:
+def command(controller: Path, torque: float | None, held: bool, record: Path | None, yes: bool, as_json: bool) -> int:
     """Hang and kill the loop at a small torque, withhold its heartbeat, and time the drive's own reaction.
 
     While that torque begins, motor, joint and joint torque sensor show whether it pulls the right way, and as much.
     A process apart from the loop listens on the bus and takes the time until the drive reports no torque. Leaves a
     dated record. Exit code 1 when a drive takes longer than [safety] zero_torque_within.
+
+    With --held, the joints are held and the motors pull in both directions. The joint torque sensor or the load cells
+    must show the sign and, within 10 %, the gain. What passed is stored in verify-safety.toml next to the controller
+    file. Class "worn" requires both results.
     """
     from tsa_ctrl.config import load_configuration
     from tsa_ctrl.drills.verify import check_folder, save, trial_torque, verify
+    from tsa_ctrl.readiness import add_to_record
 
     configuration = load_configuration(controller)
+    if held:
+        return _held(configuration, yes, as_json)
     chosen = trial_torque(configuration, torque)
     folder = record or configuration.log_folder
     check_folder(folder)
@@ -45,6 +54,8 @@ def command(controller: Path, torque: float | None, record: Path | None, yes: bo
         _confirm(chosen, len(configuration.file.axes))
     found = verify(configuration, chosen, lambda line: click.echo(line, err=True))
     path = save(found, folder)
+    if found.safe:
+        add_to_record(configuration, found.nodes, watchdogs=found.date)
     if as_json:
         click.echo(json.dumps({**found.as_dict(samples=False), "record": str(path)}, allow_nan=False))
     else:
@@ -53,11 +64,34 @@ def command(controller: Path, torque: float | None, record: Path | None, yes: bo
     return 0 if found.safe else 1
 
 
-def _confirm(torque: float, axes: int) -> None:
+def _held(configuration: Configuration, yes: bool, as_json: bool) -> int:
+    """Run the test on held joints, and store what it showed."""
+    from tsa_ctrl.drills.held import amplitude, run_held
+    from tsa_ctrl.readiness import add_to_record
+
+    pairs = zip(configuration.file.axes, configuration.models, strict=True)
+    most = max(amplitude(configuration, axis, model) for axis, model in pairs)
+    if not yes:
+        _confirm(most, len(configuration.file.axes), "both ways for 9 s. Is every joint held fast?")
+    found, nodes = run_held(configuration, lambda line: click.echo(line, err=True))
+    path = add_to_record(configuration, nodes, held=found)
+    if as_json:
+        shown = {name: {"gain": each.gain, "sensor": each.sensor} for name, each in found.items()}
+        click.echo(json.dumps({"schema": 1, "held": shown, "record": str(path)}, allow_nan=False))
+        return 0
+    for name, each in found.items():
+        click.echo(
+            f"axis '{name}': the {each.sensor} shows the right sign and {each.gain:.3f} times the model's torque"
+        )
+    click.echo(f"record: {path}")
+    return 0
+
+
+def _confirm(torque: float, axes: int, question: str = "three times. Is the joint free?") -> None:
     motors = "the motor" if axes == 1 else f"all {axes} motors"
     if not sys.stdin.isatty():
         raise UsageError(f"{motors} will pull with {torque:g} N*m, and nobody is there to agree; give --yes")
-    click.confirm(f"{motors.capitalize()} will pull with {torque:g} N*m, three times. Is the joint free?", abort=True)
+    click.confirm(f"{motors.capitalize()} will pull with {torque:g} N*m, {question}", abort=True)
 
 
 def _show(found: Verification) -> None:

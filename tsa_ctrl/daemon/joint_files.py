@@ -112,6 +112,11 @@ class JointFiles:
             if (doubt := self.doubt(name))
         ]
 
+    @property
+    def nodes(self) -> Mapping[str, Mapping[str, NodeIdentity]]:
+        """The nodes that were found, by axis and node."""
+        return self._found
+
     def found(self) -> Mapping[str, dict[str, dict[str, int]]]:
         """Return the nodes that were found, as plain values, by axis and node."""
         return {name: nodes_table(nodes) for name, nodes in self._found.items()}

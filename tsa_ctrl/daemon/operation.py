@@ -21,12 +21,13 @@ from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.errors import StoppedError, TsaError
 from tsa_ctrl.ipc.mailbox import Mailbox
-from tsa_ctrl.readiness import loose_lines
+from tsa_ctrl.readiness import Nodes, loose_lines
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.safety.use_class import stop_bit
 from tsa_ctrl.system.histogram import coarse, distribution
 
 Say = Callable[[str], None]
+Admit = Callable[[Nodes, bool], None]  # nodes, and whether a drive has digital inputs; raises UsageError
 
 
 class Operation:
@@ -43,9 +44,11 @@ class Operation:
         configured: bool = False,
         tell: Callable[[str], None] = lambda stage: None,
         simulated: bool = False,
+        admit: Admit = lambda nodes, has_inputs: None,
     ) -> None:
         """`no_loop` surrounds a new bring-up; `configured`: nothing is written to the nodes, see `daemon.run`; `tell`
-        gets what a bring-up waits for, in words, and nothing when it is over; `simulated`: the nodes are no hardware.
+        gets what a bring-up waits for, in words, and nothing when it is over; `simulated`: the nodes are no hardware;
+        `admit` is called with what a bring-up found, and may reject it.
         """
         self.unconfirmed: list[str] = []
         self._configuration = configuration
@@ -57,6 +60,7 @@ class Operation:
         self._configured = configured
         self._tell = tell
         self._simulated = simulated
+        self._admit = admit
         self._joint_files = JointFiles(configuration, simulated)
 
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
@@ -111,6 +115,7 @@ class Operation:
                 self._tell("")
             for line in (*report.lines(), *self._joint_files.notes()):
                 self._say(line)
+            self._admit(self._joint_files.nodes, any(node.digital_inputs for node in report.nodes))
             self._rig.look_after(report, stop_bit(file.safety))
         for axis in self._axes:
             axis.trusted = self._joint_files.trusted(axis.name)

@@ -24,6 +24,7 @@ from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.protocol import default_path
+from tsa_ctrl.readiness import Nodes, missing, missing_on_bus, require
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.notify import Notifier
 
@@ -73,6 +74,7 @@ class Daemon:
     def run(self, seconds: float) -> Summary:
         configuration = self._configuration
         file = configuration.file
+        require(configuration, missing(configuration))
         bus = open_bus(file.bus)
         socket = file.socket.path or default_path()
         if pid_file.running(socket) is None:  # so that `tsa stop` reaches a daemon that still compiles or opens its log
@@ -117,6 +119,7 @@ class Daemon:
                         self._configured,
                         lambda stage: children.mailbox.publish_stage(bus.clock(), stage),
                         is_simulated(file.bus.interface, file.bus.channel),
+                        self._admit,
                     )
                     realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
                     try:
@@ -141,6 +144,10 @@ class Daemon:
             pid_file.remove(socket, os.getpid())
             bus.close()
             self._notifier.close()
+
+    def _admit(self, nodes: Nodes, has_inputs: bool) -> None:
+        """Raise UsageError unless class "worn" has everything that it requires of the nodes."""
+        require(self._configuration, missing_on_bus(self._configuration, nodes, has_inputs))
 
     def _enter(self, loop: Loop) -> None:
         """From here on a signal goes to the loop, and through it to the bring-up; one that came before as well."""

@@ -19,6 +19,7 @@ from tsa_ctrl.config import AxisSettings, Configuration, load_configuration
 from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.safety.use_class import on_bench
 from tsa_ctrl.system.parent import follow
 
 FADE_IN = 0.2  # s
@@ -35,6 +36,7 @@ def under_trial(configuration: Configuration, torque: float, socket: str) -> Con
         controller=replace(file.controller, after_fault="wait"),
         log=replace(file.log, enabled=False),
         socket=replace(file.socket, path=socket, group=None),
+        safety=on_bench(file.safety),
     )
     return dataclasses.replace(configuration, file=changed)
 

@@ -19,10 +19,12 @@ from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.connect import open_bus
 from tsa_ctrl.config import Configuration
+from tsa_ctrl.daemon.joint_files import JointFiles
 from tsa_ctrl.drills.listener import READY, ZERO_SHARE
 from tsa_ctrl.drills.pull import Pull
 from tsa_ctrl.drills.samples import Said, Sample, Timing, Watchdog, timing, watchdog
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system.parent import child, environment, terminal_blocked
 
@@ -226,15 +228,25 @@ def check_alone(configuration: Configuration) -> None:
         bus.close()
 
 
-def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> None:
-    """Reset the faults that the trials left, and leave the drives disabled and pre-operational."""
+def leave_in_order(configuration: Configuration, say: Callable[[str], None]) -> Nodes:
+    """Reset the faults that the trials left, leave the drives disabled and pre-operational; return the nodes."""
+    files = JointFiles(configuration, simulated=False)
     file = configuration.file
     bus = open_bus(file.bus)
     try:
-        bring_up(bus, file.bus, file.axes, configuration.profiles, configuration.period, reset_faults=True)
+        bring_up(
+            bus,
+            file.bus,
+            file.axes,
+            configuration.profiles,
+            configuration.period,
+            reset_faults=True,
+            identify=files.identify,
+        )
         rig = Rig(bus, file.bus, file.axes, configuration.profiles)
         rig.start()
         for line in shut_down(rig, configuration.period):
             say(line)
     finally:
         bus.close()
+    return files.nodes

@@ -17,6 +17,7 @@ from tsa_ctrl.drills.listener import ZERO_SHARE
 from tsa_ctrl.drills.trials import Outcome, Trial, check_alone, leave_in_order, listening, run_trial
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.outputs import untaken
+from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.version import __version__
 
@@ -37,6 +38,7 @@ class Verification(msgspec.Struct, frozen=True, kw_only=True):
     limit: float  # s, zero_torque_within
     torque: float  # N*m at the motor
     outcomes: list[Outcome]
+    nodes: Nodes  # that were there
 
     @property
     def safe(self) -> bool:
@@ -82,6 +84,7 @@ def trial_torque(configuration: Configuration, asked: float | None) -> float:
 def verify(configuration: Configuration, torque: float, say: Callable[[str], None]) -> Verification:
     """Do all trials; `say` gets a line for each. Raises BusError when the rig does not come up or gives no torque."""
     outcomes: list[Outcome] = []
+    nodes: Nodes = {}
     wrong = ""
     check_alone(configuration)
     with listening(configuration) as listener:
@@ -94,7 +97,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
             raise
         finally:
             try:
-                leave_in_order(configuration, say)
+                nodes = leave_in_order(configuration, say)
             except TsaError as error:  # the trial that went wrong is the one to tell
                 if str(error) not in wrong:
                     say(f"the drives could not be left in order: {error}")
@@ -108,6 +111,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
         limit=configuration.zero_torque_within,
         torque=torque,
         outcomes=outcomes,
+        nodes=nodes,
     )
 
 

@@ -55,14 +55,17 @@ class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     def __post_init__(self) -> None:
         if self.torque_share is not None:  # else it is `torque` by now
             raise ValueError("both torque and torque_share are given; keep one of them")
-        if self.over_speed <= self.joint_speed:
-            raise ValueError(
-                f"over_speed {self.over_speed:g} rad/s is not above joint_speed {self.joint_speed:g} rad/s; raise it"
-            )
         if self.travel is not None and self.travel[1] - self.travel[0] <= 2.0 * self.travel_margin:
             raise ValueError(
                 f"travel {list(self.travel)} rad is not wider than two travel margins of "
                 f"{self.travel_margin:g} rad; give [lower, upper]"
+            )
+
+    def check_order(self) -> None:
+        """Raise ValueError if over_speed is not above joint_speed; for limits that are complete."""
+        if self.over_speed <= self.joint_speed:
+            raise ValueError(
+                f"over_speed {self.over_speed:g} rad/s is not above joint_speed {self.joint_speed:g} rad/s; raise it"
             )
 
 

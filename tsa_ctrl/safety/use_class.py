@@ -54,6 +54,11 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
         return self.use_class == "worn"
 
 
+def on_bench(safety: SafetySettings) -> SafetySettings:
+    """Return the settings of a run that commissions a rig which nobody wears; all limits stay."""
+    return msgspec.structs.replace(safety, use_class="bench")
+
+
 def stop_bit(safety: SafetySettings) -> StopBit | None:
     """Return where the emergency stop is wired; None without one."""
     return None if safety.emergency_stop is None else StopBit(safety.emergency_stop, safety.emergency_stop_level)
@@ -104,7 +109,9 @@ def wearer_limits(
                 f"limits.travel {list(limits.travel)} rad is not inside [safety] travel {list(safety.travel)} rad; "
                 "narrow the one or widen the other"
             )
-    return msgspec.structs.replace(limits, **{key: value for key, value in derived.items() if key not in written})
+    complete = msgspec.structs.replace(limits, **{key: value for key, value in derived.items() if key not in written})
+    complete.check_order()
+    return complete
 
 
 def drive_clamps(drive: DriveSettings, written: Collection[str], limits: LimiterSettings) -> DriveSettings:

@@ -134,6 +134,8 @@ class RigRunner:
         data["axis"] = [axis for axis in data["axis"] if axis["name"] in keep]
         data["log"] = {"folder": "."}
         data["controller"] = {**data.get("controller", {}), "name": f"tune-{name}"[:32], "after_fault": "exit"}
+        if "safety" in data:  # nobody wears a joint that is being tuned; its limits stay
+            data["safety"].pop("class", None)
         for axis in data["axis"]:
             self._confine(axis)
             if axis["name"] == self._axis.name:
