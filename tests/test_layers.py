@@ -44,7 +44,7 @@ ROOMS: dict[str, str] = {
     "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
-    "readiness": "errors settings model bus.canopen.objects safety config",
+    "readiness": "errors settings model bus.canopen.objects safety control.plan config",
     "ipc": "errors system",
     "daemon": "errors settings outputs system log sensors model observer bus safety control config readiness ipc",
     # offline: from logs to parameters and causes, without bus and loop

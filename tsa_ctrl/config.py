@@ -27,18 +27,18 @@ from tsa_ctrl.control.choice import chosen
 from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
-from tsa_ctrl.control.plan import TURN, Limits, Plan, plan_of
+from tsa_ctrl.control.plan import Limits, Plan, plan_of, reversal_speed
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.model.plausible import check_against_motor
-from tsa_ctrl.model.sliding import sliding, wound_by_friction
+from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
 from tsa_ctrl.safety.passivity import OscillationSettings, PassivitySettings
 from tsa_ctrl.safety.plausibility import PlausibilitySettings
-from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, resolve_torque, wearer_limits
+from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_fault, resolve_torque, wearer_limits
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
@@ -132,7 +132,7 @@ class Configuration:
     def zero_torque_within(self) -> float:
         """s, from a fault, a hang or the death of this computer until every drive's torque is zero."""
         given = self.file.safety.zero_torque_within
-        return given if given is not None else longest_fault(self.file)[0] + MARGIN
+        return given if given is not None else longest_fault(self.file.axes, self.file.controller.stop_time)[0] + MARGIN
 
     @property
     def folder(self) -> Path:
@@ -189,18 +189,13 @@ def with_limits(
     for axis, table, model in zip(file.axes, tables, models, strict=True):
         geared = model.joint_pulley_radius / model.motor_pulley_radius
         try:
-            speed = reversal_speed(axis, model, file)
+            speed = reversal_speed(model, axis.law.turn, 1.0 / file.controller.rate)
             limits = wearer_limits(axis.limits, table["limits"], file.safety, geared, speed)
             drive = drive_clamps(axis.drive, table["drive"], limits)
         except ValueError as error:
             raise UsageError(f"{path}: axis '{axis.name}': {error}") from None
         axes.append(msgspec.structs.replace(axis, limits=limits, drive=drive))
     return msgspec.structs.replace(file, axes=tuple(axes))
-
-
-def reversal_speed(axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> float:
-    """Return the speed of the motor, rad/s, while friction reverses at a joint at rest."""
-    return wound_by_friction(model) / (axis.law.turn or TURN / file.controller.rate)
 
 
 def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> tuple[ControllerFile, tuple[str, ...]]:
@@ -226,30 +221,9 @@ def check_drives(configuration: Configuration) -> None:
         raise UsageError(f"{configuration.path}: {error}") from None
 
 
-def longest_timeout(file: ControllerFile) -> tuple[float, str]:
-    """The longest time for which something may be silent before torque is taken away, s; and its name."""
-    found = []
-    for axis in file.axes:
-        found.append((axis.drive.host_timeout, f"axis '{axis.name}' drive.host_timeout"))
-        for role, node in axis.nodes():
-            found.append((node.heartbeat_timeout, f"axis '{axis.name}' {role.key}.heartbeat_timeout"))
-    return max(found)
-
-
-def longest_fault(file: ControllerFile) -> tuple[float, str]:
-    """How long torque may go on after a fault, s, and why: until it shows, and until the others have ramped down."""
-    longest, name = longest_timeout(file)
-    if len(file.axes) == 1:
-        return longest, f"{name} = {longest:g} s, in which nothing happens yet"
-    stop = file.controller.stop_time
-    return longest + stop, (
-        f"{name} = {longest:g} s, in which nothing happens yet, plus [controller] stop_time = {stop:g} s, in which the "
-        "torque of the other axes ends"
-    )
-
-
 def _check_safety(path: Path, file: ControllerFile) -> None:
-    given, (longest, why) = file.safety.zero_torque_within, longest_fault(file)
+    given = file.safety.zero_torque_within
+    longest, why = longest_fault(file.axes, file.controller.stop_time)
     if given is not None and given <= longest:
         raise UsageError(
             f"{path}: [safety] zero_torque_within {given:g} s is not above {why}; lower that, or raise "

@@ -17,13 +17,14 @@ import tomlkit
 
 from tsa_ctrl import settings
 from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.config import MARGIN, AxisSettings, Configuration, longest_fault, reversal_speed
+from tsa_ctrl.config import MARGIN, AxisSettings, Configuration
+from tsa_ctrl.control.plan import reversal_speed
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.provenance import NODES, NodeIdentity
 from tsa_ctrl.safety.bounds import WORN_FACTOR, Loose, Shipped, loose_bounds
 from tsa_ctrl.safety.plausibility import DEFAULT_JOINT_TORQUE, DEFAULT_TORQUE
-from tsa_ctrl.safety.use_class import wearer_speeds
+from tsa_ctrl.safety.use_class import longest_fault, wearer_speeds
 
 RECORD = "verify-safety.toml"  # next to the controller file
 GAIT_SPEED = 7.0  # rad/s, fastest motion of a knee in level walking (400 degrees per second); hip 4, ankle 5
@@ -133,7 +134,7 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
         yield "a travel of its own, because the file has several axes (give [axis.limits] travel)"
     if safety.wearer_speed is not None:
         geared = model.joint_pulley_radius / model.motor_pulley_radius
-        derived = wearer_speeds(safety.wearer_speed, geared, reversal_speed(axis, model, configuration.file))
+        derived = wearer_speeds(safety.wearer_speed, geared, reversal_speed(model, axis.law.turn, configuration.period))
         for key, most in derived.items():
             if getattr(limits, key) > most * (1.0 + 1e-9):
                 yield (
@@ -208,7 +209,9 @@ def loose(configuration: Configuration) -> Iterator[tuple[str, Loose]]:
         "bus.supervision": file.bus.supervision,
         "safety": file.safety,
     }
-    for found in loose_bounds(whole, {("safety", "zero_torque_within"): longest_fault(file)[0] + MARGIN}):
+    for found in loose_bounds(
+        whole, {("safety", "zero_torque_within"): longest_fault(file.axes, file.controller.stop_time)[0] + MARGIN}
+    ):
         yield "", found
     for axis, model in zip(file.axes, configuration.models, strict=True):
         sections: dict[str, msgspec.Struct | None] = {
@@ -257,6 +260,6 @@ def _shipped(configuration: Configuration, axis: AxisSettings, model: TendonShea
         ("axis.plausibility", "joint_torque"): DEFAULT_JOINT_TORQUE * axis.limits.torque * geared,
     }
     if configuration.file.safety.worn:
-        speeds = wearer_speeds(GAIT_SPEED, geared, reversal_speed(axis, model, configuration.file))
+        speeds = wearer_speeds(GAIT_SPEED, geared, reversal_speed(model, axis.law.turn, configuration.period))
         shipped |= {("axis.limits", key): value for key, value in speeds.items()}
     return shipped

@@ -22,7 +22,7 @@ from tsa_ctrl.control.margin import LAG, LEAST, gain_margin, largest_gain
 from tsa_ctrl.control.turn import Turn
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding
+from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.safety.limiter import LimiterSettings
 
 TURN, TURN_AT_JOINT = 8, 5  # periods of a turn, for bends up to the middle of the sheath and for all at the joint
@@ -160,6 +160,11 @@ def plan_of(
         give=moving / (2.0 * model.joint_pulley_radius),
         notes=tuple(notes),
     )
+
+
+def reversal_speed(model: TendonSheath, turn: float | None, period: float) -> float:
+    """Return the speed of the motor, rad/s, in a friction reversal at a joint at rest; `turn` and `period` in s."""
+    return wound_by_friction(model) / (turn or TURN * period)
 
 
 def _way(front: Front, half_loop: float, stiffness: float) -> float:

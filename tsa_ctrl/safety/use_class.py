@@ -16,14 +16,14 @@ load have 64 and 40 mN*m, and the imposed gait trips.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
 from tsa_ctrl.bus.live.stop_input import StopBit
-from tsa_ctrl.bus.settings import DriveSettings
+from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
 from tsa_ctrl.safety.limiter import LimiterSettings
 
 UseClass = Literal["bench", "worn"]
@@ -57,6 +57,32 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 def on_bench(safety: SafetySettings) -> SafetySettings:
     """Return the settings of a run that commissions a rig which nobody wears; all limits stay."""
     return msgspec.structs.replace(safety, use_class="bench")
+
+
+def longest_timeout(axes: Sequence[AxisNodes]) -> tuple[float, str]:
+    """Return the longest time, s, for which something may be silent before torque is taken away, and its key."""
+    found = []
+    for axis in axes:
+        found.append((axis.drive.host_timeout, f"axis '{axis.name}' drive.host_timeout"))
+        for role, node in axis.nodes():
+            found.append((node.heartbeat_timeout, f"axis '{axis.name}' {role.key}.heartbeat_timeout"))
+    return max(found)
+
+
+def longest_fault(axes: Sequence[AxisNodes], stop_time: float) -> tuple[float, str]:
+    """Return how long torque may go on after a fault, s, and why.
+
+    Args:
+        axes: of the file.
+        stop_time: in which the torque goes to 0 at a stop, s.
+    """
+    longest, name = longest_timeout(axes)
+    if len(axes) == 1:
+        return longest, f"{name} = {longest:g} s, in which nothing happens yet"
+    return longest + stop_time, (
+        f"{name} = {longest:g} s, in which nothing happens yet, plus [controller] stop_time = {stop_time:g} s, in "
+        "which the torque of the other axes ends"
+    )
 
 
 def stop_bit(safety: SafetySettings) -> StopBit | None:
