@@ -7,7 +7,7 @@ Usage: tools/run campaign/runaway scan      less friction than the file's from t
        tools/run campaign/runaway healthy   an hour with nothing wrong
 
 Each runs with three sensor configurations: the motor alone, a joint encoder, a joint encoder and a joint torque sensor.
-`tools/run campaign/runaway MODE --help` lists what a mode measures, its goals and its options.
+`tools/run campaign/runaway MODE --help` lists the measures, goals and options of a mode.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class Slice:
 
 
 def play(part: Slice, compensation: float) -> dict[str, Any]:
-    """Run a slice and return what was reported or latched."""
+    """Run a slice and return its reports and latches."""
     set_point = "sine" if part.healthy in SINE else "gait"
     rig = Experiment(part.healthy, set_point, part.sensors, compensation=compensation, seed=part.slice, fade_in=1.0)
     result = rig.play(part.seconds)

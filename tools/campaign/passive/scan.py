@@ -56,7 +56,7 @@ NUDGED, NUDGE_TIME = 0.8, 0.1  # s of the log when it begins, s that it lasts
 WATCHED, WINDOW = 3.0, 0.5  # s after the nudge when the speed is measured, s over which
 STILL, REST = 0.01, 1.0  # rad/s of a joint at rest, s of rest that end a run
 RELAXED = ((0.0, 2.0, 0.3, 0.0),)  # a wearer's hand: s, N*m/rad, N*m*s/rad, rad
-IDEAL = 0.01  # share of the friction that counts as none: what the set-point alone does to the joint
+IDEAL = 0.01  # share of the friction that counts as none: the set-point alone moves the joint
 MOST_SPEED = {"zero": 0.05, "constant": 0.2}  # rad/s; at a constant set-point above the same run without compensation
 MOST_WITH_SENSOR = 10e-3  # J
 WIDTH = 190  # characters of the table
@@ -108,7 +108,7 @@ class Judge:
     file: dict[str, Any]
 
     def __call__(self, cell: Cell) -> dict[str, Any]:
-        """Run a cell and, where it moves at a constant set-point, what it is compared with."""
+        """Run a cell and, if it moves at a constant set-point, its reference runs."""
         result = self._play(cell.experiment(self.compensation, axis=self.axis, file=self.file))
         left = speed(result, NUDGED + WATCHED, NUDGED + WATCHED + WINDOW)
         work = most_work(result, NUDGED)
@@ -210,13 +210,13 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--loads", nargs="+", choices=tuple(INERTIA), default=("free", "weight", "limb", "spring"))
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
-    parser.add_argument("--of", nargs="+", choices=OF, default=OF[:1], help="what the plant has less of")
+    parser.add_argument("--of", nargs="+", choices=OF, default=OF[:1], help="the reduced parameter of the plant")
     parser.add_argument("--shares", nargs="+", type=float, default=SHARES, help="of the file's, 1 (default 0.1 to 1)")
     parser.add_argument("--centre", type=float, help="s_c of every cell, instead of a drawn one")
     parser.add_argument("--delay", type=int, help="periods, of every cell")
     parser.add_argument("--motor-bits", type=int, help="bits of the motor's encoder, of every cell")
     parser.add_argument("--joint-bits", type=int, help="bits of the joint encoder, of every cell")
-    parser.add_argument("--seed", type=int, help="of what is drawn (default: a fresh one, which is printed)")
+    parser.add_argument("--seed", type=int, help="of all draws (default: a fresh one, which is printed)")
     parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn cells; 0: all")
     parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
     parser.add_argument("--class", dest="use", choices=tuple(MOST_WORK), default="bench", help="whose work counts")
@@ -268,7 +268,7 @@ def key_of(row: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def words(row: dict[str, Any]) -> str:
-    """Return a cell's name and what was measured."""
+    """Return the name and the measured values of a cell."""
     name = Cell(*key_of(row)).key
     speeds = f"{row['speed']:.2f} rad/s (c = 0: {row['speed_without']:.2f}, ideal {row['speed_ideal']:.2f})"
     first = "; ".join(text.split(";")[0] for text in row["events"][:2])
