@@ -125,9 +125,9 @@ def test_a_stop_is_timed_from_where_the_machine_stood_still() -> None:
 
 
 def test_every_fault_of_the_plant_is_in_the_campaign() -> None:
-    """Those that a real bus shows here, those of parts that still answer in virtual time."""
+    """Faults of parts that still answer run in virtual time; a digital input needs [safety] emergency_stop."""
     lines = [fault.plant for fault in FAULTS if fault.plant]
-    assert {line.split()[0] for line in lines} == set(PLANT_FAULTS) - set(AILMENTS)
+    assert {line.split()[0] for line in lines} == set(PLANT_FAULTS) - set(AILMENTS) - {"digital_input"}
     for line in lines:
         parse_fault(line)
     names = [fault.name for fault in FAULTS]

@@ -196,7 +196,7 @@ MEASURES: tuple[Measure, ...] = (
     Measure(
         "runaway",
         "combinations of joint, friction, pretension, shape and gain that swing nowhere or are stopped in time",
-        ("{root}/tools/run", "campaign/runaway", "changes"),
+        ("{root}/tools/run", "campaign/runaway", "changes", "--sensors", "sensor"),
         _found(r"runs, (\d+) as they must be"),
         "as they must be",
         deterministic=True,
