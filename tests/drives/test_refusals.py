@@ -16,7 +16,7 @@ from tsa_ctrl.safety.supervisor import Cause, Fault
 PLACES = ("tsa_ctrl/bus", "tsa_ctrl/drills")
 # Words that say what to do, in the imperative, after what was found.
 DO = re.compile(
-    r"\b(correct|write|give|check|use|choose|power|cut|stop|start|leave|map|lower|remove|repair|load|plug|set|watch|"
+    r"\b(correct|write|give|raise|check|use|choose|power|cut|stop|start|leave|map|lower|remove|repair|load|plug|set|watch|"
     r"mend|did you mean|allowed are|needs more)\b"
 )
 ELSEWHERE = (  # messages that another function words, or ends: each is read below, or by the tests named there
@@ -25,7 +25,7 @@ ELSEWHERE = (  # messages that another function words, or ends: each is read bel
     "node {node_id} refuses {entry}",  # ended by cure() where it is caught: test_start, campaign/drives
     "{path}: {error}",
     "{name}: {error}{holds}; {cure(",
-    "read back {after:#x}; {cure(",
+    "read back {kept}; {cure(",
     "supported modes 0x{modes:08X}{_instead(modes)}",
     "the drive {refusal}",  # set_node_id gives both refusals with their cure: test_lss
     "absent: unknown object '{absent}'; {advice}",  # a near name, or where the names stand: test_profile

@@ -9,7 +9,9 @@ import pytest
 
 from tests.drives.rig import PERIOD, Foreign, refused
 from tsa_ctrl.bus.drive.bring_up import bring_up
-from tsa_ctrl.bus.drive.profile import DriveProfile, Identity
+from tsa_ctrl.bus.drive.profile import DriveProfile, ExtraWrite, Identity
+from tsa_ctrl.plant.dictionary import Entry, Type
+from tsa_ctrl.safety.supervisor import Phase, Request
 
 RPDO, NMT, SYNC, HEARTBEAT = 0x201, 0x000, 0x080, 0x77F
 
@@ -261,6 +263,53 @@ def test_node_guarding_in_place_of_heartbeats(tmp_path: Path) -> None:
     assert image.now - image.nodes[0].heard < 0.1
     foreign.wait(0.2)
     assert foreign.drive.machine.state.name == "FAULT"  # nobody asked for 100 ms
+
+
+def test_a_toggle_bit_that_stays_is_a_lost_drive(tmp_path: Path) -> None:
+    """A drive that repeats one answer to node guarding may have stopped working behind it."""
+    foreign = Foreign(tmp_path, "node_guarding = true")
+    foreign.start(DriveProfile(supervision="guarding"))
+    foreign.enable(0.3)
+    assert foreign.node.guarding is not None
+    foreign.node.guarding.toggles = False
+    with pytest.raises(
+        AssertionError, match=r"heartbeat lost: drive node 1: none for 20\d ms; \d+ answers to node gua"
+    ):
+        foreign.run(Request.ENABLE, Phase.STANDBY, 0.3)
+
+
+def test_an_inhibit_time_of_emergencies_is_cleared(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "objects = {'0x1015:0' = 5000}")
+    foreign.start()
+    assert foreign.node.values[0x1015, 0] == 0
+
+
+def test_an_inhibit_time_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
+    foreign = Foreign(tmp_path, "objects = {'0x1015:0' = 5000}", "read_only = ['0x1015']")
+    (note,) = [note for node in foreign.start().nodes for note in node.notes]
+    assert note == "0x1015:0 inhibit time EMCY cannot be written; its 0x1388 does as well"
+
+
+VALUES = (  # type, value as a person writes it, bytes in the drive
+    ("bool", True, "01"), ("i24", -2, "feffff"), ("u24", 0xABCDEF, "efcdab"), ("i40", -1, "ffffffffff"),
+    ("u48", 1 << 47, "000000000080"), ("u56", 5, "05000000000000"), ("i64", -(1 << 63), "0000000000000080"),
+    ("u64", (1 << 64) - 1, "ffffffffffffffff"), ("f32", 0.1, "cdcccc3d"), ("f32", 2, "00000040"),
+    ("f64", -0.1, "9a9999999999b9bf"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "value", "held"), VALUES)
+def test_an_extra_object_of_every_basic_type_is_written_and_read_back(
+    tmp_path: Path, name: str, value: float, held: str
+) -> None:
+    foreign = Foreign(tmp_path)
+    foreign.node.dictionary.add(Entry(0x2100, 3, Type[name.upper()]))
+    extra = ExtraWrite(index=0x2100, subindex=3, type=name, value=value, name="mine")  # type: ignore[arg-type]
+    report = foreign.start(DriveProfile(extra=[extra]))
+    assert foreign.node.dictionary.read((0x2100, 3)).hex() == held
+    (row,) = [row for node in report.nodes for row in node.rows if row.entry.index == 0x2100]
+    shown = f"{value:g}" if name[0] == "f" else f"{int(value):#x}"
+    assert str(row) == f"0x2100:3 mine: {'0' if name[0] == 'f' else '0x0'} -> {shown}"
 
 
 def test_after_an_orderly_stop_nobody_is_guarded_any_more(tmp_path: Path) -> None:

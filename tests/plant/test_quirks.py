@@ -112,6 +112,17 @@ def test_node_guarding_answers_remote_frames_with_a_toggle_bit(tmp_path: Path) -
     assert [made.send(remote) for _ in range(3)] == [[(0x701, b"\x7f")], [(0x701, b"\xff")], [(0x701, b"\x7f")]]
 
 
+def test_the_inhibit_time_keeps_emergencies_apart(tmp_path: Path) -> None:
+    made = bench(tmp_path, "objects = {'0x1015:0' = 500}")
+    made.wait(0.1)
+    node = made.unit.by_kind["drive"]
+    for code in (0x2310, 0x3210, 0x0000):
+        node.emergency(code, 0)
+    frames = [made.wait(0.01) for _ in range(20)]
+    times = [n for n, heard in enumerate(frames) for can_id, _ in heard if can_id == 0x081]
+    assert times == [4, 9]  # 50 ms each; the first came at once
+
+
 def test_life_guarding_takes_the_torque_when_nobody_asks(tmp_path: Path) -> None:
     made = bench(tmp_path, "node_guarding = true")
     made.set_up()

@@ -186,7 +186,7 @@ def diff_command(backup_file: str | None, as_json: bool, **options: Any) -> None
         if stored is None:
             wanted = wanted_by(session, target.node_id, target.plan())
         else:
-            wanted = [(item.entry, item.value) for item in stored.object]
+            wanted = [(item.entry, item.raw) for item in stored.object]
         differences = compare(session, target.node_id, wanted)
         node = Node(target.axis, target.profile, Role.DRIVE, target.axis.drive)
         _, notes = check_torque_path(session, node, {entry.key for entry, _ in wanted if stored is None})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum, IntEnum
@@ -60,15 +59,31 @@ class SdoAbort(Exception):  # noqa: N818, the standard's word
 
 
 class Type(Enum):
-    """Basic data types: CiA 301 number, struct format, bytes, bounds. TEXT is VISIBLE_STRING."""
+    """Basic data types: CiA 301 number, struct format, bytes, bounds. TEXT is VISIBLE_STRING.
 
+    Reals are held as their bits. Types without a struct format cannot be mapped into a PDO.
+    """
+
+    BOOL = (0x01, "B", 1, 0, 1)
     I8 = (0x02, "b", 1, -(1 << 7), (1 << 7) - 1)
     I16 = (0x03, "h", 2, -(1 << 15), (1 << 15) - 1)
     I32 = (0x04, "i", 4, -(1 << 31), (1 << 31) - 1)
     U8 = (0x05, "B", 1, 0, (1 << 8) - 1)
     U16 = (0x06, "H", 2, 0, (1 << 16) - 1)
     U32 = (0x07, "I", 4, 0, (1 << 32) - 1)
+    F32 = (0x08, "I", 4, 0, (1 << 32) - 1)
     TEXT = (0x09, "", 0, 0, 0)
+    I24 = (0x10, "", 3, -(1 << 23), (1 << 23) - 1)
+    F64 = (0x11, "Q", 8, 0, (1 << 64) - 1)
+    I40 = (0x12, "", 5, -(1 << 39), (1 << 39) - 1)
+    I48 = (0x13, "", 6, -(1 << 47), (1 << 47) - 1)
+    I56 = (0x14, "", 7, -(1 << 55), (1 << 55) - 1)
+    I64 = (0x15, "q", 8, -(1 << 63), (1 << 63) - 1)
+    U24 = (0x16, "", 3, 0, (1 << 24) - 1)
+    U40 = (0x18, "", 5, 0, (1 << 40) - 1)
+    U48 = (0x19, "", 6, 0, (1 << 48) - 1)
+    U56 = (0x1A, "", 7, 0, (1 << 56) - 1)
+    U64 = (0x1B, "Q", 8, 0, (1 << 64) - 1)
 
     def __init__(self, number: int, code: str, size: int, low: int, high: int) -> None:
         self.number = number
@@ -167,7 +182,7 @@ class ObjectDictionary:
             raise SdoAbort(AbortCode.WRITE_ONLY)
         if entry.type is Type.TEXT:
             return self.texts[key].encode("latin-1")
-        return struct.pack("<" + entry.type.code, self.values[key])
+        return self.values[key].to_bytes(entry.type.size, "little", signed=entry.type.low < 0)
 
     def write(self, key: Key, data: bytes) -> None:
         """SDO download with access, length and bounds checked; raises SdoAbort and changes nothing."""
@@ -179,8 +194,8 @@ class ObjectDictionary:
             return
         if len(data) != entry.type.size:
             raise SdoAbort(AbortCode.TOO_LONG if len(data) > entry.type.size else AbortCode.TOO_SHORT)
-        value = int(struct.unpack("<" + entry.type.code, data)[0])
-        if entry.high is not None and value > entry.high:
+        value = int.from_bytes(data, "little", signed=entry.type.low < 0)
+        if value > (entry.type.high if entry.high is None else entry.high):
             raise SdoAbort(AbortCode.TOO_HIGH)
         if entry.low is not None and value < entry.low:
             raise SdoAbort(AbortCode.TOO_LOW)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Callable
 from enum import IntEnum
 
@@ -45,11 +46,21 @@ class ErrorLog:
         self._dictionary = dictionary
         self._values = dictionary.values
         self._send = send
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._next = 0.0  # s, before which none is sent
         dictionary.on_write[0x1003, 0] = self._write_history
         dictionary.on_write[0x1014, 0] = self._write_identifier
 
-    def report(self, code: int, register: int, vendor: bytes, heard: bool) -> None:
-        """Keep an error in 0x1001 and 0x1003 and, where it can be `heard`, send it; code 0: all errors are gone."""
+    def report(self, code: int, register: int, vendor: bytes, heard: bool, now: float) -> None:
+        """Keep an error in 0x1001 and 0x1003, and send it if it can be heard.
+
+        Args:
+            code: error code; 0 reports that all errors are gone.
+            register: bits of the error register.
+            vendor: five bytes of the maker.
+            heard: whether the node may send emergencies in its present state.
+            now: time, s.
+        """
         values = self._values
         if code:
             values[0x1001, 0] |= register | REGISTER_GENERIC
@@ -61,11 +72,20 @@ class ErrorLog:
             values[0x1001, 0] = 0
         identifier = values.get((0x1014, 0), 0x80 + self._dictionary.node_id)
         if heard and not identifier & _INVALID:
-            self._send(identifier & 0x7FF, _FRAME.pack(code, values[0x1001, 0], vendor))
+            self._waiting.append((identifier & 0x7FF, _FRAME.pack(code, values[0x1001, 0], vendor)))
+            self.release(now)
+
+    def release(self, now: float) -> None:
+        """Send what waits, one frame in each inhibit time 0x1015 (100 us)."""
+        while self._waiting and now >= self._next:
+            self._send(*self._waiting.popleft())
+            self._next = now + 1e-4 * self._values.get((0x1015, 0), 0)
 
     def clear(self) -> None:
         """Power-on: nothing is remembered."""
         self._values[0x1001, 0] = 0
+        self._waiting.clear()
+        self._next = 0.0
         self._clear_history()
 
     def communication_restored(self) -> None:

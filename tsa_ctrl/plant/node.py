@@ -66,7 +66,7 @@ class Node:
         self._sync_port = SyncPort(self.dictionary, self._changed)
         guarded = self.quirks.node_guarding
         self._consumers = Consumers(self.dictionary, 0 if guarded else self.quirks.heartbeat_consumers, self._changed)
-        self._guarding = Guarding(self.dictionary) if guarded else None
+        self.guarding = Guarding(self.dictionary, self.quirks.guarding_toggles) if guarded else None
         self.dictionary.on_write[0x1017, 0] = self._write_heartbeat
         self.tpdos = [Tpdo(self.dictionary, number, default, self._changed) for number, default in tpdos]
         self.rpdos = [
@@ -124,8 +124,8 @@ class Node:
             rpdo.forget()
             rpdo.compile()
         self._consumers.restore()
-        if self._guarding is not None:
-            self._guarding.restore()
+        if self.guarding is not None:
+            self.guarding.restore()
         self._boot_due = now + self.quirks.boot_time
         if self.quirks.boot_time > 0.0 or self._unnamed:
             self._enter(NmtState.BOOT_UP)
@@ -206,7 +206,7 @@ class Node:
                 if rpdo.valid:
                     self.routes[rpdo.cob_id] = self._rpdo_handler(rpdo)
             self.routes.update(self._consumers.handlers())
-            if self._guarding is not None:
+            if self.guarding is not None:
                 self.routes[REMOTE_FLAG | _HEARTBEAT + self.node_id] = self._guard_request
         self.reroute()
 
@@ -221,8 +221,8 @@ class Node:
                 self._send(0x580 + self.node_id, answer)
 
     def _guard_request(self, data: bytes, now: float) -> None:
-        if self._guarding is not None and self.state is not NmtState.BOOT_UP:
-            self._send(_HEARTBEAT + self.node_id, self._guarding.answer(self.state, now))
+        if self.guarding is not None and self.state is not NmtState.BOOT_UP:
+            self._send(_HEARTBEAT + self.node_id, self.guarding.answer(self.state, now))
 
     def _rpdo_handler(self, rpdo: Rpdo) -> Handler:
         def handle(data: bytes, now: float) -> None:
@@ -282,13 +282,14 @@ class Node:
             if now < self._boot_due:
                 return
             self._boot_up(now)
+        self.errors.release(now)
         while self._answers and self._answers[0][0] <= now:
             self._send(0x580 + self.node_id, self._answers.popleft()[1])
         period = self.values.get((0x1017, 0), 0) * 1e-3
         if period > 0.0 and now >= self._heartbeat_due:
             self._send(_HEARTBEAT + self.node_id, bytes((self.state,)))
             self._heartbeat_due = max(self._heartbeat_due + period, now)
-        if self._consumers.overdue(now) or (self._guarding is not None and self._guarding.overdue(now)):
+        if self._consumers.overdue(now) or (self.guarding is not None and self.guarding.overdue(now)):
             self._heartbeat_lost()
         if self.state is not NmtState.STOPPED and self._sync_port.made(now):
             self._send(self._sync_port.identifier, b"")
@@ -335,7 +336,8 @@ class Node:
 
     def emergency(self, code: int, register: int, vendor: bytes = bytes(5)) -> None:
         """Send an EMCY and keep it in 0x1001 and 0x1003; code 0 says that the error is gone."""
-        self.errors.report(code, register, vendor, self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL))
+        heard = self.state in (NmtState.PRE_OPERATIONAL, NmtState.OPERATIONAL)
+        self.errors.report(code, register, vendor, heard, self.now)
 
     def _write_heartbeat(self, value: int) -> None:
         self._heartbeat_due = self.now

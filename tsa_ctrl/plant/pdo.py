@@ -15,7 +15,7 @@ from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDicti
 
 INVALID = 0x80000000  # COB-ID bit 31: the PDO does not exist
 NO_REMOTE = 0x40000000  # COB-ID bit 30 of a TPDO: not to be asked for by a remote frame
-_DUMMIES = {entry.number: entry for entry in Type if entry.size}  # 0x0002..0x0007 fill gaps in an RPDO
+_DUMMIES = {entry.number: entry for entry in Type if 0x0002 <= entry.number <= 0x0007}  # fill gaps in an RPDO
 
 
 class Direction(Enum):
@@ -120,7 +120,11 @@ class Pdo:
                 raise SdoAbort(AbortCode.NO_OBJECT)
             readable = entry.access is not Access.WO
             writable = entry.access in (Access.RW, Access.WO)
-            if not entry.mappable or not (readable if self.direction is Direction.TPDO else writable):
+            if (
+                not entry.mappable
+                or not entry.type.code
+                or not (readable if self.direction is Direction.TPDO else writable)
+            ):
                 raise SdoAbort(AbortCode.NOT_MAPPABLE)
             kind = entry.type
         if bits != kind.size * 8:

@@ -40,6 +40,7 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     watches_always: bool = False  # 0x6007 = 1 taken literally: a lost heartbeat is a fault, enabled or not
     rpdo_timer_on_sync: bool = False  # the RPDO event timer is looked at only when a SYNC comes
     node_guarding: bool = False  # no heartbeat, made or heard: 0x100C, 0x100D and remote frames instead
+    guarding_toggles: bool = True  # false: all answers to node guarding have one toggle bit
 
     # its commands
     delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs by which they act later than their RPDO's type says

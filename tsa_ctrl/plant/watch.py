@@ -85,8 +85,9 @@ def _consumer(value: int) -> _Consumer | None:
 class Guarding:
     """Answers remote frames, and notices when they stop: guard time 0x100C (ms) times life time factor 0x100D."""
 
-    def __init__(self, dictionary: ObjectDictionary) -> None:
+    def __init__(self, dictionary: ObjectDictionary, toggles: bool = True) -> None:
         self._values = dictionary.values
+        self.toggles = toggles
         self._toggle = 0
         self._asked: float | None = None
 
@@ -101,7 +102,7 @@ class Guarding:
         """The state with the toggle bit; life guarding begins with the first request."""
         self._asked = now
         data = bytes((state | self._toggle,))
-        self._toggle ^= _TOGGLE
+        self._toggle ^= _TOGGLE if self.toggles else 0
         return data
 
     def overdue(self, now: float) -> bool:

@@ -33,6 +33,12 @@ def skipped(image: Image, begin: float, planned: int) -> str:
     return f"{overruns.skipped(begin)} of {planned} periods had no cycle: {overruns.remedy(begin, planned)}"
 
 
+def silent(health: NodeHealth, now: float) -> str:
+    """Return for how long a node has sent no heartbeat, and whether it answered to node guarding in vain."""
+    stuck = f"; {health.untoggled} answers to node guarding repeated their toggle bit" if health.untoggled else ""
+    return f"{health}: none for {1e3 * (now - health.heard):.0f} ms{stuck}"
+
+
 def _missing(health: NodeHealth) -> str:
     counts = (("late", health.late), ("repeated", health.repeated), ("wrong length", health.malformed))
     instead = ", ".join(f"{name} {count}" for name, count in counts if count)

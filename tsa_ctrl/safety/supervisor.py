@@ -224,8 +224,7 @@ class Supervisor:
             for health in image.nodes:
                 self._examine(image, health, now)
         if image.silent is not None:
-            silent = image.silent
-            self._latch(Cause.HEARTBEAT_LOST, f"{silent}: none for {1e3 * (now - silent.heard):.0f} ms", now)
+            self._latch(Cause.HEARTBEAT_LOST, blame.silent(image.silent, now), now)
         if image.misses > self._misses:
             self._latch(Cause.STALE_PDO, blame.stale(image), now)
         if image.drops > self._drops:

@@ -85,6 +85,18 @@ def test_diff_without_a_file_shows_what_a_bring_up_would_change(nodes: Bench) ->
     assert "0 differ" in run(nodes, "diff")
 
 
+@pytest.mark.parametrize(
+    ("kind", "value"), [("f32", 0.5), ("f64", -1e-300), ("u64", (1 << 64) - 1), ("i24", -5), ("bool", True)]
+)
+def test_a_backup_holds_every_basic_type(tmp_path: Path, kind: str, value: float) -> None:
+    stored = StoredObject(index=0x2000, subindex=1, type=kind, value=value)  # type: ignore[arg-type]
+    backup = Backup(node_id=1, vendor_id=0xFB, product_code=1, object=[stored])
+    file = tmp_path / "drive.toml"
+    file.write_text(backup.text(), encoding="utf-8")
+    (read,) = load_backup(file).object
+    assert (read.value, read.raw) == (value, stored.raw)
+
+
 def test_dump_and_diff_list_what_acts_on_the_torque(nodes: Bench, tmp_path: Path) -> None:
     """A start sets the offset to 0 and reports the limit, on python-canopen as on any drive."""
     file = tmp_path / "drive.toml"

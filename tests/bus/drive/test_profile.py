@@ -18,6 +18,7 @@ from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).parents[3] / "config"
 _OFFSET = "[[extra]]\nindex = {}\ntype = 'i16'\nvalue = 5\nname = 'mine'"
+_EXTRA = "[[extra]]\nindex = 0x2100\ntype = '{}'\nvalue = {}\nname = 'mine'"
 NAMES = sorted(path.stem for path in (CONFIG / "drives").glob("*.toml"))
 
 
@@ -95,6 +96,13 @@ def test_unknown_profile_is_answered_with_the_known_ones() -> None:
             "[[extra]] 'mine' writes 5 to 0x60B2, which the drive adds to the command; allowed is 0",
         ),
         (_OFFSET.format(0x70B1), "[[extra]] 'mine' writes 5 to 0x70B1"),
+        (_EXTRA.format("u24", 1 << 24), "'mine': value 16777216 does not fit u24 (whole numbers from 0 to 16777215)"),
+        (_EXTRA.format("i40", 0.5), "'mine': value 0.5 does not fit i40 (whole numbers from"),
+        (_EXTRA.format("f32", "inf"), "extra.value: found inf; give a finite number"),
+        (_EXTRA.format("f64", "nan"), "extra.value: found nan; give a finite number"),
+        (_EXTRA.format("f32", 1e39), "'mine': value 1e+39 does not fit f32 (-3.40282e+38 to 3.40282e+38)"),
+        (_EXTRA.format("bool", 2), "'mine': value 2 does not fit bool (whole numbers from 0 to 1)"),
+        (_EXTRA.format("u7", 2), "extra"),
         ("absent = ['max torque']", "no object limits the drive's torque"),
         ("[units]\nvelocity = 'furlong'", "units.velocity: invalid enum value 'furlong'"),
         ("[reactions]\nfault = 'keeep'", "reactions.fault"),

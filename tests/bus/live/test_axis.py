@@ -118,6 +118,23 @@ def test_heartbeats() -> None:
     assert (health.nmt_state, health.boot_ups, image.events, health.malformed) == (0, 1, 3, 2)
 
 
+def test_an_answer_to_node_guarding_with_an_unchanged_toggle_bit_did_not_come() -> None:
+    _, health, image, clock = guard()
+    watch = Guard(health, image, clock, guarded=True)
+    for data, counts in (
+        (b"\x05", True), (b"\x85", True), (b"\x85", False), (b"\x05", True), (b"\x00", True), (b"\x05", True),
+        (b"\x7f", False), (b"\xff", True),
+    ):  # fmt: skip
+        before, clock.now = health.heard, clock.now + 1.0
+        watch.heartbeat(data)
+        assert health.heard == (clock.now if counts else before), data
+    assert (health.untoggled, health.boot_ups) == (2, 1)
+    assert health.nmt_state == 0x7F
+    watch.begin()
+    watch.heartbeat(b"\xff")
+    assert health.untoggled == 2
+
+
 def test_emergencies() -> None:
     watch, health, image, _ = guard(frozenset({0x3210}))
     watch.emergency(bytes(7))

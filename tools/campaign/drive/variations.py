@@ -147,6 +147,11 @@ VARIATIONS: tuple[Variation, ...] = (
     Variation("node guarding, no heartbeat", {"node_guarding": True}, refused='supervision = "guarding"'),
     Variation("node guarding, and the profile says so", {"node_guarding": True}, {"supervision": "guarding"}),
     Variation(
+        "node guarding without a toggle bit", {"node_guarding": True, "guarding_toggles": False},
+        {"supervision": "guarding"}, refused="repeated their toggle bit",
+    ),
+    Variation("inhibit time of EMCYs left", _objects(x1015_0=5000)),
+    Variation(
         "node guarding to the letter", {"node_guarding": True, "watches_always": True}, {"supervision": "guarding"}
     ),
 )  # fmt: skip

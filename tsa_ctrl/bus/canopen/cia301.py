@@ -55,6 +55,9 @@ def heartbeat(state: NmtState) -> bytes:
     return bytes((state,))
 
 
+TOGGLE = 0x80  # bit of an answer to node guarding, which alternates from answer to answer
+
+
 def heartbeat_state(data: bytes) -> int | None:
     """The NMT state that a heartbeat reports (`NmtState` where the standard names it); None when malformed."""
     return data[0] & 0x7F if len(data) == 1 else None

@@ -81,14 +81,15 @@ def check_plan(dictionary: ObjectDictionary, path: str | Path, plan: Iterable[Wr
                 )
             notes[f"its EDS has {entry} with another sign (DataType 0x{variable.data_type:04X})"] = None
         if not variable.writable:
-            if variable.default is not None and variable.default not in (write.value, *write.fine) and not write.kept:
+            default = None if entry.type.real else variable.default
+            if default is not None and default not in (write.value, *write.fine) and not write.kept:
                 raise UsageError(
                     f"{path}: section {section}: {entry} is '{variable.access_type}' with {variable.default}, but must "
                     f"be {write.value}; repair the EDS, or work without one"
                 )
             notes[f"its EDS says that {entry} cannot be written"] = None
             continue
-        low, high = variable.min, variable.max
+        low, high = (None, None) if entry.type.real else (variable.min, variable.max)  # of the bits they mean nothing
         if low is not None and high is not None and low > high:
             continue  # limits of nothing are no limits
         if write.rated is None and not write.kept and not (_above(write.value, low) and _above(high, write.value)):

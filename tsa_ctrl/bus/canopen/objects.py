@@ -6,6 +6,7 @@ Works without an EDS. Types and numbers are those of CiA 301, 402, 404 and 406.
 from __future__ import annotations
 
 import struct
+import sys
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -16,26 +17,58 @@ _PROFILE = range(0x6000, 0xA000)  # objects of the device profile
 
 
 class Type(Enum):
-    """Basic data types: struct format, CiA 301 code, bounds."""
+    """Basic data types: struct format of those that PDOs of this controller carry, CiA 301 code, bytes, and kind.
 
-    I8 = ("b", 0x0002, -(1 << 7), (1 << 7) - 1)
-    I16 = ("h", 0x0003, -(1 << 15), (1 << 15) - 1)
-    I32 = ("i", 0x0004, -(1 << 31), (1 << 31) - 1)
-    U8 = ("B", 0x0005, 0, (1 << 8) - 1)
-    U16 = ("H", 0x0006, 0, (1 << 16) - 1)
-    U32 = ("I", 0x0007, 0, (1 << 32) - 1)
+    Values are handled as raw integers. Those of a real type are its bits (IEEE 754), so they compare exactly.
+    Source: CiA 301, 7.4.4 and table 44.
+    """
 
-    def __init__(self, code: str, number: int, low: int, high: int) -> None:
+    BOOL = ("?", 0x0001, 1, "unsigned")
+    I8 = ("b", 0x0002, 1, "signed")
+    I16 = ("h", 0x0003, 2, "signed")
+    I32 = ("i", 0x0004, 4, "signed")
+    U8 = ("B", 0x0005, 1, "unsigned")
+    U16 = ("H", 0x0006, 2, "unsigned")
+    U32 = ("I", 0x0007, 4, "unsigned")
+    F32 = ("f", 0x0008, 4, "real")
+    I24 = ("", 0x0010, 3, "signed")
+    F64 = ("d", 0x0011, 8, "real")
+    I40 = ("", 0x0012, 5, "signed")
+    I48 = ("", 0x0013, 6, "signed")
+    I56 = ("", 0x0014, 7, "signed")
+    I64 = ("q", 0x0015, 8, "signed")
+    U24 = ("", 0x0016, 3, "unsigned")
+    U40 = ("", 0x0018, 5, "unsigned")
+    U48 = ("", 0x0019, 6, "unsigned")
+    U56 = ("", 0x001A, 7, "unsigned")
+    U64 = ("Q", 0x001B, 8, "unsigned")
+
+    def __init__(self, code: str, number: int, size: int, kind: str) -> None:
         self.code = code
         self.number = number
-        self.low = low
-        self.high = high
-        self.struct = struct.Struct("<" + code)
+        self.size = size
+        self.real = kind == "real"
+        self.signed = kind == "signed"
+        bits = 1 if number == 0x0001 else 8 * size
+        self.low = -(1 << bits - 1) if self.signed else 0
+        self.high = (1 << bits - 1) - 1 if self.signed else (1 << bits) - 1
 
-    @property
-    def size(self) -> int:
-        """Length in bytes."""
-        return self.struct.size
+    def raw(self, value: float) -> int:
+        """Return the raw integer of a value as a person writes it; raise ValueError with the allowed range."""
+        if self.real:
+            most = struct.unpack("<f", b"\xff\xff\x7f\x7f")[0] if self.size == 4 else sys.float_info.max
+            if not -most <= value <= most:  # neither is nan
+                raise ValueError(f"{self.name.lower()} ({-most:g} to {most:g})")
+            return int.from_bytes(struct.pack(f"<{self.code}", value), "little")
+        if value != int(value) or not self.low <= value <= self.high:
+            raise ValueError(f"{self.name.lower()} (whole numbers from {self.low} to {self.high})")
+        return int(value)
+
+    def number_of(self, raw: int) -> int | float:
+        """Return the value of a raw integer as a person writes it."""
+        if not self.real:
+            return raw
+        return float(struct.unpack(f"<{self.code}", raw.to_bytes(self.size, "little"))[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +105,15 @@ class Object:
                 f"{self}: value {value} does not fit {self.type.name.lower()} "
                 f"({self.type.low} to {self.type.high}); correct the setting it comes from"
             )
-        return self.type.struct.pack(value)
+        return value.to_bytes(self.type.size, "little", signed=self.type.signed)
 
     def decode(self, data: bytes) -> int:
         """The value in SDO data; shorter answers are extended, longer ones truncated, as devices pad differently."""
-        signed = self.type.low < 0
-        return int.from_bytes(data[: self.type.size], "little", signed=signed)
+        return int.from_bytes(data[: self.type.size], "little", signed=self.type.signed)
+
+    def shown(self, raw: int) -> str:
+        """Return a raw value for people: hexadecimal, or the number of a real type."""
+        return f"{self.type.number_of(raw):.{7 if self.type.size == 4 else 15}g}" if self.type.real else f"{raw:#x}"
 
 
 @dataclass(frozen=True)
@@ -104,6 +140,7 @@ SYNC_WINDOW = Object(0x1007, 0, Type.U32, "SYNC window")  # us
 GUARD_TIME = Object(0x100C, 0, Type.U16, "guard time")  # ms
 LIFE_TIME_FACTOR = Object(0x100D, 0, Type.U8, "life time factor")
 EMCY_COB_ID = Object(0x1014, 0, Type.U32, "EMCY COB-ID")
+EMCY_INHIBIT = Object(0x1015, 0, Type.U16, "inhibit time EMCY")  # 100 us
 HEARTBEAT_CONSUMERS = Object(0x1016, 0, Type.U8, "number of heartbeat consumers")
 HEARTBEAT_CONSUMER = Object(0x1016, 1, Type.U32, "heartbeat consumer")  # node << 16 | ms
 HEARTBEAT_PRODUCER = Object(0x1017, 0, Type.U16, "heartbeat producer")  # ms

@@ -20,7 +20,7 @@ from tsa_ctrl.bus.canopen import cia402, objects
 from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
-from tsa_ctrl.bus.drive.profile import Index, IntegerType, Subindex
+from tsa_ctrl.bus.drive.profile import Index, NumberType, Subindex
 from tsa_ctrl.bus.drive.report import Row
 from tsa_ctrl.bus.drive.scale import PER_MILLE
 from tsa_ctrl.bus.drive.session import Session
@@ -40,13 +40,18 @@ class StoredObject(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
 
     index: Index
     subindex: Subindex
-    type: IntegerType
-    value: int
+    type: NumberType
+    value: bool | int | float
     name: str = ""
 
     @property
     def entry(self) -> Object:
         return Object(self.index, self.subindex, Type[self.type.upper()], self.name)
+
+    @property
+    def raw(self) -> int:
+        """Raw value; raises ValueError for one that the type cannot hold."""
+        return self.entry.type.raw(self.value)
 
 
 class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -82,8 +87,12 @@ class Backup(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
         return str(tomlkit.dumps(document))
 
 
-def _hexadecimal(value: int, digits: int) -> tomlkit.items.Integer | int:
-    return value if value < 0 else tomlkit.items.Integer(value, tomlkit.items.Trivia(), f"0x{value:0{digits}X}")
+def _hexadecimal(value: float, digits: int) -> tomlkit.items.Integer | float:
+    return (
+        value
+        if value < 0 or not isinstance(value, int)
+        else tomlkit.items.Integer(value, tomlkit.items.Trivia(), f"0x{value:0{digits}X}")
+    )
 
 
 @dataclass(frozen=True)
@@ -95,8 +104,8 @@ class Difference:
     found: int | None
 
     def __str__(self) -> str:
-        found = "not there" if self.found is None else f"{self.found:#x}"
-        return f"{self.entry}: drive {found}, wanted {self.wanted:#x}"
+        found = "not there" if self.found is None else self.entry.shown(self.found)
+        return f"{self.entry}: drive {found}, wanted {self.entry.shown(self.wanted)}"
 
 
 def load_backup(path: str | Path) -> Backup:
@@ -104,9 +113,9 @@ def load_backup(path: str | Path) -> Backup:
     backup = settings.load(path, Backup)
     for stored in backup.object:
         try:
-            stored.entry.encode(stored.value)
-        except UsageError as error:
-            raise UsageError(f"{path}: {error}") from None
+            _ = stored.raw
+        except ValueError as error:
+            raise UsageError(f"{path}: {stored.entry}: value {stored.value} does not fit {error}; correct it") from None
     return backup
 
 
@@ -144,8 +153,9 @@ def dump(session: Session, node_id: int, entries: Iterable[Object]) -> Backup:
         if _communication_of(index) not in (None, index) and subindex == 0:
             mapped[index] = value or 0
         if value is not None:
-            type_ = msgspec.convert(entry.type.name.lower(), IntegerType)
-            stored.append(StoredObject(index=index, subindex=subindex, type=type_, value=value, name=entry.name))
+            type_ = msgspec.convert(entry.type.name.lower(), NumberType)
+            number = entry.type.number_of(value)
+            stored.append(StoredObject(index=index, subindex=subindex, type=type_, value=number, name=entry.name))
     vendor, product, revision, serial = (
         session.read_if_there(node_id, entry) or 0
         for entry in (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.REVISION, objects.SERIAL_NUMBER)
@@ -200,7 +210,7 @@ def restore_plan(stored: Sequence[StoredObject]) -> list[Write]:
             continue
         communication = _communication_of(item.index)
         if communication is None:
-            plan.append(Write(item.entry, item.value))
+            plan.append(Write(item.entry, item.raw))
             continue
         members = [key for key in values if key[0] in (communication, communication + _MAPPING_OFFSET)]
         done.update(members)
@@ -249,14 +259,14 @@ def _pdo_plan(members: Sequence[StoredObject], communication: int) -> list[Write
     mapping = communication + _MAPPING_OFFSET
     cob_id = [item for item in members if (item.index, item.subindex) == (communication, 1)]
     count = [item for item in members if (item.index, item.subindex) == (mapping, 0)]
-    used = count[0].value if count else 0
+    used = count[0].raw if count else 0
     entries = [item for item in members if item.index == mapping and 0 < item.subindex <= used]
     others = [item for item in members if item.index == communication and item.subindex > 1]
     return [
-        *(Write(item.entry, item.value | COB_ID_INVALID) for item in cob_id),
+        *(Write(item.entry, item.raw | COB_ID_INVALID) for item in cob_id),
         *(Write(item.entry, 0) for item in count),
-        *(Write(item.entry, item.value) for item in entries),
-        *(Write(item.entry, item.value) for item in count),
-        *(Write(item.entry, item.value) for item in others),
-        *(Write(item.entry, item.value) for item in cob_id),
+        *(Write(item.entry, item.raw) for item in entries),
+        *(Write(item.entry, item.raw) for item in count),
+        *(Write(item.entry, item.raw) for item in others),
+        *(Write(item.entry, item.raw) for item in cob_id),
     ]

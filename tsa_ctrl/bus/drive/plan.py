@@ -25,7 +25,7 @@ _MAX_EXPONENT, _MIN_EXPONENT = 0, -9
 _ENDS_WITHOUT_TORQUE = frozenset(range(5))  # 0x605A to 0x605E
 _REACTS = frozenset({1, 2, 3})  # 0x6007: fault, disable voltage, quick stop
 _LEAVES_OPERATIONAL = frozenset({0, 2})  # 0x1029: pre-operational, stopped
-_ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO: it means nothing
+_ANY = frozenset(range(1 << 16))  # event timer of a synchronous PDO, which means nothing; inhibit time of emergencies
 
 
 def drive_plan(
@@ -78,7 +78,7 @@ def drive_plan(
         _torque_clamp(profile, scale, where),
         Write(objects.MAX_MOTOR_SPEED, scale.max_speed_digits),
         *(
-            Write(Object(extra.index, extra.subindex, Type[extra.type.upper()], extra.name), extra.value)
+            Write(Object(extra.index, extra.subindex, Type[extra.type.upper()], extra.name), extra.raw)
             for extra in profile.extra
         ),
         *(Write(each.entry, each.restored, optional=True) for each in TORQUE_PATH if each.restored is not None),
@@ -121,8 +121,12 @@ def sync_writes(period: float, needs_period: bool = False) -> list[Write]:
 
 
 def emcy_writes(node_id: int) -> list[Write]:
-    """Emergencies come where they are looked for; an identifier changes only while it is not valid (CiA 301)."""
+    """Return the writes that let emergencies come at once, and under the identifier that is listened to.
+
+    Source: CiA 301, 7.5.2.17 and 7.5.2.18; an identifier changes only while it is not valid.
+    """
     return [
+        Write(objects.EMCY_INHIBIT, 0, optional=True, fine=_ANY),
         Write(objects.EMCY_COB_ID, COB_ID_INVALID | EMCY + node_id, optional=True),
         Write(objects.EMCY_COB_ID, EMCY + node_id, optional=True),
     ]

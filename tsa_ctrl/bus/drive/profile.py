@@ -83,6 +83,10 @@ class Units(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tru
 
 Keep = Literal["keep"]
 IntegerType = Literal["i8", "i16", "i32", "u8", "u16", "u32"]
+NumberType = Literal[
+    "bool", "i8", "i16", "i24", "i32", "i40", "i48", "i56", "i64",
+    "u8", "u16", "u24", "u32", "u40", "u48", "u56", "u64", "f32", "f64",
+]  # fmt: skip
 Index = Annotated[int, Meta(ge=0x1000, le=0xFFFF)]
 Subindex = Annotated[int, Meta(ge=0, le=0xFF)]
 EmcyCode = Annotated[int, Meta(ge=1, le=0xFFFF)]
@@ -120,9 +124,14 @@ class ExtraWrite(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_onl
 
     index: Index
     subindex: Subindex = 0
-    type: IntegerType
-    value: int
+    type: NumberType
+    value: bool | int | float
     name: str
+
+    @property
+    def raw(self) -> int:
+        """Raw value; raises ValueError."""
+        return objects.Type[self.type.upper()].raw(self.value)
 
 
 class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -174,6 +183,12 @@ def load_profile(name: str, folder: str | Path) -> DriveProfile:
             raise UsageError(f"{path}: absent: unknown object '{absent}'; {advice}")
     offsets = {entry.of(slot).index for entry in OFFSETS for slot in range(1, MOST_SLOTS + 1)}
     for extra in profile.extra:
+        try:
+            _ = extra.raw
+        except ValueError as error:
+            raise UsageError(
+                f"{path}: [[extra]] '{extra.name}': value {extra.value} does not fit {error}; correct value or type"
+            ) from None
         if extra.value and extra.index in offsets:
             raise UsageError(
                 f"{path}: [[extra]] '{extra.name}' writes {extra.value} to 0x{extra.index:04X}, which the drive adds "

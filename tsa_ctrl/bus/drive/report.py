@@ -22,8 +22,9 @@ class Row:
     def __str__(self) -> str:
         if self.after is None:
             return f"{self.entry}: not there"
-        before = "?" if self.before is None else f"{self.before:#x}"
-        return f"{self.entry}: {before} -> {self.after:#x}" if self.changed else f"{self.entry}: {self.after:#x}"
+        before = "?" if self.before is None else self.entry.shown(self.before)
+        after = self.entry.shown(self.after)
+        return f"{self.entry}: {before} -> {after}" if self.changed else f"{self.entry}: {after}"
 
 
 @dataclass

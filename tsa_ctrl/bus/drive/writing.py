@@ -53,12 +53,13 @@ def write_all(
             if error.code in _READ_ONLY and before is not None and before in write.fine:
                 rows[entry.key] = Row(entry, before, before)
                 if notes is not None:
-                    notes.append(f"{entry} cannot be written; its {before:#x} does as well")
+                    notes.append(f"{entry} cannot be written; its {entry.shown(before)} does as well")
                 continue
-            holds = "" if before is None else f"; it holds {before:#x}"
+            holds = "" if before is None else f"; it holds {entry.shown(before)}"
             raise BusError(f"{name}: {error}{holds}; {cure(entry, error.code)}") from None
         if after != wanted:
-            raise BusError(f"{name}: {entry}: wrote {wanted:#x}, read back {after:#x}; {cure(entry, None)}")
+            shown, kept = entry.shown(wanted), entry.shown(after)
+            raise BusError(f"{name}: {entry}: wrote {shown}, read back {kept}; {cure(entry, None)}")
         first = rows.get(entry.key)
         rows[entry.key] = Row(entry, before if first is None else first.before, after)
     return list(rows.values())

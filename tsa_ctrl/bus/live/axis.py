@@ -70,12 +70,19 @@ class Inbox:
 class Guard:
     """Heartbeat, boot-up and emergencies of one node."""
 
-    __slots__ = ("_clock", "_health", "_image")
+    __slots__ = ("_clock", "_guarded", "_health", "_image", "_toggle")
 
-    def __init__(self, health: NodeHealth, image: Image, clock: Callable[[], float]) -> None:
+    def __init__(self, health: NodeHealth, image: Image, clock: Callable[[], float], guarded: bool = False) -> None:
+        """`guarded`: the node has no heartbeat and answers to node guarding."""
         self._health = health
         self._image = image
         self._clock = clock
+        self._guarded = guarded
+        self._toggle: int | None = None  # bit of the last answer
+
+    def begin(self) -> None:
+        """Accept either toggle bit in the next answer, after a new bring-up."""
+        self._toggle = None
 
     def heartbeat(self, data: bytes) -> None:
         health = self._health
@@ -83,6 +90,12 @@ class Guard:
         if state is None:
             health.malformed += 1
             return
+        if self._guarded:
+            toggle = None if state == NmtState.BOOT_UP else data[0] & cia301.TOGGLE
+            if toggle is not None and toggle == self._toggle:  # CiA 301, 7.2.8.3.2.1: as if it had not come
+                health.untoggled += 1
+                return
+            self._toggle = toggle
         health.heard = self._clock()
         if state == NmtState.BOOT_UP:
             health.boot_ups += 1
@@ -168,7 +181,10 @@ class Axis:
             self._sensor_scale = sensor.sign * sensor.resolution
             self._sensor_offset = sensor.offset
         self.image = Image(tuple(guarded))
-        self.guards = [Guard(health, self.image, clock) for health in guarded]
+        by_guarding = profile.supervision == "guarding"
+        self.guards = [
+            Guard(health, self.image, clock, by_guarding and health.role is Role.DRIVE) for health in guarded
+        ]
 
         self._motor = PositionTracker(self.scale.position, _COUNTER_RANGE, 0, drive.velocity_cutoff)
         self._differentiate_motor = drive.velocity_source == "position"
@@ -220,6 +236,8 @@ class Axis:
             health.nmt_state = NmtState.OPERATIONAL
             health.boot_ups = health.emcys = health.misses = health.warnings = 0
             health.emcy = health.warning = None
+        for guard in self.guards:
+            guard.begin()
         image.silent = image.intruder = image.altered = image.pressed = image.bus_fault = None
         image.fresh = image.joint_fresh = False
         image.misses = image.drops = image.events = 0

@@ -29,6 +29,7 @@ class NodeHealth:
         "role",
         "timeout",
         "told",
+        "untoggled",
         "warning",
         "warnings",
     )
@@ -45,6 +46,7 @@ class NodeHealth:
         self.told: frozenset[int] = frozenset()  # codes of emergencies that are told and stop nothing
         self.warnings = 0  # emergencies with such a code
         self.warning: Emcy | None = None  # the last of them
+        self.untoggled = 0  # answers to node guarding that repeated their toggle bit
         self.misses = 0  # cycles in a row without all its PDOs
         self.missed = 0  # cycles without all its PDOs
         self.late = 0  # PDOs that came after their cycle's deadline

@@ -36,6 +36,7 @@ _MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, object
 _QUESTION = struct.Struct("<BHB4x")
 _KEY = struct.Struct("<xHB")
 _UPLOAD = 0x40
+_FITS = 4  # bytes of an expedited answer; larger objects need several frames and are not read back here
 _EXPEDITED = 0x43  # with its data in the frame, of as many bytes as bits 2 and 3 leave
 _EXPEDITED_BITS = 0xE3
 
@@ -55,7 +56,7 @@ def held_by(report: Report) -> tuple[Held, ...]:
         Held(node.node_id, row.entry, row.after)
         for node in report.nodes
         for row in node.rows
-        if row.after is not None and row.entry.name not in _MOVES
+        if row.after is not None and row.entry.name not in _MOVES and row.entry.type.size <= _FITS
     ]
     return tuple(dict.fromkeys(rows))
 
@@ -167,6 +168,8 @@ class ReadBack:
             self._again = asked
         else:
             self._again = None
-            self.altered[node_id] = f"{asked.entry} is {found:#x}, at the start it was {asked.value:#x}"
+            self.altered[node_id] = (
+                f"{asked.entry} is {asked.entry.shown(found)}, at the start it was {asked.entry.shown(asked.value)}"
+            )
             return True
         return False
