@@ -469,16 +469,19 @@ def test_a_slow_loop_loses_as_large_a_share_and_never_fewer_than_are_tolerated_i
         assert lose(bench, 1, 1.0) == pytest.approx(1e-3 * most)
 
 
+@pytest.mark.parametrize("node", [0, 1])
 @pytest.mark.parametrize(("rate", "most"), [(1000.0, 50), (100.0, 5), (20.0, 3)])
-def test_repeated_pdos_of_a_drive_in_a_twentieth_of_the_cycles_are_a_second_drive(rate: float, most: int) -> None:
+def test_repeated_pdos_of_a_node_in_a_twentieth_of_the_cycles_are_a_second_node(
+    rate: float, most: int, node: int
+) -> None:
+    """An encoder counts as the drive does: forged angles drive the motor as well as forged torques."""
     bench = Bench()
     bench.supervisor = Supervisor(SupervisionSettings(), rate=rate)
     bench.step(Request.DISABLE, 5)
     bench.step(Request.ENABLE, 10)
     for n in range(most):
         assert bench.permitted
-        bench.image.nodes[0].repeated += 2
-        bench.image.nodes[1].repeated += 2  # an encoder's do not count
+        bench.image.nodes[node].repeated += 2
         bench.step(Request.ENABLE)
         assert bench.permitted is (n < most - 1)
     assert (bench.cause, bench.supervisor.needs_bring_up) == (Cause.REPEATED_PDO, True)

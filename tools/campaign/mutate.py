@@ -52,7 +52,7 @@ TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must see its m
     "tsa_ctrl/daemon/descent.py": ("tests/daemon/test_descent.py",),
     "tsa_ctrl/safety/unheard.py": ("tests/safety/test_unheard.py",),
     "tsa_ctrl/bus/live/hearing.py": ("tests/bus/live/test_hearing.py",),
-    "tsa_ctrl/safety/apart.py": ("tests/safety/test_apart.py", "tests/safety/test_plausibility.py"),
+    "tsa_ctrl/safety/residuals.py": ("tests/safety/test_residuals.py", "tests/safety/test_plausibility.py"),
     "tsa_ctrl/bus/live/axis.py": ("tests/bus/live/test_axis.py", "tests/bus/live/test_rig.py"),
     "tsa_ctrl/bus/live/rig.py": ("tests/bus/live/test_rig_bounds.py", "tests/bus/live/test_rig.py"),
     "tsa_ctrl/control/direction.py": ("tests/control/test_direction.py",),

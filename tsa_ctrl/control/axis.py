@@ -172,7 +172,7 @@ class ControlAxis:
         """After the command: tell the law, latch what the limiter found, and learn from this cycle's measurements."""
         image, terms, instruments = self.image, self.terms, self.instruments
         instruments.update(now)
-        self.joint_torque.update(image, terms.omega_j, instruments.tau_j)
+        self.joint_torque.update(image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted)
         terms.theta = theta = self.bending.update()
         if not terms.permitted:
             self.release()
@@ -187,12 +187,15 @@ class ControlAxis:
             feedback = (image.tau_m, image.q_m, image.omega_m)
             tau_j = instruments.tau_j
             expected = self._expected() if tau_j == tau_j else (0.0, 0.0)
-            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
+            way = self.joint_torque.motor_way
+            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected, way)
             wrong = wrong or self.sense.update(
                 now, image.tau_m, self._stretch(), image.tau_j, terms.sigma, terms.omega_j
             )
             self.limiter.ceiling = self.sense.ceiling
+            wrong = wrong or self.joint_torque.contradiction
             if wrong is not None:
+                self.joint_torque.faulty = True
                 self.supervisor.trip(wrong, now)
         self.estimator.update(
             Sample(

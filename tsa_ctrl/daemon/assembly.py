@@ -32,15 +32,17 @@ from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, wound_by_friction
+from tsa_ctrl.model.stretch import compliance_centre
+from tsa_ctrl.observer.by_elongation import ElongationTorque
 from tsa_ctrl.observer.by_model import ModelTorque
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.readiness import loose_lines
-from tsa_ctrl.safety.apart import DOUBT, Give
 from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
+from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
 
@@ -99,8 +101,10 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     settings.drive.rated_torque * settings.drive.gear_ratio,
                     (model.motor_pulley_radius, model.joint_pulley_radius),
                     settings.encoder is not None,
-                    give_of(settings, model),
+                    give_of(settings, model, plan.inertia),
                     period,
+                    counts_of(settings, model.joint_pulley_radius / model.motor_pulley_radius),
+                    settings.drive.velocity_source == "drive",
                 ),
                 joint_torque=joint_torque,
                 period=period,
@@ -140,20 +144,33 @@ def set_point_limit(settings: AxisSettings, model: TendonSheath) -> float:
     return settings.limits.torque * model.joint_pulley_radius / model.motor_pulley_radius
 
 
-def give_of(settings: AxisSettings, model: TendonSheath) -> Give:
-    """How far motor and joint may be apart, with the file's doubt of friction and stiffness."""
+def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give:
+    """Return the compliance between motor and joint, with the uncertainty of friction and stiffness.
+
+    `inertia`: kg*m^2 of the motor, 0 where it is not known.
+    """
     stiffness = motor_stiffness(model)
-    friction = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+    friction = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty) - 1.0
     lost = float(model.effects.get("motor_side_friction", {}).get("coulomb", 0.0))
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     play = 2.0 * geared * float(model.effects.get("backlash", {}).get("gap", 0.0))
     return Give(
         stiffness=stiffness,
-        wound=friction * wound_by_friction(model) + 2.0 * lost / stiffness,
+        wound=wound_by_friction(model) + 2.0 * lost / stiffness,
         domain=2.0 * model.pretension * model.motor_pulley_radius,
         play=play + sum(counts_of(settings, geared)),
         doubt=max(DOUBT, 2.0 * model.axial_stiffness_uncertainty),
+        free=free_share(model),
+        friction=max(FRICTION, friction),
+        inertia=inertia,
     )
+
+
+def free_share(model: TendonSheath) -> float:
+    """Return the most of 1 - s_c, the share of the friction that shows in the elongation; 1 for an unknown shape."""
+    if model.bending_centre is None and "elongation_coupling" not in model.effects:
+        return 1.0
+    return min(1.0, 1.0 - compliance_centre(model) + model.bending_centre_uncertainty)
 
 
 def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
@@ -178,10 +195,11 @@ def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float,
     if encoder is None:
         return JointTorque(by_model, None, "", period)
     try:
-        stretch = StretchObserver(model, period, counts_of(settings, 1.0), inertia)
+        counts = counts_of(settings, 1.0)
+        stretch = StretchObserver(model, period, counts, inertia)
     except UsageError as error:
         return JointTorque(by_model, None, f"no joint torque from the tendons' stretch: {error}", period)
-    return JointTorque(by_model, stretch, "", period)
+    return JointTorque(by_model, stretch, "", period, ElongationTorque(model, period, counts))
 
 
 def has_torque_sensor(settings: AxisSettings) -> bool:

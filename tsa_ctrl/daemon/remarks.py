@@ -35,6 +35,9 @@ class Remarks:
         self._less = [False] * len(axes)
         self._why = [""] * len(axes)
         self._bits = [0] * len(axes)  # that are set
+        self._confirmed = [True] * len(axes)
+        self._repeated = [0] * len(axes)  # PDOs that came twice in a cycle
+        self._repeated_at = [-AGAIN] * len(axes)  # s
         self._shown = [dict.fromkeys((bit for bit, _ in BITS), -AGAIN) for _ in axes]  # s, when each was told
 
     def begin(self) -> None:
@@ -91,6 +94,27 @@ class Remarks:
                     f"torque is limited to {_range(law.domain)}",
                 )
             self._look_at_bits(t, index, axis)
+            stretch = known.stretch
+            if stretch is not None and stretch.confirmation.confirmed is not self._confirmed[index]:
+                self._confirmed[index] = stretch.confirmation.confirmed
+                if not stretch.confirmation.confirmed:
+                    self._events.add(
+                        t,
+                        axis.name,
+                        "the tendon elongation is not as the reported motor torque predicts: friction or stiffness has "
+                        "changed, or the motor gives another torque than it reports; the band of tau_j_stretch no "
+                        "longer uses the reported torque alone",
+                    )
+            repeated = axis.image.repeated
+            if repeated != self._repeated[index] and t - self._repeated_at[index] >= AGAIN:
+                nodes = ", ".join(f"{node} {node.repeated}" for node in axis.image.nodes if node.repeated)
+                self._repeated[index], self._repeated_at[index] = repeated, t
+                self._events.add(
+                    t,
+                    axis.name,
+                    f"PDOs came more than once in a cycle (since the start: {nodes}); the first of each is used. "
+                    "Another node may have the same id, or an error on the bus repeats frames",
+                )
 
     def _look_at_bits(self, t: float, index: int, axis: ControlAxis) -> None:
         """What the drive says beside its state, when it begins."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from typing import Protocol
 
+from tsa_ctrl.observer.by_elongation import ElongationTorque
 from tsa_ctrl.observer.by_model import ModelTorque
-from tsa_ctrl.observer.stretch import StretchObserver, StretchState
+from tsa_ctrl.observer.stretch import NEARLY, STIFF_FACTOR, StretchObserver, StretchState
 
 MEMORY = 2.0  # s over which sensor and stretch are compared: a turn or two, so that no reversal alone speaks
 SENSOR = 0.03  # 1, of its torque, that a sound joint torque sensor may be off itself, beside the band
+SOFT = 0.1  # s for which the tendons must give as much more than the model's as they may
 OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: told above, told again only after it was below
 
 
@@ -35,9 +37,21 @@ class Measured(Protocol):
 class JointTorque:
     """`stretch` (None on a rig that cannot have it; `why_not` says it) and `model`, N*m at the joint."""
 
-    def __init__(self, model: ModelTorque, stretch: StretchObserver | None, why_not: str, period: float) -> None:
-        """`period` in s."""
+    def __init__(
+        self,
+        model: ModelTorque,
+        stretch: StretchObserver | None,
+        why_not: str,
+        period: float,
+        elongation: ElongationTorque | None = None,
+    ) -> None:
+        """Combine the estimates; `period` in s; `elongation`: the estimate that does not use the reported torque."""
         self.model = model
+        self.elongation = elongation
+        self.faulty = False  # a signal of this axis was found wrong; ends with the next enable
+        self._enabled = False
+        self._soft = 0.0  # s
+        self._period = period
         self.stretch = stretch
         self.why_not = why_not
         self.contradicted = False  # the joint torque sensor lies outside the stretch's band most of the time
@@ -47,15 +61,41 @@ class JointTorque:
 
     @property
     def torque(self) -> tuple[float, float, float]:
-        """By stretch: torque and the ends of its 95 % band, N*m; nan where there is none."""
-        stretch = self.stretch
-        return (math.nan, math.nan, math.nan) if stretch is None else (stretch.torque, stretch.low, stretch.high)
+        """Return the joint torque from the tendon elongation and the ends of its 95 % band, N*m; nan without one.
+
+        The narrow band of the observer holds while the elongation is as the reported motor torque predicts. Afterwards
+        the band without the reported torque is added, as the motor may give another torque than it reports.
+        """
+        stretch, wide = self.stretch, self.elongation
+        if stretch is None or self.faulty:
+            return math.nan, math.nan, math.nan
+        torque, low, high = stretch.torque, stretch.low, stretch.high
+        if stretch.confirmation.confirmed or wide is None or not wide.low < wide.high or torque != torque:
+            return torque, low, high
+        return min(max(torque, wide.low), wide.high), min(low, wide.low), max(high, wide.high)
+
+    @property
+    def contradiction(self) -> str | None:
+        """Return the finding that the motor gives more than it reports, None without one."""
+        if self._soft < SOFT or self.stretch is None:
+            return None
+        return (
+            f"the tendons give {1.0 / self.stretch.stiffness:.1f} times what the reported motor torque stretches them "
+            "by, or more: the motor gives that many times what it reports, or axial_stiffness is that much too high"
+        )
+
+    @property
+    def motor_way(self) -> float:
+        """Rad that the motor has made by its torque and the joint's angle, up to a constant; nan while unknown."""
+        return math.nan if self.stretch is None else self.stretch.motor_way
 
     def reset(self) -> None:
         """The encoders begin anew: nothing that was learned of them holds."""
         self.model.reset()
         if self.stretch is not None:
             self.stretch.reset()
+        if self.elongation is not None:
+            self.elongation.reset()
         self._outside = self.difference = 0.0
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
@@ -69,14 +109,31 @@ class JointTorque:
         if self.stretch is not None:
             self.stretch.pass_over(periods)
 
-    def update(self, image: Measured, omega_j: float, tau_j: float) -> None:
-        """One cycle: what drive and encoder say, the joint's velocity (rad/s), the sensor's torque (N*m or nan)."""
+    def update(
+        self, image: Measured, omega_j: float, tau_j: float, command: float = math.nan, enabled: bool = True
+    ) -> None:
+        """Take one cycle.
+
+        Args:
+            image: the measurements of drive and encoder.
+            omega_j: rad/s of the joint.
+            tau_j: N*m of the joint torque sensor, or nan.
+            command: N*m that the motor is commanded.
+            enabled: torque is permitted.
+        """
+        if enabled and not self._enabled:
+            self.faulty = False
+        self._enabled = enabled
         tau_m, omega_m, fresh = image.tau_m, image.omega_m, image.fresh
         self.model.update(tau_m, omega_m, omega_j, fresh)
         stretch = self.stretch
         if stretch is None:
             return
         stretch.update(tau_m, omega_m, image.q_m, image.q_j, fresh)
+        soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0
+        self._soft = self._soft + self._period if enabled and soft else 0.0
+        if self.elongation is not None and fresh:
+            self.elongation.update(image.q_m, image.q_j, command)
         if tau_j == tau_j and stretch.state is StretchState.TOLD and fresh:
             forget = self._forget
             self.difference += forget * (tau_j - stretch.torque - self.difference)

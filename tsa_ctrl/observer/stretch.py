@@ -25,13 +25,13 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.stretch import profile_of, stretch_line
 from tsa_ctrl.observer import tendons
+from tsa_ctrl.observer.confirmation import Confirmation
 
 CONTACTS = 12  # a tendon; 6 are 1 mN*m worse on the shipped actuator, 24 no better and twice as dear
 NEAR = 1e-3  # 1, of the length, within which bends are one contact, and the shortest spring: far below what x shows
 FRICTION_PRIOR = 0.5  # 1, standard deviation of ln x at the start and the most it grows to again
 FRICTION_WALK = 0.07  # 1 per root of s: 40 % within 10 s is 1.5 standard deviations
-# 1 and s: friction that comes and goes, of x; more hides the stiffness
-PASSING, PASSING_TIME = 0.015, 0.05
+PASSING, PASSING_TIME = 0.015, 0.05  # 1 and s: friction that comes and goes, of x; more hides the stiffness
 ZERO_WALK = 0.3e-6  # m per root of s: creep and warmth, 20 um in an hour and a quarter
 FACTOR = 4.0  # of x either way
 STIFF_WALK = 1e-4  # 1 per root of s, of ln k: a tendon that softens by 1 % in an hour
@@ -116,6 +116,7 @@ class StretchObserver:
         self._turn_noise = (TURN_DOUBT * hidden) ** 2
         self._misled = MISLED * hidden + 2.0 * math.sqrt(self._settings[tendons.NOISE] / ALIKE)
         self._keep_misfit = math.exp(-period / MISLED_FOR)
+        self.confirmation = Confirmation(model, self._settings[tendons.NOISE] / ALIKE, period)
         self.pretension = model.pretension  # N, that x is told at
         tendons.observe(self._pairs, self._memory + 1.0, self._settings, 0.0, 0.0, 0.0, 0.0)  # compiles
         self.reset()
@@ -123,6 +124,7 @@ class StretchObserver:
     def reset(self) -> None:
         """Forget everything, the zero of s, too; the next measurement begins anew."""
         self._gap = 0.0
+        self.confirmation.reset()
         self._origin = math.nan  # m of stretch at the first measurement, from which the zero is counted
         self._memory[:] = 0.0
         settings, memory = self._settings, self._memory
@@ -194,6 +196,11 @@ class StretchObserver:
         return self._origin + float(self._memory[tendons.ZERO])
 
     @property
+    def motor_way(self) -> float:
+        """Return rad that torque and joint moved the motor by, up to a constant; nan while friction may hold it."""
+        return float(self._memory[tendons.WAY]) / self._r_m if self.state is StretchState.TOLD else math.nan
+
+    @property
     def innovation(self) -> float:
         """m by which the last stretch differed from the one foretold."""
         return float(self._memory[tendons.INNOVATION])
@@ -254,6 +261,7 @@ class StretchObserver:
             self._lose()
             self.state = StretchState.SLACK
             return
+        self.confirmation.update(memory)
         torque = self._r_j * tensions
         variance = OF_TENDONS * (self._r_j * deviation) ** 2 + self._noise
         tau = self._per_torque * tau_m

@@ -104,7 +104,85 @@ def _encoder_slip(target: Target) -> Undo:
     return _all(swap(faults, "pivot", target.axis.readings.joint_angle), swap(faults, "gain", target.value))
 
 
+def _object(target: Target, distorted: Callable[[int], int], index: int) -> Undo:
+    """Distort what the drive reports in this object."""
+    distortions = target.drive.faults.distortions
+    distortions[index, 0] = distorted
+
+    def undo(now: float) -> None:
+        distortions.pop((index, 0), None)
+
+    return undo
+
+
+def _scaled(target: Target, index: int) -> Undo:
+    """Multiply an object by the fault's value, a position from its present value on."""
+    start = target.drive.values[index, 0] if index == 0x6064 else 0
+    return _object(target, lambda value: start + round(target.value * (value - start)), index)
+
+
+def _stuck(target: Target, index: int) -> Undo:
+    """Hold an object at its present value."""
+    held = target.drive.values[index, 0]
+    return _object(target, lambda _: held, index)
+
+
+def _reported_offset(target: Target) -> Undo:
+    settings = target.drive.settings
+    rated = settings.rated_torque * settings.gear_ratio * settings.torque_sign
+    offset = round(target.value / rated * target.drive.persona.torque_digits)
+    return _object(target, lambda value: value + offset, 0x6077)
+
+
+def _motor_encoder_stuck(target: Target) -> Undo:
+    """Hold the position; the velocity that the drive derives of it is 0."""
+    return _all(_stuck(target, 0x6064), _object(target, lambda _: 0, 0x606C))
+
+
+def _encoder_stuck(target: Target) -> Undo:
+    faults, held = _encoder(target), list[int]()
+
+    def first(counts: int) -> int:
+        if not held:
+            held.append(counts)
+        return held[0]
+
+    return swap(faults, "distorted", first)
+
+
+def _encoder_bit(target: Target) -> Undo:
+    mask = 1 << int(target.value)
+    return swap(_encoder(target), "distorted", lambda counts: counts | mask)
+
+
+def _forged(target: Target) -> Undo:
+    """Send a TPDO of the node once more, every millisecond, with the content of another moment."""
+    identifiers = [tpdo.cob_id for tpdo in target.node.tpdos if tpdo.valid]
+    last = {tpdo.cob_id: tpdo.last for tpdo in target.node.tpdos if tpdo.valid}
+
+    def send(now: float) -> None:
+        for can_id in identifiers:
+            target.rig.inject(can_id, last[can_id])
+
+    return _repeated(target, target.value, send)
+
+
 AILMENTS: Mapping[str, FaultKind] = {
+    "position_stuck": FaultKind("0x6064 repeats its last value", lambda t: _stuck(t, 0x6064)),
+    "velocity_stuck": FaultKind("0x606C repeats its last value", lambda t: _stuck(t, 0x606C)),
+    "position_gain": FaultKind(
+        "0x6064 counts wrongly", lambda t: _scaled(t, 0x6064), 2.0, "of what the motor turns", -10, 10
+    ),
+    "velocity_gain": FaultKind("0x606C is wrong by a factor", lambda t: _scaled(t, 0x606C), 2.0, "1", -10, 10),
+    "motor_encoder_stuck": FaultKind("the motor's encoder rests: 0x6064 is held, 0x606C is 0", _motor_encoder_stuck),
+    "reported_gain": FaultKind("0x6077 is wrong by a factor", lambda t: _scaled(t, 0x6077), 0.5, "1", -10, 10),
+    "reported_offset": FaultKind("0x6077 is wrong by an offset", _reported_offset, 0.2, "N*m", -100, 100),
+    "reported_stuck": FaultKind("0x6077 repeats its last value", lambda t: _stuck(t, 0x6077)),
+    "encoder_stuck": FaultKind("the joint encoder repeats its last value", _encoder_stuck),
+    "encoder_bit": FaultKind("a bit of the joint encoder is stuck at 1", _encoder_bit, 12, "bit", 0, 31),
+    "forged_tpdo": FaultKind(
+        "another node sends old TPDOs under the identifiers of this one", _forged, 1e-3, "s between two", 1e-4, 1.0
+    ),
     "fraying": FaultKind("the tendons fray: the pretension goes down", _fraying, 2.0, "of it a second", 0, 100),
     "dead_stage": FaultKind(
         "the power stage loses its voltage: no torque, bit 4 low, still enabled",

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, MutableMapping
-from dataclasses import dataclass
 
 import msgspec
 
 from tsa_ctrl.plant.cia402 import Command, PowerState, PowerStateMachine, command_of
 from tsa_ctrl.plant.dictionary import AbortCode, Key, SdoAbort
+from tsa_ctrl.plant.drive_faults import DriveFaults
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, AxisValues, mode_numbers, shifted, unit_code
 from tsa_ctrl.plant.emergency import EmcyCode
 from tsa_ctrl.plant.nmt import NmtState
@@ -45,22 +45,6 @@ class ConnectionLoss(int):
     FAULT = 1
     DISABLE_VOLTAGE = 2
     QUICK_STOP = 3
-
-
-@dataclass(slots=True)
-class DriveFaults:
-    """Misbehaviour of the drive itself that can be switched on."""
-
-    ignore_command: bool = False  # bit 12 low, the target torque is not followed
-    wrong_mode: int | None = None  # what 0x6061 says
-    torque_sign: int = 1  # -1: motor wired the wrong way round
-    torque_gain: float = 1.0  # of what the motor gives, over what the drive believes
-    clock_drift: float | None = None  # relative; the drive samples by a clock of its own, not at the SYNC
-    most_torque: float | None = None  # of rated torque, that a drive which is too hot still gives: bit 11
-    dead_stage: bool = False  # the power stage has no voltage: no torque, bit 4 low, the state machine goes on
-    torque_off: bool = False  # the input of safe torque off is open
-    turned: int = 1  # -1: position and velocity count the other way
-    inputs: int = 0  # 0x60FD
 
 
 class Drive:
@@ -327,6 +311,8 @@ class Drive:
         values[0x6077, 0] = _bounded(round(torque * digits), 0x7FFF)
         values[0x606C, 0] = _bounded(round(velocity), 0x7FFFFFFF)
         values[0x6064, 0] = _wrapped(math.floor(readings.motor_angle * turns * settings.counts_per_revolution))
+        for key, distorted in self.faults.distortions.items():
+            values[key] = distorted(values[key])
 
     def _mode_shown(self) -> int:
         when = self.persona.mode_shows or self.settings.mode_shows

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from tsa_ctrl.plant.dictionary import Access, Entry, Type
@@ -29,6 +30,7 @@ class EncoderFaults:
     gain: float = 1.0  # of what the joint moved since it was at `pivot`: a coupling that slips
     since: float = 0.0  # s
     pivot: float = 0.0  # rad
+    distorted: Callable[[int], int] | None = None  # of the position that it sends
 
     def seen(self, angle: float, now: float) -> float:
         """rad that the disc of the encoder turned, without its noise."""
@@ -72,6 +74,8 @@ class Encoder(Node):
         if self.faults.noise > 0.0:
             angle += self._noise.gauss(0.0, self.faults.noise)
         counts = math.floor(angle * scale) + settings.zero
+        if self.faults.distorted is not None:
+            counts = self.faults.distorted(counts)
         self.values[0x6004, 0] = counts & 0xFFFFFFFF
         speed = round(readings.joint_speed * scale / SPEED_DIVIDER)
         self.values[0x6030, 1] = max(-0x8000, min(0x7FFF, speed))

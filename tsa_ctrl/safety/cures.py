@@ -24,6 +24,10 @@ CURES: Mapping[str, str] = MappingProxyType(
             "look at the tendons: torn, loose or slipped; then coupling, counts and signs of the encoders "
             "(torque_sign, position_sign); tendons that give more than axial_stiffness says: [axis.plausibility] slip"
         ),
+        "the drive reports a velocity": (
+            "its encoder and the unit of 0x606C; a drive that does not fill 0x606C: velocity_source in [axis.drive]"
+        ),
+        "encoder is stuck": "the encoder, its cable and its coupling; a device that repeats old values; then recover",
         "feedback is frozen": "the drive repeats old values: its firmware, or what sits between it and the bus",
         "the drive reports": "it gives another torque than is asked: its limits, derating, torque constant, sign",
         "the joint torque sensor says": (

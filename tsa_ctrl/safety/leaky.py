@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from tsa_ctrl.bus.live.image import Image
+from tsa_ctrl.bus.live.image import Image, NodeHealth
 
 LEAK = 0.25  # s taken back per s of agreement: what is wrong more than a fifth of the time is found in the end
 SECOND = 1.0  # s in which `Often` counts
@@ -94,3 +94,23 @@ class LostPeriods:
             return False, False
         late = 2 * image.overruns.skipped(now - SECOND) >= self.too_many
         return not late, late
+
+
+class Sender:
+    """Count the cycles in which one node sent a PDO twice: CANopen has one sender for each identifier."""
+
+    def __init__(self, most: int) -> None:
+        """`most`: cycles within a second, and answers that may come late."""
+        self.cycles = Often(most)
+        self._most = most
+        self._missed = self._repeated = self._owed = 0
+
+    def repeats(self, node: NodeHealth, now: float) -> bool:
+        """Return True when the node repeated PDOs in too many cycles; an answer late by a period is no repetition."""
+        self._owed = min(self._owed + node.missed - self._missed, self._most)
+        self._missed = node.missed
+        if node.repeated == self._repeated:
+            return False
+        self._repeated = node.repeated
+        self._owed = max(self._owed, 0) - 1  # a late answer comes in one cycle with the next
+        return self._owed < 0 and self.cycles.happened(now)

@@ -3,7 +3,9 @@
     torque        the drive reports another torque than was commanded
     frozen        not one bit of what the drive reports moves, while the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
-                  sign; by the torque in use and what the tendons give (`safety.apart`), or by a given angle
+                  sign, a motor that gives another torque than it reports; by `residuals.Elongation`, or a given angle
+    velocity      the drive's velocity is not the change of its position
+    standstill    the position of motor or joint repeats its last count although the axis moves on
     joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign,
                   or a motor that gives more than it reports
 
@@ -19,8 +21,8 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from tsa_ctrl.safety.apart import LASTING, Apart, Give
 from tsa_ctrl.safety.leaky import Leaky
+from tsa_ctrl.safety.residuals import LASTING, Elongation, Give, Standstill, Velocity
 
 Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
 Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
@@ -32,6 +34,7 @@ FROZEN_SHARE = 0.05  # of rated torque that the command moves while nothing of t
 BEGUN = 0.5  # of that, from which on a drive owes something: a command that rests trembles by less
 FROZEN_TIME = 0.03  # s that a drive may take to show it, from then on
 SLIP_TIME = 0.01  # s beyond a given angle
+VELOCITY_TIME = 0.02  # s that velocity and position must contradict each other
 
 
 class PlausibilitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -55,10 +58,13 @@ class Plausibility:
         has_encoder: bool,
         give: Give,
         period: float,
+        counts: tuple[float, float] = (0.0, 0.0),
+        reports_velocity: bool = False,
     ) -> None:
         """`limit`: of the limiter, N*m; `rated`: torque at the motor pulley, N*m; `radii`: r_M, r_J in m.
 
-        `give`: what the tendons between motor and joint give; `period`: s.
+        `give`: what the tendons between motor and joint give; `period`: s; `counts`: rad at the motor, of one count of
+        the motor's and the joint's encoder; `reports_velocity`: the drive sends a velocity of its own.
         """
         r_m, r_j = radii
         self._torque = DEFAULT_TORQUE * limit if settings.torque is None else settings.torque
@@ -70,7 +76,11 @@ class Plausibility:
         self._frozen = FROZEN_SHARE * rated
         self._geared = r_j / r_m
         self._has_encoder = has_encoder
-        self._expected = Apart(give, period)
+        self._elongation = Elongation(give, period)
+        self._velocity = Velocity(counts[0], period) if reports_velocity else None
+        self._motor_rests = Standstill(counts[0], period, has_load=False)
+        self._joint_rests = Standstill(counts[1], period, has_load=True) if has_encoder else None
+        self._velocity_wrong = Leaky(VELOCITY_TIME)
         self._torque_wrong = Leaky(settings.duration)
         self._joint_wrong = Leaky(settings.duration)
         self._slipped = Leaky(LASTING if settings.slip is None else SLIP_TIME)
@@ -79,9 +89,11 @@ class Plausibility:
     def reset(self) -> None:
         """Torque is not permitted: the next enable starts afresh."""
         self._offset = math.nan
-        for clock in (self._torque_wrong, self._joint_wrong, self._slipped):
+        for clock in (self._torque_wrong, self._joint_wrong, self._slipped, self._velocity_wrong):
             clock.reset()
-        self._expected.reset()
+        for check in (self._elongation, self._velocity, self._motor_rests, self._joint_rests):
+            if check is not None:
+                check.reset()
         self._last: tuple[float, float, float] | None = None
         self._frozen_since = 0.0
         self._moved_at = math.inf  # s, since when the command is away from what it was
@@ -95,11 +107,13 @@ class Plausibility:
         q_j: float,
         tau_j: float,
         expected: tuple[float, float],
+        motor_way: float = math.nan,
     ) -> str | None:
         """What is wrong, in words; None while everything agrees.
 
         `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
-        sensor; `expected`: the joint torques between which it may lie, as the model makes them of the reported torque.
+        sensor; `expected`: the joint torques between which it may lie, as the model makes them of the reported torque;
+        `motor_way`: rad that the motor has made by its torque and the joint's angle, up to a constant, nan if unknown.
         """
         tau_m = feedback[0]
         if feedback != self._last:
@@ -121,7 +135,29 @@ class Plausibility:
                 )
         if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        return self._apart(now, *feedback, q_j) or self._joint(now, tau_j, *expected)
+        return (
+            self._apart(now, *feedback, q_j)
+            or self._rests(now, feedback, q_j, motor_way)
+            or self._joint(now, tau_j, *expected)
+        )
+
+    def _rests(self, now: float, feedback: tuple[float, float, float], q_j: float, motor_way: float) -> str | None:
+        """Compare the positions with velocity, torque and each other's last motion."""
+        _, q_m, omega_m = feedback
+        velocity, joint = self._velocity, self._joint_rests
+        if velocity is not None and self._velocity_wrong.update(now, velocity.update(q_m, omega_m)):
+            return (
+                f"the drive reports a velocity of {omega_m:.2f} rad/s, its position changes by "
+                f"{velocity.by_position:.2f} rad/s: a signal is stuck, or its scale or sign is wrong"
+            )
+        if self._motor_rests.update(now, q_m, motor_way):
+            return (
+                "the position of the motor rests although the reported torque moves it: its encoder is stuck, or the "
+                "motor gives another torque than it reports"
+            )
+        if joint is not None and joint.update(now, self._geared * q_j):
+            return "the position of the joint stopped between two samples, as no joint can: its encoder is stuck"
+        return None
 
     def _apart(self, now: float, tau_m: float, q_m: float, omega_m: float, q_j: float) -> str | None:
         if not self._has_encoder:
@@ -131,15 +167,20 @@ class Plausibility:
         if self._offset != self._offset:
             self._offset = apart
         if self._slip is None:
-            beyond = self._expected.update(tau_m, q_m, omega_m, joint)
+            beyond = self._elongation.update(tau_m, q_m, omega_m, joint)
         else:
             beyond = abs(apart - self._offset) - self._slip
         if not self._slipped.update(now, beyond is not None and beyond > 0.0):
             return None
+        if self._slip is None and self._elongation.reversed:
+            return (
+                "motor and joint answer the motor's torque the wrong way round, or by less than reported: the motor "
+                "turns the wrong way, the sign of a torque or of an encoder is reversed, or a tendon is torn"
+            )
         return (
             f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable, beyond what "
             f"{'the torque explains' if self._slip is None else 'slip allows'}: a tendon is torn or loose, an encoder "
-            "slipped or stuck, or its counts or sign are wrong"
+            "slipped or stuck, its counts or sign are wrong, or the motor gives more than it reports"
         )
 
     def _joint(self, now: float, tau_j: float, one: float, other: float) -> str | None:

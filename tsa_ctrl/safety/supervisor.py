@@ -16,7 +16,7 @@ from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
 from tsa_ctrl.safety import blame
-from tsa_ctrl.safety.leaky import SECOND, LostPeriods, Often
+from tsa_ctrl.safety.leaky import SECOND, LostPeriods, Sender
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
 _RUN = (Controlword.ENABLE_OPERATION, True, None)
@@ -129,10 +129,9 @@ class Supervisor:
         self._drops = settings.tolerated_drops
         self._planned = round(rate * SECOND)
         self._losses = LostPeriods(settings.most_lost(rate))
-        self._repeated = 0  # PDOs of the drive that came twice in a cycle
+        self._repeated = 0  # PDOs of all nodes that came twice in a cycle
         self._most_owed = max(_LEAST_REPEATED, math.ceil(_REPEATED_SHARE * rate))
-        self._twins = Often(self._most_owed)
-        self._unanswered = self._owed = 0  # cycles without the drive's answers: since the start, and not made up for
+        self._senders: dict[int, Sender] = {}  # by node id
         self._events = 0
         self._emcys: dict[int, int] = {}
         self._since = 0.0
@@ -161,7 +160,7 @@ class Supervisor:
             and image.misses <= self._misses
             and image.drops <= self._drops
             and image.missed + image.dropped + image.skipped == self._losses.lost
-            and image.nodes[0].repeated == self._repeated
+            and image.repeated == self._repeated
             and image.events == self._events
             and image.silent is None
             and image.bus_fault is None
@@ -231,14 +230,14 @@ class Supervisor:
             self._latch(Cause.COMMAND_DROPPED, f"{image.drops} in a row; transmit queue full or interface down", now)
         if lossy:
             self._latch(Cause.STALE_PDO, blame.lossy(image, self._losses.too_many), now)
-        drive = image.nodes[0]
-        self._owed = min(self._owed + drive.missed - self._unanswered, self._most_owed)
-        self._unanswered = drive.missed
-        if drive.repeated != self._repeated:
-            self._repeated = drive.repeated
-            self._owed = max(self._owed, 0) - 1  # an answer that is late by a period comes in one cycle with the next
-            if self._owed < 0 and self._twins.happened(now):
-                self._latch(Cause.REPEATED_PDO, f"{drive}: {drive.repeated}; another node may have the same id", now)
+        self._repeated = image.repeated
+        for node in image.nodes:
+            sender = self._senders.get(node.node_id)
+            if sender is None:
+                sender = self._senders[node.node_id] = Sender(self._most_owed)
+            if sender.repeats(node, now):
+                detail = f"{node}: {node.repeated}; another node may have the same id, or forges its PDOs"
+                self._latch(Cause.REPEATED_PDO, detail, now)
 
     def _examine(self, image: Image, health: NodeHealth, now: float) -> None:
         if health.boot_ups:
@@ -341,7 +340,8 @@ class Supervisor:
         self._since = now
         if phase is Phase.STANDBY:
             self._losses.reset()
-            self._twins.reset()
+            for sender in self._senders.values():
+                sender.cycles.reset()
 
 
 def _code(error_code: int) -> str:

@@ -118,6 +118,14 @@ class Image:
         self.bus_fault: BusFault | None = None
 
     @property
+    def repeated(self) -> int:
+        """Return the number of PDOs that came twice in a cycle, of all nodes."""
+        count = 0
+        for node in self.nodes:
+            count += node.repeated
+        return count
+
+    @property
     def emcy(self) -> Emcy | None:
         """The last emergency of any node, the drive's first."""
         return next((node.emcy for node in self.nodes if node.emcy is not None), None)

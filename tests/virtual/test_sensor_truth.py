@@ -1,0 +1,110 @@
+"""Signals that are wrong on a running rig: how soon each is found, and what the band of the joint torque contains."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.virtual.joints import play, sine
+from tests.virtual.test_runaway import added
+from tsa_ctrl.virtual.result import Simulation
+
+AT = 1.8  # s of the log, when the fault begins and a sine of 0.5 Hz moves the joint
+SOON = 0.1  # s
+CONSTANT: dict[str, Any] = {"kind": "constant", "offset": 0.8}
+BLIND: dict[str, Any] = {"torque_sensor": None}
+
+
+def first(result: Simulation) -> tuple[float, str]:
+    """Return when the first fault was latched, s after it began, and its words."""
+    fault = next(event for event in result.summary.events if event.fault)
+    return fault.t - AT, fault.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axis", [{}, BLIND], ids=["sensor", "blind"])
+@pytest.mark.parametrize("load", ["weight", pytest.param("limb", marks=pytest.mark.soak)])
+@pytest.mark.parametrize("offset", [0.8, -0.6])
+def test_a_motor_that_turns_the_wrong_way_while_its_torque_rests_is_found(
+    tmp_path: Path, load: str, axis: dict[str, Any], offset: float
+) -> None:
+    """Within 0.1 s and 20 mJ; before, after 0.5 s and 738 mJ."""
+    constant = {"kind": "constant", "offset": offset}
+    result = play(tmp_path, load, constant, AT + 0.3, axis=axis, faults=[f"reversed_sign@{AT}"], compensation=0.95)
+    after, _ = first(result)
+    assert after < SOON
+    assert added(result, AT) < 20e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("node", ["encoder", "torque_sensor", "drive"])
+@pytest.mark.parametrize("fault", ["forged_tpdo", pytest.param("repeated_tpdo", marks=pytest.mark.soak)])
+def test_pdos_that_another_node_sends_are_found(tmp_path: Path, fault: str, node: str) -> None:
+    after, words = first(play(tmp_path, "weight", sine(0.5, 0.5), AT + 0.2, faults=[f"{fault} node={node}@{AT}"]))
+    assert after < SOON
+    assert words.startswith("repeated PDOs: ")
+
+
+@pytest.mark.slow
+def test_a_few_forged_pdos_are_an_event(tmp_path: Path) -> None:
+    faults = [f"forged_tpdo node=encoder value=0.2@{AT}"]
+    result = play(tmp_path, "held", sine(0.5, 0.5), AT + 0.8, faults=faults)
+    assert not result.axes[0].faults
+    assert sum("PDOs came more than once in a cycle" in event.text for event in result.summary.events) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("velocity_gain value=-1", "a velocity of"),
+        ("velocity_gain value=2", "a velocity of"),
+        ("position_stuck", "stuck"),
+        ("motor_encoder_stuck", "stuck"),
+        ("encoder_stuck", "encoder"),
+        pytest.param("encoder_slip value=2", "moved apart", marks=pytest.mark.soak),
+    ],
+)
+def test_a_signal_that_contradicts_the_others_is_named(tmp_path: Path, fault: str, words: str) -> None:
+    """On a weight that moves at about 1 rad/s."""
+    result = play(tmp_path, "weight", sine(0.5, 0.5), AT + 0.4, axis=BLIND, faults=[f"{fault}@{AT}"])
+    after, said = first(result)
+    assert after < SOON
+    assert words in said
+
+
+@pytest.mark.slow
+def test_both_encoders_that_stick_while_the_joint_moves_are_found(tmp_path: Path) -> None:
+    faults = [f"encoder_stuck@{AT}", f"motor_encoder_stuck@{AT}"]
+    after, said = first(play(tmp_path, "wearer", sine(0.5, 0.5), AT + 0.4, axis=BLIND, faults=faults))
+    assert after < SOON
+    assert "encoder is stuck" in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "torque_gain value=2",
+        pytest.param("torque_gain value=0.5", marks=pytest.mark.soak),
+        pytest.param("reported_gain value=0.5", marks=pytest.mark.soak),
+        "reported_offset value=0.2",
+        pytest.param("pretension value=0.5", marks=pytest.mark.soak),
+        pytest.param("friction value=1.3", marks=pytest.mark.soak),
+    ],
+)
+def test_the_band_contains_the_joint_torque_though_the_reported_torque_is_wrong(tmp_path: Path, fault: str) -> None:
+    """By the distributed plant's truth, from 10 ms after the fault on; nan is allowed, an error is not."""
+    result = play(tmp_path, "weight", sine(0.5, 0.5), 4.0, axis=BLIND, faults=[f"{fault}@{AT}"])
+    axis = result.axes[0]
+    log, truth = axis.log, result.truth
+    rows = np.searchsorted(truth["clock"], axis.start + log["t"] + log["lateness"]).clip(0, truth["clock"].size - 1)
+    low, high, true = log["tau_j_stretch_low"], log["tau_j_stretch_high"], truth["tau_j"][rows]
+    seen = np.isfinite(low) & (log["t"] > AT + 0.01) & (log["t"] < axis.until)
+    outside = (true[seen] < low[seen]) | (high[seen] < true[seen])
+    assert outside.sum() <= 0.05 * outside.size  # none where the axis was stopped at once
+    before = np.isfinite(low) & (log["t"] > 1.0) & (log["t"] < AT)
+    assert np.mean((high - low)[before]) < 0.3  # N*m: narrow as long as nothing contradicts

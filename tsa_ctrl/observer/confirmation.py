@@ -1,0 +1,39 @@
+"""Whether the tendon elongation confirms the reported motor torque, by the innovations of the observer."""
+
+from __future__ import annotations
+
+import math
+
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.observer import tendons
+
+MISFIT = 3.0  # standard deviations of the innovation, beyond which the motor torque or the tendons are others
+SMOOTH = 0.005  # s, low-pass of the innovation
+
+
+class Confirmation:
+    """`confirmed`: since the last reset, the elongation was always as predicted, within its uncertainty."""
+
+    def __init__(self, model: TendonSheath, noise: float, period: float) -> None:
+        """Prepare the test; `noise`: m^2 of one measured elongation; `period`: s."""
+        self._doubt = model.axial_stiffness_uncertainty
+        self._noise = float(noise)
+        self._share = 1.0 - math.exp(-period / SMOOTH)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again."""
+        self.confirmed = True
+        self._innovation = 0.0  # m
+
+    def update(self, memory: Array) -> None:
+        """Compare the last innovation with its standard deviation, and the stiffness with the bounds of the file."""
+        self._innovation += self._share * (float(memory[tendons.INNOVATION]) - self._innovation)
+        if not self.confirmed or memory[tendons.SLID] == 0.0:
+            return
+        by_x, by_k = float(memory[tendons.GAIN_S]), float(memory[tendons.GAIN_S + 1])
+        x, k, passing, zero = memory[tendons.COVARIANCE :: tendons.STATES + 1].tolist()
+        variance = by_x * by_x * (x + passing) + by_k * by_k * k + zero + self._noise
+        off = abs(math.log(float(memory[tendons.STIFF]))) > self._doubt
+        self.confirmed = not (off or self._innovation**2 > MISFIT**2 * variance)

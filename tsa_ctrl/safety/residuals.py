@@ -1,0 +1,249 @@
+"""Compare each measured signal of an axis with its prediction from the other signals; no law, no model.
+
+`Elongation` compares the elongation a = q_m - (r_J/r_M) q_j with the motor torque. With the stiffness K that the motor
+meets and the friction torque h of the tendons, the zero of the encoders is
+
+    a_0 = a - tau/K + f,        f = (1 - s_c) z h/K,   -1 <= z <= 1
+
+Two rules follow. Neither needs the load, a speed or a joint torque sensor:
+
+    response   f changes only with the torque or with the motion of the joint, and in their direction. A motor that
+               moves by itself gives another torque than it reports.
+    friction   f is bounded, so all zeros that were seen must fit into the bound. How far f lies from its bounds is
+               followed from the same two causes.
+
+`Velocity` compares the reported velocity with the change of the position. `Standstill` finds a position that rests
+although it cannot.
+
+All limits are widths in rad at the motor. The zero may drift: the widths forget what was seen long ago.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+SMOOTH = 0.005  # s, low-pass of torque and angles: a motor rings on its tendons at 40 Hz and more
+DOUBT = 0.25  # 1, least uncertainty of the stiffness: a fifth below the file's value
+FRICTION = 0.6  # 1, least uncertainty of friction: the bound to which an estimator may follow it
+LATE = 1e-3  # s, delay of one encoder against the other
+GEARING = 0.02  # 1, of the joint's path: radii at which the tendons lie, eccentric encoders
+CREEP = 0.01  # rad/s, fastest drift of the zero
+BACKLASH = 3e-3  # rad, at motor or joint each
+RESPONSE = 1e-3 + BACKLASH  # rad, limit of the first rule; 1.6e-3 is the most of healthy drawn rigs
+BOUND = RESPONSE + 5e-3  # rad, limit of the second rule; 5.3e-3 is the most of healthy drawn rigs
+HEAVY = 6e-4  # kg*m^2, motor inertia that is assumed where it is not known
+LIGHT = 0.2  # 1, uncertainty of a known motor inertia
+NOISE = 6e-3  # N*m, fluctuation of a reported torque that moves no motor
+LASTING = 1e-3  # s that a residual must last, smoothed as it is: a motor that turned rings through it
+
+
+@dataclass(frozen=True)
+class Give:
+    """The compliance of tendons, pulleys and encoders of an axis, at the motor.
+
+    `stiffness`: N*m/rad; `wound`: rad by which friction stretches the tendons from one direction to the other;
+    `domain`: N*m, beyond which one tendon pulls alone and gives twice as much; `play`: rad, of counts and known
+    backlash; `doubt`: 1, of the stiffness; `free`: 1 - s_c, share of the friction that shows in the elongation;
+    `friction`: 1, uncertainty of the friction; `inertia`: kg*m^2, 0 where it is not known.
+    """
+
+    stiffness: float
+    wound: float
+    domain: float
+    play: float
+    doubt: float = DOUBT
+    free: float = 1.0
+    friction: float = FRICTION
+    inertia: float = 0.0
+
+
+class Elongation:
+    """Check the elongation of one axis; `update` with every fresh sample with torque, `reset` without torque."""
+
+    def __init__(self, give: Give, period: float) -> None:
+        """Prepare the check; `period` in s."""
+        self._compliance = compliance = 1.0 / give.stiffness
+        self._doubt = give.doubt
+        self._domain = give.domain
+        self._inertia = give.inertia / period
+        self._unsure = compliance * (LIGHT * give.inertia if give.inertia > 0.0 else HEAVY) / period
+        self._play = 0.75 * give.play  # of one or the other encoder
+        self._response = RESPONSE + give.play
+        self._bound = BOUND + give.play
+        half = 0.5 * give.free * give.wound
+        self._most_friction = half * (1.0 + give.friction)
+        self._turn = 1.0 / max(half * (1.0 - give.friction), 1e-9)
+        self._slide = 2.0 / ((1.0 + give.friction) * (1.0 + give.doubt) * give.wound + BACKLASH + give.play)
+        self._creep = CREEP * period
+        self._smooth = 1.0 - math.exp(-period / SMOOTH)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything: the next enable starts afresh."""
+        self._torque = math.nan
+        self._motor = self._joint = self._speed = self._change = 0.0
+        self._torque_seen = self._joint_seen = 0.0  # N*m, rad, without their noise
+        self._least, self._most = -1.0, 1.0  # of z
+        self._low, self._high = -math.inf, math.inf  # rad, between which a - tau/K may lie by the first rule
+        self._top, self._bottom = -math.inf, math.inf  # rad, that the zero was at least and at most
+        self.reversed = False  # the motor moved against the torque that it reports
+
+    def update(self, torque: float, angle: float, speed: float, joint: float) -> float | None:
+        """Return the rad by which motor and joint are apart beyond the limits, None while they are within them.
+
+        Args:
+            torque: N*m that the drive reports.
+            angle: rad of the motor.
+            speed: rad/s of the motor.
+            joint: rad of the joint, geared to the motor.
+        """
+        if self._torque != self._torque:
+            self._torque = self._torque_seen = torque
+            self._motor, self._speed = angle, speed
+            self._joint = self._joint_seen = joint
+        smooth, doubt, compliance = self._smooth, self._doubt, self._compliance
+        self._change += smooth * (speed - self._speed - self._change)
+        self._speed = speed
+        self._torque += smooth * (torque - self._torque)
+        moved = smooth * (angle - self._motor)
+        self._motor += moved
+        self._joint += smooth * (joint - self._joint)
+        pull = self._torque - self._inertia * self._change
+        seen = self._torque_seen
+        turned = pull - NOISE - seen if pull > seen + NOISE else pull + NOISE - seen if pull < seen - NOISE else 0.0
+        self._torque_seen += turned
+        turned *= compliance
+        seen, play, led = self._joint_seen, self._play, self._joint
+        went = led - play - seen if led > seen + play else led + play - seen if led < seen - play else 0.0
+        self._joint_seen += went
+        unsure = LATE * abs(speed) + self._unsure * abs(self._change)
+        if pull > self._domain or pull < -self._domain:
+            unsure += compliance * (abs(pull) - self._domain)
+        rest = self._motor - led - compliance * pull
+        if turned > 0.0:
+            up, down, loss = turned, doubt * turned, doubt * turned
+        else:
+            up, down, loss = -doubt * turned, -turned, -doubt * turned
+        drift = self._creep
+        if went > 0.0:
+            up += went
+            drift += GEARING * went
+        else:
+            down -= went
+            drift -= GEARING * went
+        low, high = rest - unsure, rest + unsure
+        # The first rule: f grows by `up` and falls by `down` at most, and `rest` the other way.
+        self._low -= up + drift
+        self._high += down + drift
+        falls, rises = self._low - high - self._response, low - self._high - self._response
+        beyond = falls if falls > rises else rises
+        self.reversed = (falls > 0.0 and pull > NOISE) or (rises > 0.0 and pull < -NOISE)
+        self._low, self._high = max(self._low, low), min(self._high, high)
+        # The second rule.
+        most = self._most + self._turn * up
+        least = self._least - self._turn * down
+        way = self._slide * (moved + went)
+        if way > 0.0:
+            least += way
+        else:
+            most += way
+        self._most = most = 1.0 if most > 1.0 else -1.0 if most < -1.0 else most
+        self._least = least = -1.0 if least < -1.0 else most if least > most else least
+        if least < 0.0:  # the least friction is none
+            low += least * self._most_friction
+        if most > 0.0:
+            high += most * self._most_friction
+        self._top -= loss + drift
+        self._bottom += loss + drift
+        beyond = max(beyond, low - self._bottom - self._bound, self._top - high - self._bound)
+        self._top, self._bottom = max(self._top, low), min(self._bottom, high)
+        return beyond if beyond > 0.0 else None
+
+
+class Velocity:
+    """Compare the reported velocity of the motor with the change of its position, `by_position` (rad/s)."""
+
+    MEMORY = 0.1  # s of the comparison
+    SHARE = 0.1  # 1, of the path: scale and rounding of a healthy drive
+    FILTER = 0.01  # s, delay of the velocity filter of a drive
+
+    def __init__(self, count: float, period: float) -> None:
+        """Prepare the check; `count`: rad of one count of the position at the motor; `period`: s."""
+        self._keep = math.exp(-period / self.MEMORY)
+        self._slow = 1.0 - math.exp(-period / self.FILTER)
+        self._room = 4.0 * count + 0.02 * self.MEMORY  # 0.02 rad/s: half a digit of a coarse velocity
+        self._period = period
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._angle = math.nan
+        self._difference = self._path = self.by_position = self._bend = 0.0
+
+    def update(self, angle: float, speed: float) -> bool:
+        """Return True while position (rad) and velocity (rad/s) contradict each other."""
+        period, keep = self._period, self._keep
+        if self._angle != self._angle:
+            self._angle, self.by_position = angle, speed
+        step = angle - self._angle
+        self._angle = angle
+        reported = speed * period
+        self._difference = keep * self._difference + step - reported
+        self._path = keep * self._path + max(abs(step), abs(reported))
+        rate = step / period
+        before = self.by_position
+        self.by_position += self._slow * (rate - before)
+        self._bend = keep * self._bend + abs(self.by_position - before)
+        return abs(self._difference) > self._room + self.SHARE * self._path + self.FILTER * self._bend
+
+
+class Standstill:
+    """Find a position that repeats its last count although the axis moves on."""
+
+    SUDDEN = 8.0  # counts per cycle, from which no load stops between two samples
+    FAST = 0.5  # rad/s, likewise: the friction of a joint stops 0.02 kg*m^2 within 10 ms
+    RESTED = 0.01  # s for which the count must rest then: slow devices take a new position every 4 ms
+    COUNTS = 10.0  # counts by which the prediction must move on
+    LEAST = 4e-3  # rad, likewise: friction and backlash of a gear hold a motor that long
+
+    def __init__(self, count: float, period: float, has_load: bool) -> None:
+        """Prepare the check.
+
+        Args:
+            count: rad of one count.
+            period: s.
+            has_load: the inertia of a load moves with it. Friction alone stops a motor between two samples.
+        """
+        self._sudden = max(self.SUDDEN * count / period, self.FAST) if has_load else math.inf
+        self._least = max(self.COUNTS * count, self.LEAST)
+        self._rested = max(self.RESTED, 8.0 * period)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self._angle = self._low = self._high = math.nan
+        self._at = self._rate = 0.0
+
+    def update(self, now: float, angle: float, predicted: float = math.nan) -> bool:
+        """Return True while `angle` (rad) rests and should not.
+
+        `predicted`: rad, the same angle by other signals up to a constant. Without it the last velocity counts.
+        """
+        if angle != self._angle:
+            elapsed = now - self._at
+            if elapsed > 0.0 and self._angle == self._angle:
+                self._rate += (1.0 - math.exp(-elapsed / SMOOTH)) * ((angle - self._angle) / elapsed - self._rate)
+            self._angle, self._at = angle, now
+            self._low = self._high = predicted
+            return False
+        if predicted != predicted:
+            self._low = self._high = predicted
+            return abs(self._rate) > self._sudden and now - self._at > self._rested
+        if self._low != self._low:
+            self._low = self._high = predicted
+        elif predicted < self._low:
+            self._low = predicted
+        elif predicted > self._high:
+            self._high = predicted
+        return self._high - self._low > self._least
