@@ -1,4 +1,4 @@
-"""The clamps that a simulated drive holds after the start: its own torque and speed limit follow from the wearer."""
+"""A simulated drive after the start: its clamps follow from the wearer, and class "worn" may reject its nodes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ import pytest
 
 from tests.virtual.files import controller, plant, write
 from tsa_ctrl.config import load_configuration
+from tsa_ctrl.daemon.operation import Operation
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.process import check
+from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.virtual.simulation import Run
 
 
@@ -30,3 +33,27 @@ def test_the_drive_holds_the_limits_of_the_wearer(tmp_path: Path, speed: float, 
     assert not result.axes[0].faults
     assert values[0x6072, 0] == 750 // gear
     assert values[0x6080, 0] == math.floor(1.5625 * speed * 1.25 * gear * 30.0 / math.pi)
+
+
+@pytest.mark.parametrize(("absent", "has_inputs"), [([], True), ([0x60FD], False)])
+def test_what_a_bring_up_found_is_judged_before_any_drive_is_enabled(
+    tmp_path: Path, absent: list[int], has_inputs: bool
+) -> None:
+    """The nodes with their serial numbers, and whether a drive has digital inputs (0x60FD)."""
+    paths = write(tmp_path, None, plant(drive={"serial_number": 7, "absent": absent}))
+    run = Run(load_configuration(paths[0]), check(paths[1]), 0.3)
+    seen: list[tuple[int, bool]] = []
+
+    def admit(nodes: Nodes, inputs: bool) -> None:
+        seen.append((nodes["knee"]["drive"].serial_number, inputs))
+        raise UsageError("not ready")
+
+    run.machine.start()
+    operation = Operation(load_configuration(paths[0]), run.rig, run.axes, run.loop, simulated=True, admit=admit)
+    try:
+        with pytest.raises(UsageError, match="not ready"):
+            operation.run(0.3)
+        assert seen == [(7, has_inputs)]
+        assert not run.rig.has_commanded
+    finally:
+        run.close()
