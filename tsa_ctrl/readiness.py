@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -116,7 +117,7 @@ def missing(configuration: Configuration) -> list[str]:
     for axis, model in zip(configuration.file.axes, configuration.models, strict=True):
         found += [f"axis '{axis.name}': {lacking}" for lacking in _lacking(configuration, axis, model)]
     found += [
-        f'{_of(axis)}{bound}: class "worn" allows {"the shipped one" if bound.unit == "" else _most(bound)} (change it)'
+        f'{_of(axis)}{bound}: class "worn" allows {_most(bound)} (change it)'
         for axis, bound in loose(configuration)
         if bound.unfit_to_wear
     ]
@@ -130,7 +131,7 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
         yield "a joint torque sensor or both load cells (add [axis.torque_sensor], or [[axis.serial]] tau_j, or t1, t3)"
     if limits.travel is None:
         yield "the travel (give [axis.limits] travel, or [safety] travel)"
-    elif len(configuration.file.axes) > 1 and limits.travel == safety.travel:
+    elif len(configuration.file.axes) > 1 and not _has_travel(configuration, axis.name):
         yield "a travel of its own, because the file has several axes (give [axis.limits] travel)"
     if safety.wearer_speed is not None:
         geared = model.joint_pulley_radius / model.motor_pulley_radius
@@ -145,6 +146,12 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
     absent = [name for name in wanted if name not in model.origin.nodes]
     if absent:
         yield f"the serial number of its {' and '.join(absent)} in {axis.model} (tsa tune on this joint writes it)"
+
+
+def _has_travel(configuration: Configuration, name: str) -> bool:
+    """Return True if the file gives the axis a travel of its own."""
+    tables = {table["name"]: table for table in tomllib.loads(configuration.text)["axis"]}
+    return "travel" in tables[name]["limits"]
 
 
 def _not_shown(configuration: Configuration) -> Iterator[str]:
@@ -245,9 +252,12 @@ def _of(axis: str) -> str:
 
 
 def _most(bound: Loose) -> str:
+    if bound.unit == "":
+        return "only the shipped value"
     if math.isnan(bound.shipped):
-        return "what follows from the model"
-    return f"{WORN_FACTOR * bound.shipped:.4g} {bound.unit} at most"
+        return "only what follows from the model"
+    unit = "" if bound.unit == "1" else f" {bound.unit}"
+    return f"{WORN_FACTOR * bound.shipped:.4g}{unit} at most"
 
 
 def _shipped(configuration: Configuration, axis: AxisSettings, model: TendonSheath) -> Shipped:
