@@ -1,0 +1,121 @@
+"""An output of this computer for safe torque off: a command, a GPIO line, or a modem line of a serial port."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import importlib.util
+import shutil
+import subprocess
+from collections.abc import Callable
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl.errors import UsageError
+
+_PERMIT, _OFF = b"1", b"0"  # bytes on the serial line, beside the modem line
+_BAUD_RATE = 9600  # bit/s
+
+
+class OutputSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """One of `command`, `gpio` and `serial`."""
+
+    command: tuple[str, ...] = ()  # program and arguments, run until it ends with 0
+    gpio: Annotated[str, Meta(pattern=r"^\w+:\d+$")] | None = None  # chip:line, active while torque is permitted
+    serial: Annotated[str, Meta(min_length=1)] | None = None  # port, its modem line on while torque is permitted
+    line: Literal["dtr", "rts"] = "dtr"  # modem line of that port
+
+    def __post_init__(self) -> None:
+        if [bool(self.command), self.gpio is not None, self.serial is not None].count(True) != 1:
+            raise ValueError("output names none or several of command, gpio and serial; give exactly one")
+
+    @property
+    def named(self) -> str:
+        """Return what is switched, in a few words."""
+        if self.command:
+            return f"command {self.command[0]}"
+        return f"gpio {self.gpio}" if self.gpio is not None else f"serial {self.serial} {self.line}"
+
+
+class MonitorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[monitor]: whether the second channel runs, and its output."""
+
+    enabled: bool | None = None  # default: true in class "worn", else false
+    output: OutputSettings | None = None  # in addition to NMT stop
+
+
+def check_output(output: OutputSettings, where: str) -> None:
+    """Raise UsageError if this computer lacks what the output needs; switch nothing."""
+    if output.gpio is not None and importlib.util.find_spec("gpiod") is None:
+        raise UsageError(
+            f'{where}: gpio "{output.gpio}" needs the package gpiod; install it: pip install tsa-ctrl[gpio]'
+        )
+    if output.command and shutil.which(output.command[0]) is None:
+        raise UsageError(f'{where}: command "{output.command[0]}" is not a program here; correct the path')
+
+
+class TorqueOff:
+    """Permit torque from the start, and take it away with `off`. The end of the process takes a line away, too."""
+
+    def __init__(self, output: OutputSettings | None, where: str = "[monitor] output") -> None:
+        """Raises UsageError when the line cannot be opened."""
+        self.permit: Callable[[], None] = lambda: None
+        self.off: Callable[[], bool] = lambda: True
+        self._running: subprocess.Popen[bytes] | None = None
+        self._done = False
+        if output is None:
+            return
+        check_output(output, where)
+        try:
+            if output.gpio is not None:
+                self._open_gpio(*output.gpio.split(":"))
+            elif output.serial is not None:
+                self._open_serial(output.serial, output.line)
+            else:
+                self.off = lambda: self._run(output.command)
+        except OSError as error:
+            name = output.gpio or output.serial
+            reason = error.strerror or " ".join(str(error).split())
+            raise UsageError(f'{where}: "{name}" cannot be opened ({reason}); correct the name or its rights') from None
+
+    def _open_gpio(self, chip: str, line: str) -> None:
+        gpiod: Any = importlib.import_module("gpiod")  # an optional extra
+        lines: Any = importlib.import_module("gpiod.line")
+        settings = gpiod.LineSettings(direction=lines.Direction.OUTPUT, output_value=lines.Value.ACTIVE)
+        request: Any = gpiod.request_lines(f"/dev/{chip}", consumer="tsa", config={int(line): settings})
+
+        def off() -> bool:
+            request.set_value(int(line), lines.Value.INACTIVE)
+            return True
+
+        self.off = off
+
+    def _open_serial(self, port: str, line: str) -> None:
+        import serial  # slow to import
+
+        opened: Any = serial.serial_for_url(port, _BAUD_RATE, write_timeout=0)
+
+        def switch(on: bool) -> None:
+            with contextlib.suppress(OSError):  # a pseudo-terminal has no modem lines
+                setattr(opened, line, on)
+            with contextlib.suppress(OSError):  # nobody reads
+                opened.write(_PERMIT if on else _OFF)
+
+        def off() -> bool:
+            switch(False)
+            return True
+
+        self.permit, self.off = lambda: switch(True), off
+
+    def _run(self, command: tuple[str, ...]) -> bool:
+        """Start the command, and again when it failed; return True once it ended with 0."""
+        if self._running is not None and self._running.poll() is not None:
+            self._done = self._done or self._running.returncode == 0
+            self._running = None
+        if self._running is None and not self._done:
+            quiet = subprocess.DEVNULL
+            with contextlib.suppress(OSError):
+                self._running = subprocess.Popen(command, stdin=quiet, stdout=quiet, stderr=quiet)
+        return self._done
