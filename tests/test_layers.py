@@ -40,19 +40,22 @@ ROOMS: dict[str, str] = {
     "bus.canopen": "errors",
     "bus.drive": "errors settings bus.settings bus.wire bus.canopen",
     "bus.live": "errors system bus.settings bus.wire bus.canopen bus.drive",
+    "monitor": "bus.canopen",  # the second channel: no clock, no input or output, nothing of the loop
     # live: torque from a set-point, and what keeps it safe, which knows no law and no model
     "safety": "errors bus.settings bus.canopen bus.drive.disarm bus.drive.session bus.live",
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.plan config",
     "ipc": "errors system",
-    "daemon": "errors settings outputs system log sensors model observer bus safety control config readiness ipc",
+    "daemon": (
+        "errors settings outputs system log sensors model observer bus monitor safety control config readiness ipc"
+    ),
     # offline: from logs to parameters and causes, without bus and loop
     "identify": "errors version settings system log model observer",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
     # both of them in one process, in time of their own
-    "virtual": "errors outputs log bus.wire bus.live safety control config ipc daemon plant",
+    "virtual": "errors outputs log bus.wire bus.live monitor safety control config ipc daemon plant",
     # for people
     "published": "errors outputs",
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",

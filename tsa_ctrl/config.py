@@ -42,6 +42,7 @@ from tsa_ctrl.safety.use_class import SafetySettings, drive_clamps, longest_faul
 from tsa_ctrl.sensors import settings as serial
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.realtime import RealtimeSettings
+from tsa_ctrl.system.torque_off import MonitorSettings
 
 PEAK = 3.0  # of the rated torque, that a drive gives for seconds
 MARGIN = 0.05  # s, beyond the longest time-out: to notice, to tell the drive, for its torque to fall
@@ -100,6 +101,7 @@ class ControllerFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     log: LogSettings = LogSettings()
     socket: SocketSettings = SocketSettings()
     safety: SafetySettings = SafetySettings()
+    monitor: MonitorSettings = MonitorSettings()
     axes: tuple[AxisSettings, ...] = msgspec.field(name="axis")
 
 
@@ -133,6 +135,12 @@ class Configuration:
         """s, from a fault, a hang or the death of this computer until every drive's torque is zero."""
         given = self.file.safety.zero_torque_within
         return given if given is not None else longest_fault(self.file.axes, self.file.controller.stop_time)[0] + MARGIN
+
+    @property
+    def monitored(self) -> bool:
+        """Return True if a monitor is required."""
+        enabled = self.file.monitor.enabled
+        return self.file.safety.worn if enabled is None else enabled
 
     @property
     def folder(self) -> Path:

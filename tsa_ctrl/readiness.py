@@ -33,7 +33,7 @@ STRONG_TORQUE = 50.0  # N*m at the joint: exoskeletons for walking give up to th
 FULL_TURN = 2.0 * math.pi  # rad; no joint of a person turns that far, so that a larger travel is in degrees
 # Sections that may change without another `tsa verify-safety`: its trials run without friction compensation, with a
 # set-point, a log and a socket of their own, and they show the same in both classes of use.
-_FREE = frozenset({"log", "socket", "realtime"})
+_FREE = frozenset({"log", "socket", "realtime", "monitor"})
 _FREE_OF_AXIS = frozenset({"model", "setpoint", "law", "direction", "estimator", "bending", "oscillation"})
 
 Nodes = Mapping[str, Mapping[str, NodeIdentity]]  # by axis and by `NODES`
@@ -114,6 +114,8 @@ def missing(configuration: Configuration) -> list[str]:
     found = []
     if configuration.file.safety.wearer_speed is None:
         found.append("the wearer's speed (give [safety] wearer_speed)")
+    if not configuration.monitored:
+        found.append("the monitor (remove [monitor] enabled = false)")
     for axis, model in zip(configuration.file.axes, configuration.models, strict=True):
         found += [f"axis '{axis.name}': {lacking}" for lacking in _lacking(configuration, axis, model)]
     found += [

@@ -14,6 +14,7 @@ from tests.daemon.machine import Machine
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon import operation
+from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import BusError, TsaError, UsageError
@@ -26,6 +27,7 @@ class Loop:
 
     def __init__(self) -> None:
         self.told: list[Any] = []
+        self.channel = SecondChannel()
 
     def note(self, text: str) -> None:
         self.told.append(text)

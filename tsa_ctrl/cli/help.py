@@ -18,6 +18,7 @@ TOPICS = {
         "a drive that is not known yet: probe, profiles and what they do not know",
     ),
     "safety": ("safety/README.md", "hazards, what detects them, what the condition against a runaway is"),
+    "monitor": ("monitor/README.md", "the second channel: what it checks, how it acts, outputs for safe torque off"),
     "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
     "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
     "figures": ("FIGURES.md", "every figure of the manual, with the command that prints it, when and on which version"),

@@ -33,10 +33,13 @@ def command(
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.daemon.joint_files import admitted
     from tsa_ctrl.readiness import loose_lines, missing, require
+    from tsa_ctrl.system.torque_off import check_output
 
     configuration = admitted(load_configuration(controller), allow_simulated)
     if check:
         check_drives(configuration)
+        if configuration.monitored and configuration.file.monitor.output is not None:
+            check_output(configuration.file.monitor.output, f"{configuration.path}: [monitor] output")
         for line in loose_lines(configuration):
             click.echo(line, err=True)
         require(configuration, missing(configuration))

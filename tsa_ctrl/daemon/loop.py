@@ -15,6 +15,7 @@ from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.losses import Losses
+from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
@@ -52,6 +53,7 @@ class Loop:
         self.cycles = 0
         self.late = 0  # cycles begun later than half a period
         self.stop_began = math.inf  # s of the log's time, when the torque began to ramp to 0 for good
+        self.channel = SecondChannel()  # the monitor beside this loop, if there is one
         self.recover = False  # the bus has to be brought up again before `run` goes on
         self._clock = clock
         self._rig = rig
@@ -85,6 +87,11 @@ class Loop:
         for index, axis in enumerate(axes):
             axis.image.overruns = self._ticker.history
             axis.connect(partial(mailbox.wanted, index))
+
+    def attach(self, channel: SecondChannel) -> None:
+        """Follow the monitor of this run from now on."""
+        self.channel = self._telemetry.channel = channel
+        self._rig.monitor_acted = channel.acted
 
     @property
     def start(self) -> float:
@@ -198,6 +205,7 @@ class Loop:
         """Move the loop's own phase on; the supervisors have already seen to the torque."""
         now = planned * 1e-9
         self._stop = self.stop_asked
+        self._follow_monitor(planned)
         self._note_faults(planned)
         phase = self.phase
         if self._stop is not None and phase is not LoopPhase.STOPPING:
@@ -278,7 +286,7 @@ class Loop:
             return
         self._recovery_asked = math.inf
         self._recovering = True
-        self.recover = any(axis.supervisor.needs_bring_up for axis in self._axes)
+        self.recover = self.channel.failed or any(axis.supervisor.needs_bring_up for axis in self._axes)
         if not self.recover:
             self.reset_faults()
             self._enter(LoopPhase.RESETTING, planned)
@@ -289,6 +297,13 @@ class Loop:
         for axis in self._axes:
             axis.limiter.reset()
             axis.request = Request.RESET if axis.supervisor.phase is Phase.FAULT else Request.DISABLE
+
+    def _follow_monitor(self, planned: int) -> None:
+        """Latch what the monitor found, or ramp the torque to 0 without a monitor."""
+        text = self.channel.follow(planned * 1e-9, self._axes)
+        if text is not None:
+            self.events.add(self._t(planned), "", text, fault=True)
+            self._fault(planned)
 
     def _note_faults(self, planned: int) -> None:
         """Turn new faults and back-offs into events."""

@@ -91,6 +91,10 @@ class Operation:
                 raise
         finally:
             self.unconfirmed = shut_down(self._rig, period, say=self._say)
+            channel = self._loop.channel
+            if self.unconfirmed and channel.acted(self._rig.bus.clock()) and channel.confirmed:
+                self.unconfirmed = []  # a stopped node answers no SYNC; the monitor asked it before
+                self._say("every drive confirmed to the monitor that it gives no torque")
             self._loop.last_words(self.unconfirmed)
 
     def _bring_up(self, reset_faults: bool, resets_later: bool = False) -> None:
@@ -135,6 +139,7 @@ class Operation:
         self._rig.bus.clear_fault()
         try:
             with self._no_loop():
+                loop.channel.renew()
                 self._bring_up(reset_faults=False, resets_later=True)  # the supervisors do it
                 self._prove(self._configuration.period)
         except TsaError as error:  # a drive that was exchanged may contradict the configuration, too

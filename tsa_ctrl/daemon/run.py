@@ -18,6 +18,7 @@ from tsa_ctrl.daemon.children import Children
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.joint_files import admitted
 from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.monitoring import SecondChannel, monitor_line, monitor_process
 from tsa_ctrl.daemon.operation import Operation, Say
 from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
@@ -85,9 +86,12 @@ class Daemon:
             axes = control_axes(configuration, rig)
             tuners = tuners_of(axes, configuration.period)
             children = Children(configuration, tuners)
+            channel = SecondChannel()
             for axis in axes:
                 axis.instruments.connect(children.sensors.sources(axis.name))
             try:
+                channel = monitor_process(configuration)
+                self._say(monitor_line(configuration))
                 with self._signals():
                     rights = realtime.acquire(file.realtime)
                     for line in rights.missing:
@@ -108,6 +112,7 @@ class Daemon:
                     loop = Loop(
                         rig, axes, tuners, children.mailbox, telemetry, events, file.controller, file.bus.supervision
                     )
+                    loop.attach(channel)
                     self._enter(loop)
                     operation = Operation(
                         configuration,
@@ -128,6 +133,7 @@ class Daemon:
                         realtime.release()
             finally:
                 children.end()
+                channel.close()
             log = children.log
             summary = operation.summary(
                 children.mailbox,

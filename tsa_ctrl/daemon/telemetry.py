@@ -13,6 +13,7 @@ from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.helpers import Helper, log_writer, socket_server
+from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters, Reading
@@ -48,6 +49,7 @@ class Telemetry:
         when no service manager is to be told.
         """
         self.log_lost = 0
+        self.channel = SecondChannel()
         self._rig = rig
         self._axes = tuple(enumerate(axes))
         self._tuners = tuners
@@ -151,7 +153,10 @@ class Telemetry:
             recovered=recovery[0],
             failed=recovery[1],
             first_fault=recovery[2],
+            monitor=self.channel.state,
         )
+        for notice in self.channel.news():
+            self._events.add(now - start, "", f"monitor: {notice}")
         if self._notifier is not None:
             loop = LoopPhase(phase)
             self._notifier.update(now, loop.name.lower(), loop.up, loop.ending)

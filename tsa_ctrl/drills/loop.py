@@ -21,12 +21,13 @@ from tsa_ctrl.errors import TsaError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.safety.use_class import on_bench
 from tsa_ctrl.system.parent import follow
+from tsa_ctrl.system.torque_off import MonitorSettings
 
 FADE_IN = 0.2  # s
 
 
 def under_trial(configuration: Configuration, torque: float, socket: str) -> Configuration:
-    """The configuration with a constant motor torque in N*m."""
+    """Return the configuration with a constant motor torque in N*m, without the monitor: the drives are on trial."""
     replace = msgspec.structs.replace
     file = configuration.file
     axes = tuple(_pulling(axis, model, torque) for axis, model in zip(file.axes, configuration.models, strict=True))
@@ -37,6 +38,7 @@ def under_trial(configuration: Configuration, torque: float, socket: str) -> Con
         log=replace(file.log, enabled=False),
         socket=replace(file.socket, path=socket, group=None),
         safety=on_bench(file.safety),
+        monitor=MonitorSettings(enabled=False),
     )
     return dataclasses.replace(configuration, file=changed)
 

@@ -39,6 +39,7 @@ class General(NamedTuple):
     recovered: float = 0.0  # recoveries that ended with torque
     failed: float = 0.0  # recoveries that ended with a latched fault
     first_fault: float = 0.0  # number of the first event since the last recovery: earlier faults are over
+    monitor: float = 0.0  # code
 
 
 class AxisStatus(NamedTuple):

@@ -105,6 +105,8 @@ class Page:
         )
         if cycles.get("log_silent"):
             head.append(f"   the log's process hangs, for {cycles['log_silent']:.1f} s", style="bold red")
+        if status.get("monitor", "off") != "off":
+            head.append(f"   monitor {status['monitor']}", "not bold default")
         if status.get("lease"):
             head.append("   set-points of process {process}, user {user}".format(**status["lease"]), "not bold default")
         if status["waiting_for"]:

@@ -30,6 +30,7 @@ SOURCES = {  # of the values that nodes measure: whose age counts
     "tau_j_stretch": ("drive_age", "joint_age"),
     "tau_j_model": ("drive_age",),
 }
+MONITOR = ("off", "watching", "stopped", "failed")  # by code: daemon.monitoring.MonitorState
 
 
 def status_report(
@@ -73,6 +74,7 @@ def status_report(
             "log_lost": int(general.log_lost),
             "log_silent": general.log_silent or None,
         },
+        "monitor": MONITOR[int(general.monitor)],
         "lateness": _histogram(mailbox.lateness),
         "work": _histogram(mailbox.work),
         "figures": description.figures,

@@ -43,6 +43,7 @@ class Wire:
         self.now = 0.0
         self.host = HostEnd(self)
         self.plant = End(self)
+        self.listeners: list[Callable[[Frame, float], None]] = []  # get every frame that is through, and the time
         self._bit = 1.0 / bitrate
         self._queue = queue
         self._up = True
@@ -128,10 +129,12 @@ class Wire:
             self._begin(next_id, next_data, next_sender)
         else:
             self._frame, self._arrives = None, math.inf
-        if sender is self.host:
+        if sender is not self.plant:
             nodes.step((can_id, data), now)
-        else:
+        if sender is not self.host:
             self.host.arrived(can_id, data)
+        for listener in self.listeners:
+            listener((can_id, data), now)
 
 
 class End:

@@ -14,6 +14,7 @@ from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.daemon.assembly import control_axes, log_header, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.monitoring import SecondChannel, watched_of
 from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
@@ -27,6 +28,7 @@ from tsa_ctrl.virtual.records import EVERY, Records
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
 from tsa_ctrl.virtual.truth import Truth
+from tsa_ctrl.virtual.witness import VirtualMonitor
 
 RIGHTS = "none needed"
 LONGEST = 86_400.0  # s
@@ -128,6 +130,9 @@ class Run:
             file.bus.supervision,
             self._nanoseconds,
         )
+        if configuration.monitored:
+            watched = watched_of(configuration)
+            self.loop.attach(SecondChannel(lambda: VirtualMonitor(self._wire, watched)))
 
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
         script = beginnings(self.machine, faults, self._wire)

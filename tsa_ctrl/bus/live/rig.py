@@ -63,6 +63,9 @@ class Rig:
         self.last_error = ""
         self.flooded = 0
         self.has_commanded = False  # since it was made
+        self.monitor_acted: Callable[[float], bool] = lambda now: (
+            False
+        )  # at this time: then its frames are no intruder's
         self.withholds_heartbeat = False  # for a trial of the drives' own watchdogs
         self._clock = clock
         self._settings = settings
@@ -333,6 +336,8 @@ class Rig:
             self._meet_intruder(can_id, data)
 
     def _meet_intruder(self, can_id: int, data: bytes) -> None:
-        """A frame that only a master sends, and not ours: a bus hears its own frames never."""
+        """Note a frame that only a master sends: a bus never hears its own. The monitor's are no intruder's."""
+        if self.monitor_acted(self._clock()):
+            return
         for axis in self.axes:
             axis.image.intruder = can_id

@@ -1,0 +1,287 @@
+"""The monitor as a process with a CAN socket of its own: `python -m tsa_ctrl.daemon.monitor_process FD`.
+
+It outlives the daemon until the drives confirmed that they give no torque. No signal of a terminal or of a service
+manager ends it: it ends when the pipe from the daemon is closed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from select import select
+
+import msgspec
+
+from tsa_ctrl.errors import TsaError, UsageError
+from tsa_ctrl.monitor.findings import Stop, Watched
+from tsa_ctrl.monitor.watch import Frame, Monitor
+from tsa_ctrl.system.parent import child
+from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
+from tsa_ctrl.system.torque_off import OutputSettings, TorqueOff
+
+READY = b"ready\n"
+TICK = 0.004  # s between two looks at what is missing
+REPEAT = 0.02  # s between two repetitions of the stop
+PERMIT = 0.05  # s between two bytes that permit torque
+OUTLIVE = 5.0  # s for which it repeats the stop after the daemon's end
+LATE = 0.05  # s without a sign of life until the daemon looks whether the process ended
+SILENT = 0.5  # s without a sign of life until the daemon counts it as hung
+MOST = 64  # frames between two looks
+_FRAME = struct.Struct("=IB3x8s")  # struct can_frame
+_TIMESPEC = struct.Struct("@ll")
+_SO_TIMESTAMPNS = 35  # asm-generic/socket.h
+_TEXT = 4096  # bytes
+_IGNORED = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP, signal.SIGTTOU, signal.SIGPIPE)
+
+
+class Given(msgspec.Struct, frozen=True, kw_only=True):
+    """What the process is started with."""
+
+    watched: Watched
+    interface: str
+    channel: str
+    bitrate: int
+    options: dict[str, str | int | float | bool]
+    output: OutputSettings | None
+    priority: int  # of SCHED_FIFO, above the loop's
+
+
+class Report(msgspec.Struct, frozen=True):
+    """What the process found so far."""
+
+    stop: Stop | None = None
+    confirmed: bool = False
+    notices: tuple[Stop, ...] = ()
+
+
+class Board:
+    """Shared memory from the monitor to the daemon: a sign of life, and the report."""
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        self._memory = SharedMemory(64 + space(2, _TEXT), descriptor)
+        self.descriptor = self._memory.descriptor
+        self._words = self._memory.words
+        self._report = Newest(self._memory, 64, _TEXT)
+
+    def alive(self) -> None:
+        self._words[0] = time.monotonic_ns()
+
+    @property
+    def heard(self) -> float:
+        """Time of the last sign of life, s, monotonic."""
+        return self._words[0] * 1e-9
+
+    def tell(self, report: Report) -> None:
+        self._report.write(msgspec.json.encode(report))
+
+    def take(self) -> Report | None:
+        """Return a new report, None when there is none."""
+        content = self._report.take()
+        return None if content is None else msgspec.json.decode(content, type=Report)
+
+
+class RawCan:
+    """A raw SocketCAN socket with the kernel's time of arrival. Raises OSError."""
+
+    def __init__(self, channel: str) -> None:
+        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._socket.bind((channel,))
+        self._socket.setblocking(False)
+        self.fileno = self._socket.fileno
+
+    def receive(self) -> tuple[Frame, float] | None:
+        try:
+            data, extra, _, _ = self._socket.recvmsg(_FRAME.size, 64)
+        except BlockingIOError:
+            return None
+        can_id, length, content = _FRAME.unpack(data)
+        seconds, nanoseconds = _TIMESPEC.unpack_from(extra[0][2])
+        return (can_id, content[:length]), seconds + nanoseconds * 1e-9
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self._socket.send(_FRAME.pack(can_id, len(data), data))
+
+
+class LibraryCan:
+    """Any interface of python-can that has a descriptor. Raises OSError or can.CanError."""
+
+    def __init__(self, given: Given) -> None:
+        import can  # slow to import
+
+        arguments = {"bitrate": given.bitrate} if given.interface != "udp_multicast" else {"fd": False, "hop_limit": 0}
+        self._bus = can.Bus(interface=given.interface, channel=given.channel, **{**arguments, **given.options})
+        self._message = can.Message
+        self.fileno = self._bus.fileno
+
+    def receive(self) -> tuple[Frame, float] | None:
+        message = self._bus.recv(0.0)
+        if message is None:
+            return None
+        flags = 0x20000000 * message.is_error_frame | 0x40000000 * message.is_remote_frame
+        return (message.arbitration_id | flags, bytes(message.data)), message.timestamp
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self._bus.send(self._message(arbitration_id=can_id, is_extended_id=False, data=data))
+
+
+class Watch:
+    """The monitor, its bus and its output, until the daemon is gone and the torque, too."""
+
+    def __init__(self, given: Given, bus: RawCan | LibraryCan, output: TorqueOff, board: Board) -> None:
+        self._monitor, self._bus, self._output, self._board = Monitor(given.watched), bus, output, board
+        self._number, self._due, self._permit, self._last = 0, 0.0, 0.0, Report()
+
+    def run(self, pipe: int) -> None:
+        """Watch until the pipe is closed; then until no drive gives torque, for `OUTLIVE` s at most."""
+        monitor, reading, end = self._monitor, [self._bus.fileno(), pipe], float("inf")
+        while time.monotonic() < end and not (end < float("inf") and (monitor.stop is None or self._last.confirmed)):
+            readable = select(reading, (), (), TICK)[0]
+            if pipe in readable and not os.read(pipe, 64):
+                reading.remove(pipe)
+                end = time.monotonic() + OUTLIVE
+                self._take()
+                if monitor.on:
+                    monitor.act("daemon", time.monotonic())
+            self._take()
+            self._board.alive()
+            self._follow(time.monotonic())
+
+    def _take(self) -> None:
+        """Give what has come to the monitor, by its time of arrival."""
+        step, receive = self._monitor.step, self._bus.receive
+        try:
+            for _ in range(MOST):
+                found = receive()
+                now = time.monotonic()
+                if found is None:
+                    step(None, now)
+                    return
+                now -= max(0.0, time.time() - found[1])
+                step(found[0], now)
+            step(None, now)
+        except Exception as error:  # python-can lets anything through
+            if self._monitor.on:
+                self._monitor.act("bus", time.monotonic(), error)
+
+    def _follow(self, now: float) -> None:
+        """Report, then act, and again until it is confirmed."""
+        monitor = self._monitor
+        done = monitor.stop is not None and monitor.confirmed
+        if monitor.stop is not None and now >= self._due and not self._last.confirmed:
+            self._due = now + REPEAT
+            self._tell(self._last.confirmed)
+            done = self._output.off() and done
+            for can_id, data in monitor.action(0 if done else self._number):
+                with contextlib.suppress(Exception):
+                    self._bus.send(can_id, data)
+            self._number += 1
+            self._tell(done)
+        elif monitor.stop is None:
+            if now >= self._permit:
+                self._permit = now + PERMIT
+                self._output.permit()
+            self._tell(False)
+
+    def _tell(self, confirmed: bool) -> None:
+        report = Report(self._monitor.stop, confirmed, tuple(self._monitor.notices.values()))
+        if report != self._last:
+            self._last = report
+            self._board.tell(report)
+
+
+class MonitorProcess:
+    """The daemon's end: starts the process, and looks after it."""
+
+    def __init__(self, given: Given) -> None:
+        """Raises UsageError with the one line of a process that cannot watch."""
+        self.report = Report()
+        self._told: set[str] = set()
+        self._board = Board()
+        self._child = child("tsa_ctrl.daemon.monitor_process", self._board.descriptor, fd=self._board.descriptor)
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        with contextlib.suppress(BrokenPipeError):
+            self._child.stdin.write(msgspec.json.encode(given) + b"\n")
+            self._child.stdin.flush()
+        answer = self._child.stdout.readline()
+        if answer != READY:
+            self.close()
+            raise UsageError(answer.decode(errors="replace").strip() or "the monitor ended at once; see its traceback")
+
+    @property
+    def pid(self) -> int:
+        return self._child.pid
+
+    def fault(self, now: float) -> str | None:
+        """Return why there must be no torque, None while the monitor watches; `now` in s, monotonic."""
+        found = self._board.take()
+        self.report = self.report if found is None else found
+        if self.report.stop is not None:
+            return f"monitor: {self.report.stop}"
+        silent = now - self._board.heard
+        if silent > LATE and self._child.poll() is not None:
+            return "monitor: its process ended"
+        return f"monitor: no sign of life for {SILENT:g} s" if silent > SILENT else None
+
+    def news(self) -> list[str]:
+        """Return what was noticed since the last call, and needs no action."""
+        new = [str(notice) for notice in self.report.notices if notice.id not in self._told]
+        self._told |= {notice.id for notice in self.report.notices}
+        return new
+
+    def close(self) -> None:
+        """Let the process end, which takes until the drives confirm that they give no torque; kill one that hangs."""
+        if time.monotonic() - self._board.heard > SILENT:
+            self._child.kill()
+        if self._child.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._child.stdin.close()
+        try:
+            self._child.wait(OUTLIVE + 1.0)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+
+
+def main(argv: list[str]) -> int:
+    """Watch until the daemon is gone."""
+    for number in _IGNORED:
+        signal.signal(number, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.setsid()  # a stop of the terminal's group does not stop it
+    given = msgspec.json.decode(_first_line(sys.stdin.fileno()), type=Given)
+    try:
+        bus = RawCan(given.channel) if given.interface == "socketcan" else LibraryCan(given)
+        output = TorqueOff(given.output)
+    except Exception as error:
+        line = str(error) if isinstance(error, TsaError) else f"[monitor] bus '{given.channel}': {error}"
+        print(" ".join(line.split()), flush=True)
+        return 2
+    with contextlib.suppress(OSError):  # a right that may be missing; the loop's is reported
+        os.sched_setaffinity(0, range(os.cpu_count() or 1))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(given.priority))
+    board = Board(int(argv[0]))
+    board.alive()
+    sys.stdout.buffer.write(READY)
+    sys.stdout.flush()
+    Watch(given, bus, output, board).run(sys.stdin.fileno())
+    return 0
+
+
+def _first_line(pipe: int) -> bytes:
+    """Return the first line, and leave what follows unread."""
+    line = b""
+    while not line.endswith(b"\n") and (found := os.read(pipe, 1 << 16)):
+        line += found
+    return line
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,178 @@
+"""The second channel beside the loop: what its monitor is given, in plain numbers, and whether it watches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from enum import IntEnum
+from typing import Protocol
+
+from tsa_ctrl.bus.canopen import objects
+from tsa_ctrl.bus.drive.scale import drive_scale, encoder_scale
+from tsa_ctrl.config import Configuration
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.daemon.assembly import give_of
+from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess, Report
+from tsa_ctrl.monitor.findings import Watched, WatchedAxis
+from tsa_ctrl.safety.plausibility import DEFAULT_TORQUE
+
+PULLEYS = 0.02  # rad at the motor: pulleys out of round, eccentric encoders, backlash
+MORE_MISSES = 3  # periods beyond the misses that the loop tolerates: the loop acts first
+
+
+def watched_of(configuration: Configuration) -> Watched:
+    """Return what the monitor of a configuration watches, with limits from [axis.limits]."""
+    file, axes = configuration.file, []
+    for settings, model, profile in zip(file.axes, configuration.models, configuration.profiles, strict=True):
+        drive, encoder, limits = settings.drive, settings.encoder, settings.limits
+        give = give_of(settings, model, 0.0)
+        scale = drive_scale(drive, profile, f"axis '{settings.name}'")
+        slip, torque_error, travel = settings.plausibility.slip, settings.plausibility.torque, limits.travel
+        alone = max(0.0, limits.torque - give.domain) / limits.torque  # beyond it one tendon pulls, and gives twice
+        margin = limits.travel_margin
+        axes.append(
+            WatchedAxis(
+                name=settings.name,
+                node_id=drive.node_id,
+                slot=drive.slot,
+                pdo_node_id=drive.pdo_node_id,
+                has_error_code=profile.has(objects.ERROR_CODE),
+                encoder_id=None if encoder is None else encoder.node_id,
+                torque_digit=scale.torque,
+                position_digit=scale.position,
+                velocity_digit=scale.velocity if drive.velocity_source == "drive" else 0.0,
+                joint_digit=0.0 if encoder is None else encoder_scale(encoder),
+                joint_zero=0 if encoder is None else encoder.zero,
+                joint_range=1 << 32 if encoder is None else encoder.counts_range,
+                torque=limits.torque,
+                torque_rate=limits.rate,
+                torque_error=DEFAULT_TORQUE * limits.torque if torque_error is None else torque_error,
+                over_speed=limits.over_speed,
+                motor_over_speed=limits.motor_over_speed,
+                travel=None if travel is None else (travel[0] - margin, travel[1] + margin),
+                ratio=model.joint_pulley_radius / model.motor_pulley_radius,
+                slack=slip or (1.0 + give.doubt) * (1.0 + give.friction) * give.wound + give.play + PULLEYS,
+                compliance=(1.0 + give.doubt + alone) / give.stiffness,
+                silence=max(
+                    drive.rpdo_timeout, (file.bus.supervision.tolerated_misses + MORE_MISSES) * configuration.period
+                ),
+            )
+        )
+    return Watched(
+        axes=tuple(axes),
+        nodes=tuple(sorted({node.node_id for axis in file.axes for _, node in axis.nodes()})),
+        period=configuration.period,
+        host_node_id=file.bus.host_node_id,
+        host_silence=min(axis.drive.host_timeout for axis in file.axes),
+    )
+
+
+class Watcher(Protocol):
+    """A monitor that runs: a process, or an object in virtual time."""
+
+    report: Report
+
+    def fault(self, now: float) -> str | None: ...
+    def news(self) -> list[str]: ...
+    def close(self) -> None: ...
+
+
+class MonitorState(IntEnum):
+    """State of the second channel; the values are codes of the status."""
+
+    OFF = 0
+    WATCHING = 1
+    STOPPED = 2  # it took the torque away
+    FAILED = 3  # its process ended or hangs
+
+
+class SecondChannel:
+    """The monitor of a run, or none; a new one takes its place at a new bring-up if it stopped or failed."""
+
+    def __init__(self, begin: Callable[[], Watcher] | None = None) -> None:
+        """`begin` starts a monitor; raises UsageError when it cannot watch."""
+        self._begin = begin
+        self._watcher = None if begin is None else begin()
+        self._fault: str | None = None
+
+    @property
+    def state(self) -> MonitorState:
+        """Return whether it watches."""
+        if self._watcher is None:
+            return MonitorState.OFF
+        if self._watcher.report.stop is not None:
+            return MonitorState.STOPPED
+        return MonitorState.WATCHING if self._fault is None else MonitorState.FAILED
+
+    @property
+    def failed(self) -> bool:
+        """Return True once it stopped or failed: torque needs a new monitor."""
+        return self._fault is not None
+
+    @property
+    def confirmed(self) -> bool:
+        """Return True if every drive confirmed to the monitor that it gives no torque."""
+        return self._watcher is not None and self._watcher.report.confirmed
+
+    def fault(self, now: float) -> str | None:
+        """Return once why there must be no torque; `now` in s, monotonic."""
+        if self._watcher is None or self._fault is not None:
+            return None
+        self._fault = self._watcher.fault(now)
+        return self._fault
+
+    def follow(self, now: float, axes: Sequence[ControlAxis]) -> str | None:
+        """Latch in every supervisor what the monitor stopped for; return once why there is no monitor any longer."""
+        text = self.fault(now)
+        if text is None or self.state is not MonitorState.STOPPED:
+            return text
+        for axis in axes:
+            axis.supervisor.trip(text, now)
+        return None
+
+    def acted(self, now: float) -> bool:
+        """Return True if the monitor took the torque away, so that a master's frame may be its own."""
+        if self._watcher is None:
+            return False
+        self._watcher.fault(now)
+        return self._watcher.report.stop is not None
+
+    def news(self) -> list[str]:
+        """Return notices since the last call."""
+        return [] if self._watcher is None else self._watcher.news()
+
+    def renew(self) -> None:
+        """Start a new monitor in the place of one that stopped or failed."""
+        if self._begin is not None and self._fault is not None:
+            self.close()
+            self._watcher, self._fault = self._begin(), None
+
+    def close(self) -> None:
+        """End it; torque must be gone."""
+        if self._watcher is not None:
+            self._watcher.close()
+
+
+def monitor_process(configuration: Configuration) -> SecondChannel:
+    """Start the monitor as a process, if the configuration enables it. Raises UsageError."""
+    file = configuration.file
+    if not configuration.monitored:
+        return SecondChannel()
+    given = Given(
+        watched=watched_of(configuration),
+        interface=file.bus.interface,
+        channel=file.bus.channel,
+        bitrate=file.bus.bitrate,
+        options=file.bus.options,
+        output=file.monitor.output,
+        priority=min(99, file.realtime.priority + 1),
+    )
+    return SecondChannel(lambda: MonitorProcess(given))
+
+
+def monitor_line(configuration: Configuration) -> str:
+    """Return the line of the start that reports whether a monitor runs."""
+    if not configuration.monitored:
+        return "monitor: off; only the drives' own time-outs act when this process fails ([monitor] enabled)"
+    output = configuration.file.monitor.output
+    acts = "no output for safe torque off ([monitor] output)" if output is None else f"output {output.named}"
+    return f"monitor: watches {configuration.file.bus.channel}; it acts by NMT stop, {acts}"

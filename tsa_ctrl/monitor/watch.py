@@ -1,0 +1,338 @@
+"""Decide from CAN frames alone whether the torque must go. No clock, no input or output, no model of the actuator.
+
+Only the frame tables of `bus.canopen` are shared with the loop. `now` is the arrival time of a frame in s.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from tsa_ctrl.bus.canopen import cia301, cia402, objects, pdo
+from tsa_ctrl.bus.canopen.cia301 import NmtCommand
+from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
+from tsa_ctrl.monitor.findings import FINDINGS, Stop, Watched, WatchedAxis
+
+SPEED_WINDOW = 0.01  # s, over which positions are differentiated
+SURPLUS, FORGIVEN = 3.0, 0.05  # frames beyond one per SYNC, and the share forgiven per SYNC: bus errors repeat some
+RATE_WINDOW, FAST, SLOW = 32, 1.5, 0.5  # SYNC periods over which SYNCs are counted; of the rate
+MEMORY = 0.2  # s, over which 0x606C is compared with 0x6064, and for which tendons may stay stretched after a torque
+VELOCITY_ERROR, VELOCITY_SHARE, VELOCITY_LAG = 0.02, 0.25, 0.01  # rad, 1, s: what a drive's 0x606C may be off by
+RATIO_ERROR, LATE, CREEP = 0.02, 3e-3, 0.2  # 1 of the travel; s between two encoders; 1/s of the allowance
+STUCK, FROZEN = 0.25, 0.05  # of the torque limit, by which the command moves while a measurement does not
+_COUNTER = 1 << 32  # where 0x6064 wraps
+_ON = frozenset({PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE})
+_SDO_WRITES = frozenset({0, 1, 6})  # client command specifiers: download segment, download, block download
+_LSS_QUESTIONS = range(0x46, 0x60)  # CiA 305: identify and inquire; every other LSS service may change a node
+Frame = tuple[int, bytes]
+
+
+class _Angle:
+    """A counter that wraps, as an angle in rad, with its step and its speed over `SPEED_WINDOW`."""
+
+    def __init__(self, digit: float, wraps: int, zero: int, period: float) -> None:
+        self._digit, self._wraps, self.count, self._last, self._fresh = digit, wraps, zero, zero, False
+        self._past: deque[tuple[float, float]] = deque(maxlen=1 + math.ceil(SPEED_WINDOW / period))
+        self.angle = self.speed = self.step = 0.0
+
+    def take(self, values: tuple[Any, ...], now: float) -> None:
+        self.count, self._fresh = values[0], True
+
+    def update(self, sampled: float) -> bool:
+        """Follow the count of the SYNC at `sampled` s; return False when there is none."""
+        if not self._fresh:
+            return False
+        half = self._wraps // 2
+        self.step = self._digit * ((self.count - self._last + half) % self._wraps - half)
+        self._last, self._fresh = self.count, False
+        self.angle += self.step
+        self._past.append((sampled, self.angle))
+        elapsed = sampled - self._past[0][0]
+        self.speed = (self.angle - self._past[0][1]) / elapsed if elapsed > 0.0 else 0.0
+        return True
+
+
+class _Stream:
+    """Frames of one identifier: when the last one came, and how many came beyond one per SYNC."""
+
+    def __init__(self, can_id: int, silence: float) -> None:
+        self.can_id, self.silence, self.heard, self.credit, self.surplus = can_id, silence, -math.inf, 2, 0.0
+
+
+class _Axis:
+    """One axis: `on` while its drive may give torque, `gone` once the drive reported that it gives none."""
+
+    def __init__(self, watched: WatchedAxis, period: float, act: Callable[..., None]) -> None:
+        self.watched, self._period, self._act = watched, period, act
+        layout = pdo.drive_layout(watched.node_id, watched.slot, watched.pdo_node_id)
+        self.layout = layout if watched.has_error_code else layout.without(objects.ERROR_CODE)
+        self.motor = _Angle(watched.position_digit, _COUNTER, 0, period)
+        self.joint = _Angle(watched.joint_digit, watched.joint_range, watched.joint_zero, period)
+        self.streams: list[_Stream] = []
+        self.controlword, self.statusword = (
+            struct.pack("<HB", *entry.of(watched.slot).key) for entry in (objects.CONTROLWORD, objects.STATUSWORD)
+        )
+        self.on = self.gone = self._commanded = self._enabled = False
+        self._command = self._commanded_at = self._torque = self._speed = self._sampled = 0.0
+        self._raw: tuple[int, ...] = ()
+        self._begin(0.0)
+
+    def _begin(self, now: float) -> None:
+        """Start every check afresh: torque may begin."""
+        for stream in self.streams:
+            stream.heard = max(stream.heard, now)
+        self._since: dict[str, float] = {}  # s, from when on a check fails
+        self._held: dict[str, tuple[object, float, float]] = {}  # content, and the command's range since it changed
+        self._offset, self._from = math.nan, self.motor.angle
+        self._load = self._fast = self._way = self._mismatch = 0.0
+
+    def _check(self, now: float, cause: str, wrong: bool, *values: float) -> None:
+        """Act on a condition that has lasted for its time without a break."""
+        if not wrong:
+            self._since.pop(cause, None)
+        elif self.on:
+            lasting = FINDINGS[cause][1]
+            if now - self._since.setdefault(cause, now) >= lasting + (3.0 * self._period if lasting else 0.0):
+                self._act(cause, now, *values, where=f"axis '{self.watched.name}': ")
+
+    def _moved(self, name: str, content: object) -> float:
+        """Return by how much the command moved (N*m) while `content` did not change by one bit."""
+        held, low, high = self._held.get(name, (None, 0.0, 0.0))
+        command = self._command
+        low, high = (min(low, command), max(high, command)) if held == content else (command, command)
+        self._held[name] = content, low, high
+        return high - low
+
+    def _switch(self, now: float) -> None:
+        on = self._commanded or self._enabled
+        if on and not self.on:
+            self._begin(now)
+        self.on = on
+
+    def take_command(self, values: tuple[Any, ...], now: float) -> None:
+        """Check what the loop commands."""
+        watched, last, elapsed = self.watched, self._command, now - self._commanded_at
+        self._commanded = values[0] & 0x8F == Controlword.ENABLE_OPERATION
+        self._switch(now)
+        torque = values[1] * watched.torque_digit
+        self._command, self._commanded_at = torque, now
+        limit, rounding = watched.torque, 2.0 * abs(watched.torque_digit)
+        self._check(now, "command_torque", abs(torque) > limit + rounding, torque, limit)
+        growth = torque - max(last, 0.0) if torque > 0.0 else min(last, 0.0) - torque
+        most = watched.torque_rate * (elapsed + self._period) + rounding
+        self._check(now, "command_step", growth > most, growth, elapsed, watched.torque_rate)
+
+    def take_motion(self, values: tuple[Any, ...], now: float) -> None:
+        """Follow state, torque and speed that the drive reports."""
+        self.take_state(values[0])
+        self._switch(now)
+        self._raw = values[1:]
+        self._torque, self._speed = values[1] * self.watched.torque_digit, values[2] * self.watched.velocity_digit
+
+    def take_state(self, statusword: int) -> None:
+        self._enabled = cia402.decode(statusword) in _ON
+        self.gone = self.gone or not self._enabled
+
+    def take_answer(self, data: bytes, now: float) -> None:
+        """Follow the answer to an SDO read of the statusword."""
+        if len(data) == 8 and data[0] == 0x4B and data[1:4] == self.statusword:
+            self.take_state(int.from_bytes(data[4:6], "little"))
+
+    def judge(self, sampled: float, now: float) -> None:
+        """Compare what the nodes sampled at the SYNC of `sampled` s."""
+        watched, motor, joint, check = self.watched, self.motor, self.joint, self._check
+        moved, joint_moved = motor.update(sampled), joint.update(sampled)
+        elapsed = sampled - self._sampled
+        if moved:
+            self._sampled = sampled
+        if not self.on:
+            return
+        geared = watched.encoder_id is None
+        q_j, omega_j = joint.angle, joint.speed
+        if geared:
+            q_j, omega_j = motor.angle / watched.ratio, motor.speed / watched.ratio
+        torque, command, limit = self._torque, self._command, watched.torque
+        omega_m = max(abs(motor.speed), abs(self._speed))
+        check(now, "motor_speed", omega_m > watched.motor_over_speed, omega_m, watched.motor_over_speed)
+        check(now, "joint_speed", abs(omega_j) > watched.over_speed, omega_j, watched.over_speed)
+        if watched.travel is not None:
+            check(now, "travel", not watched.travel[0] <= q_j <= watched.travel[1], q_j, *watched.travel)
+        check(now, "torque", abs(torque) > limit + watched.torque_error, torque, limit)
+        check(now, "torque_error", abs(torque - command) > watched.torque_error, torque, command)
+        by = self._moved("frozen", (self._raw, motor.count))
+        check(now, "frozen", by > FROZEN * limit, by)
+        by = self._moved("stuck", motor.count)
+        check(now, "stuck", by > max(STUCK * limit, watched.slack / watched.compliance), by)
+        if moved and elapsed > 0.0:
+            self._compare(elapsed, now, joint_moved and not geared)
+
+    def _compare(self, elapsed: float, now: float, has_joint: bool) -> None:
+        """Compare 0x606C with 0x6064, both as a way; and q_M with q_J by the ratio of the radii."""
+        watched, motor, kept = self.watched, self.motor, math.exp(-elapsed / MEMORY)
+        way, digit = self._speed * elapsed, abs(watched.velocity_digit)
+        self._fast = max(abs(self._speed), abs(motor.speed), self._fast * kept)
+        self._mismatch = self._mismatch * kept + way - motor.step
+        self._way = self._way * kept + max(abs(way), abs(motor.step))
+        most = VELOCITY_ERROR + VELOCITY_SHARE * self._way + VELOCITY_LAG * self._fast + digit * MEMORY
+        self._check(now, "velocity", digit > 0.0 and abs(self._mismatch) > most, self._speed, motor.speed)
+        if not has_joint:
+            return
+        apart = motor.angle - watched.ratio * self.joint.angle
+        self._offset = apart if self._offset != self._offset else self._offset
+        apart -= self._offset
+        self._load = max(abs(self._torque), abs(self._command), self._load * kept)
+        most = watched.slack + watched.compliance * self._load + LATE * self._fast
+        most += RATIO_ERROR * abs(motor.angle - self._from)
+        self._check(now, "apart", abs(apart) > most, apart, most)
+        creep = CREEP * most * elapsed
+        self._offset += min(creep, max(-creep, apart))
+
+
+class Monitor:
+    """Watch one bus. `stop`: the cause, latched; `notices` by id: what came while torque was on and does no harm."""
+
+    def __init__(self, watched: Watched) -> None:
+        self.stop: Stop | None = None
+        self.notices: dict[str, Stop] = {}
+        self._watched, self._synced, self._counted = watched, -math.inf, (math.inf, 0)
+        self._axes = [_Axis(axis, watched.period, self.act) for axis in watched.axes]
+        self._handlers: dict[int, list[Callable[[bytes, float], None]]] = {}
+        silence = max(axis.silence for axis in watched.axes)
+        self._window = max(RATE_WINDOW * watched.period, 4.0 * silence)
+        self._sync = _Stream(cia301.SYNC, silence)
+        self._host = _Stream(cia301.HEARTBEAT + watched.host_node_id, watched.host_silence)
+        self._hear(self._sync.can_id, self._take_sync)
+        self._hear(self._host.can_id, lambda data, now: setattr(self._host, "heard", now))
+        self._hear(cia301.NMT, self._meet_nmt)
+        self._hear(cia301.LSS_REQUEST, self._meet_lss)
+        self._hear(cia301.TIME, lambda data, now: self._notice("time", now))
+        for node in watched.nodes:
+            self._hear(cia301.SDO_REQUEST + node, self._meet_sdo)
+        for axis in self._axes:
+            layout, encoder = axis.layout, axis.watched.encoder_id
+            self._hear_pdo(axis, layout.command, layout.node_id, axis.take_command)
+            self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_motion)
+            self._hear_pdo(axis, layout.position, layout.node_id, axis.motor.take)
+            if encoder is not None:
+                self._hear_pdo(axis, pdo.ENCODER, encoder, axis.joint.take)
+            self._hear(cia301.SDO_ANSWER + axis.watched.node_id, axis.take_answer)
+
+    def step(self, frame: Frame | None, now: float) -> Stop | None:
+        """Take a frame that arrived at `now`, or None when every frame until `now` was taken; return the cause."""
+        if frame is None:
+            self._look_for_silence(now)
+        else:
+            for handler in self._handlers.get(frame[0], ()):
+                handler(frame[1], now)
+        return self.stop
+
+    @property
+    def on(self) -> bool:
+        """Return True while a drive may give torque."""
+        return any(axis.on for axis in self._axes)
+
+    @property
+    def confirmed(self) -> bool:
+        """Return True once every drive reported after the stop that it gives no torque."""
+        return all(axis.gone for axis in self._axes)
+
+    def action(self, number: int) -> list[Frame]:
+        """Return the frames of this repetition of the stop, from 0 on.
+
+        NMT stop comes first. A stopped node answers nothing, so the next repetition makes it pre-operational, disables
+        a drive that did not react to it, and asks for its state. RPDOs act in neither state.
+        """
+        nodes = dict.fromkeys(axis.watched.node_id for axis in self._axes)
+        if number % 2 == 0:
+            return [(cia301.NMT, cia301.nmt(NmtCommand.STOP, node)) for node in nodes]
+        frames = [(cia301.NMT, cia301.nmt(NmtCommand.PRE_OPERATIONAL, node)) for node in nodes]
+        for axis in self._axes:
+            request = cia301.SDO_REQUEST + axis.watched.node_id
+            frames.append((request, b"\x2b" + axis.controlword + bytes(4)))
+            frames.append((request, b"\x40" + axis.statusword + bytes(4)))
+        return frames
+
+    def act(self, cause: str, now: float, *values: object, where: str = "") -> None:
+        """Latch the first cause, an id of `FINDINGS`, with the values of its detail."""
+        if self.stop is None:
+            title, _, detail = FINDINGS[cause]
+            self.stop = Stop(cause, title, where + detail.format(*values), now)
+            for axis in self._axes:
+                axis.gone = not axis.on
+
+    def _notice(self, cause: str, now: float, *values: object) -> None:
+        if self.on and cause not in self.notices:
+            title, _, detail = FINDINGS[cause]
+            self.notices[cause] = Stop(cause, title, detail.format(*values), now)
+
+    def _meet(self, cause: str, now: float, *values: object) -> None:
+        """Act on a frame that only another master sends while torque is on."""
+        if self.on:
+            self.act(cause, now, *values)
+
+    def _hear(self, can_id: int, handler: Callable[[bytes, float], None]) -> None:
+        self._handlers.setdefault(can_id, []).append(handler)
+
+    def _hear_pdo(self, axis: _Axis, layout: pdo.Pdo, node_id: int, take: Callable[..., None]) -> None:
+        stream = _Stream(layout.cob_id(node_id), axis.watched.silence)
+        axis.streams.append(stream)
+        unpack, length = layout.struct.unpack, layout.length
+
+        def handle(data: bytes, now: float) -> None:
+            if len(data) != length:  # not the frame that is waited for
+                return
+            stream.heard = now
+            if stream.credit:
+                stream.credit -= 1
+            else:
+                stream.surplus += 1.0
+                if stream.surplus > SURPLUS and axis.on:
+                    self.act("surplus", now, stream.can_id, stream.surplus)
+            take(unpack(data), now)
+
+        self._hear(stream.can_id, handle)
+
+    def _take_sync(self, data: bytes, now: float) -> None:
+        sampled, self._synced = self._synced, now
+        self._sync.heard = now
+        for axis in self._axes:
+            axis.judge(sampled, now)
+            for stream in axis.streams:
+                stream.credit = 1 if stream.credit == 0 else 2  # one more, for an answer that is late by one SYNC
+                if stream.surplus > 0.0:
+                    stream.surplus -= FORGIVEN
+        began, count = self._counted
+        if not self.on:
+            self._counted = now, 0
+        elif now - began < self._window:
+            self._counted = began, count + 1
+        else:
+            self._counted, rate, expected = (now, 0), (count + 1) / (now - began), 1.0 / self._watched.period
+            if not SLOW * expected < rate < FAST * expected:
+                self.act("sync_rate", now, rate, expected)
+
+    def _look_for_silence(self, now: float) -> None:
+        for axis in self._axes:
+            if axis.on and self.stop is None:
+                for stream in (self._sync, self._host, *axis.streams):
+                    if now - stream.heard > stream.silence:
+                        self.act(
+                            "silent", now, stream.can_id, now - stream.heard, where=f"axis '{axis.watched.name}': "
+                        )
+
+    def _meet_nmt(self, data: bytes, now: float) -> None:
+        if len(data) == 2 and data[1] in (cia301.ALL_NODES, *self._watched.nodes):
+            self._meet("nmt", now, *data)
+
+    def _meet_lss(self, data: bytes, now: float) -> None:
+        if data and data[0] in _LSS_QUESTIONS:
+            self._notice("lss_question", now, data[0])
+        elif data:
+            self._meet("lss", now, data[0])
+
+    def _meet_sdo(self, data: bytes, now: float) -> None:
+        if len(data) > 2 and data[0] >> 5 in _SDO_WRITES:
+            self._meet("sdo_write", now, data[2], data[1])
