@@ -100,11 +100,15 @@ class Course:
             apart = self.apart[first:end]
             least = np.fmin.accumulate(np.where(np.isnan(apart), math.inf, apart))
             most = np.fmax.accumulate(np.where(np.isnan(apart), -math.inf, apart))
+            y = self.band(travel, first, end)
+            ty, ay, yy = (filtered(x) for x in (t * y, a * y, y * y))
             with np.errstate(all="ignore"):
-                stretch, sensor = np.nan_to_num(ta / np.sqrt(tt * aa)), np.nan_to_num(tj / np.sqrt(tt * jj))
+                share = np.clip(np.nan_to_num(ay / yy), -0.02, 0.02)  # of the travel, by radii that are off
+                stretch = np.nan_to_num((ta - share * ty) / np.sqrt(tt * (aa - 2.0 * share * ay + share**2 * yy)))
+                sensor = np.nan_to_num(tj / np.sqrt(tt * jj))
             seen = most - least > 1.5 * self.counts
             sense = np.where(seen, stretch, np.where(jj > (0.01 * GEARED) ** 2, sensor, 0.0))
-            own = ta + filtered(t * self.band(travel, first, end))
+            own = ta + ty
             fast = seen & (own > 0.5 * ta) & (np.abs(travel[first:end]) < 1.5 * self.wound)
             gain = np.zeros(end - first)
             begins = np.flatnonzero(np.diff(held[first:end].astype(int), prepend=0) > 0).tolist()
@@ -570,3 +574,34 @@ def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: 
         torque = n * PERIOD - 2.0 * since
         found = found or sense.update(n * PERIOD, torque, since / STIFFNESS, UNKNOWN, -1.0 if since else 1.0, 0.0)
     assert (found is not None) is wrong
+
+
+def swung(error: float, elongation: float, frequency: float) -> list[str | None]:
+    """What is said of a joint that something swings by half a radian, with radii that are off by `error`.
+
+    `elongation`: rad at the motor by the torque's amplitude, negative for a motor that is reversed.
+    """
+    t, beats = np.arange(3000) * PERIOD, 2.0 * math.pi * 1.3
+    wave = np.sin(2.0 * math.pi * frequency * t)
+    apart = GEARED * error * 0.5 * np.sin(beats * t) + elongation * wave
+    columns = (
+        t,
+        0.1 * LIMIT * wave,
+        apart,
+        np.full(t.size, math.nan),
+        np.ones(t.size),
+        0.5 * beats * np.cos(beats * t),
+    )
+    check = Sense(LIMIT, GEARED, PERIOD)
+    return [check.update(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+@pytest.mark.parametrize("error", [-0.015, -0.01])
+def test_a_ratio_of_the_radii_that_is_off_looks_like_no_reversed_motor(error: float) -> None:
+    """The torque swings with the joint, and stretches the tendons by less than the radii seem to, the other way."""
+    assert not any(swung(error, 0.004, 1.3))
+
+
+@pytest.mark.parametrize("error", [-0.015, 0.0, 0.015])
+def test_a_ratio_of_the_radii_that_is_off_hides_no_reversed_motor(error: float) -> None:
+    assert any(swung(error, -0.01, 1.9))

@@ -35,6 +35,7 @@ import math
 from tsa_ctrl.safety.leaky import Leaky
 
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
+GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.apart`
 COUNTED = 1.5  # counts of both encoders, from which the stretch counts: one of each may change by chance
 RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
@@ -130,7 +131,7 @@ class Sense:
         """What was seen before does not count."""
         self._torque, self._apart, self._joint, self._yields = (_Band(*self._rates) for _ in range(4))
         self._least_apart, self._most_apart = math.inf, -math.inf
-        self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = 0.0
+        self._tt = self._ta = self._aa = self._dd = self._tj = self._jj = self._ty = self._ay = self._yy = 0.0
         self._stretch = 0.0
         self._forget_sensor()
 
@@ -175,7 +176,10 @@ class Sense:
         t, a, j = self._torque.of(torque), self._apart.of(apart), self._joint.of(tau_j)
         self._tt += memory * (t * t - self._tt)
         self._ta += memory * (t * a - self._ta)
-        self._ty += memory * (t * self._yields.of(self._travel) - self._ty)
+        y = self._yields.of(self._travel)
+        self._ty += memory * (t * y - self._ty)
+        self._ay += memory * (a * y - self._ay)
+        self._yy += memory * (y * y - self._yy)
         self._aa += memory * (a * a - self._aa)
         self._dd += memory * ((a - self._stretch) ** 2 - self._dd)
         self._stretch = a
@@ -192,7 +196,7 @@ class Sense:
             self._suspect = self._fast = False  # a constant torque shows no sense, and what came before is forgotten
             return None
         self._pulled = True
-        by_stretch = _correlation(self._ta, self._tt * self._aa)
+        by_stretch = self._by_stretch()
         seen = self._most_apart - self._least_apart > self._finest
         sense = by_stretch if seen else 0.0
         if not seen and self._jj > self._arrives:
@@ -228,6 +232,13 @@ class Sense:
                 f"{self._geared:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
             )
         return None
+
+    def _by_stretch(self) -> float:
+        """Return the correlation of torque and stretch, without what a wrong ratio of the radii adds to the stretch."""
+        share = self._ay / self._yy if self._yy > 0.0 else 0.0
+        share = min(max(share, -GEARING), GEARING)
+        product = self._ta - share * self._ty
+        return _correlation(product, self._tt * (self._aa - 2.0 * share * self._ay + share * share * self._yy))
 
     def _held_fast(self) -> bool:
         """Whether the stretch is the way of the joint alone, of tendons that may not have slid since they turned."""

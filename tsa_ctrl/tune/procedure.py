@@ -28,6 +28,7 @@ from tsa_ctrl.tune.excitation import (
     response,
 )
 from tsa_ctrl.tune.mechanics import LawTuning, Mechanics, bearable, measured, pulling, stiffened
+from tsa_ctrl.tune.radii import radius_ratio, with_ratio
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 from tsa_ctrl.tune.shake import SHARE, fastest, shaken
 
@@ -258,11 +259,16 @@ def from_logs(path: Path, model: TendonSheath, logs: Sequence[Dataset], settings
 
 
 def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> Estimate:
-    """The new model from logs; raises UsageError when they do not show enough."""
+    """The new model from logs; raises UsageError when they do not show enough, or contradict the radii."""
+    ratio = radius_ratio(logs, model)
+    model, notes = with_ratio(model, ratio)
     if settings.by_stretch:
-        return estimate_by_stretch(logs, model)
-    found = beside_stretch(estimate(logs, model, settings.certified_gain, settings.forms), logs, model)
-    return extended(logs, model, found) if settings.extended else found
+        found = estimate_by_stretch(logs, model)
+    else:
+        found = beside_stretch(estimate(logs, model, settings.certified_gain, settings.forms), logs, model)
+        found = extended(logs, model, found) if settings.extended else found
+    known = {} if ratio is None else {"radius_ratio": ratio}
+    return dataclasses.replace(found, parameters={**known, **found.parameters}, notes=(*notes, *found.notes))
 
 
 def stiff(found: Estimate, mechanics: Mechanics) -> Estimate:
