@@ -14,6 +14,7 @@ from tests.plant.bench import ACTUATOR
 from tests.virtual.files import controller, merged, write
 from tsa_ctrl.cli import cli
 from tsa_ctrl.config import Configuration, load_configuration
+from tsa_ctrl.daemon.assembly import describe
 from tsa_ctrl.daemon.run import run
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.provenance import NodeIdentity
@@ -253,3 +254,8 @@ def test_a_drive_without_a_speed_clamp_is_reported(tmp_path: Path) -> None:
         "axis 'knee': the drive has no 0x6080:0 max motor speed (by its profile): the controller alone limits the "
         "speed of the motor"
     )
+
+
+def test_the_status_lists_the_loose_bounds(tmp_path: Path) -> None:
+    configuration = load_configuration(write(tmp_path, controller(drive={"host_timeout": 0.3}))[0])
+    assert describe(configuration, ()).loose_bounds == loose_lines(configuration) != []

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.virtual.files import controller, plant, write
+from tests.virtual.files import controller, merged, plant, write
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.virtual.result import Simulation
 
@@ -67,3 +67,18 @@ def test_the_stop_is_found_on_slower_buses(tmp_path: Path, bitrate: int) -> None
     )
     result = simulate_loop(*write(tmp_path, tables), 1.2, faults=[PRESSED])
     assert latest_torque(result) < 0.6 + 2.0 * WITHIN
+
+
+def test_each_axis_reads_the_stop_of_its_own_drive(tmp_path: Path) -> None:
+    """Two axes of one device: the objects of the second lie 0x800 apart."""
+    tables = controller(file={"safety": {"emergency_stop": 3}, "controller": {"rate": 400.0}})
+    tables["axis"].append(
+        merged(
+            tables["axis"][0],
+            {"name": "hip", "drive": {"slot": 2}, "encoder": {"node_id": 33}, "torque_sensor": {"node_id": 65}},
+        )
+    )
+    machine = plant()
+    machine["axis"].append(merged(machine["axis"][0], {"name": "other", "drive": {"node_id": 1, "slot": 2}}))
+    result = simulate_loop(*write(tmp_path, tables, machine), 1.2, faults=["digital_input axis=other value=3@0.6"])
+    assert "emergency stop: drive node 1: bit 3 of 0x68FD:0 digital inputs" in result.axes[1].faults
