@@ -111,8 +111,8 @@ def test_what_was_done_to_several_logs_is_said_once(folder: Path, capsys: pytest
 
 
 def of_another_drive(log: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The joint torque of a drive without friction whose gain is half of what the pulleys say."""
-    return {**log, "tau_j": 0.5 * log["tau_m"]}
+    """The joint torque of a drive whose gain and friction are half of what pulleys and model give."""
+    return {**log, "tau_j": 0.5 * log["tau_j"]}
 
 
 def test_the_error_told_is_that_of_the_file_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -127,7 +127,7 @@ def test_the_error_told_is_that_of_the_file_written(folder: Path, capsys: pytest
 def test_worse_than_given_is_told_and_not_written_unasked(
     folder: Path, recorded, capsys: pytest.CaptureFixture[str]
 ) -> None:  # type: ignore[no-untyped-def]
-    """Two of three logs hold a torque that (3.55) cannot have: what is learned from them makes the third worse."""
+    """Two of three logs hold a torque that (3.55) cannot have. What is learned from them makes the third worse."""
     _, low, high = recorded
     for number, log in enumerate((low, of_another_drive(low), of_another_drive(high))):
         write_csv(folder / f"{number}.csv", log)

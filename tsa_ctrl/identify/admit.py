@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.energy import check_energy
+from tsa_ctrl.identify.redundancy import check_ends
 from tsa_ctrl.identify.units import check_ratios
 from tsa_ctrl.model.parameters import Model, TendonSheath
 
@@ -19,4 +20,5 @@ def admit(dataset: Dataset, model: Model, *columns: str) -> None:
         both = {"omega_j", "omega_m"} <= dataset.derived  # they say what their angles say, with more noise
         ends = {name: values for name, values in dataset.columns.items() if not (both and name == "omega_m")}
         check_ratios(dataset.label, ends, model.motor_pulley_radius, model.joint_pulley_radius)
+        check_ends(dataset.label, ends, dataset.period, model.joint_pulley_radius / model.motor_pulley_radius)
     check_energy(dataset, model)

@@ -19,17 +19,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
-from tsa_ctrl.identify.units import check_pairs, check_rate, check_sizes
+from tsa_ctrl.identify.redundancy import check_columns
+from tsa_ctrl.identify.units import check_rate, check_sizes
 from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
 from tsa_ctrl.log.mending import mended
 from tsa_ctrl.log.table import Table, read_table, sha256_of
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps
 from tsa_ctrl.model.parameters import Model, RigidDrive
-from tsa_ctrl.model.signals import Signals, zero_phase_derivative
+from tsa_ctrl.model.signals import Signals
 
 Array = NDArray[np.float64]
 
-CHECKED = 10.0  # Hz, up to which an angle is compared with its velocity: factors of 57 and 1000 show in any motion
 MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
 FEWEST = 10  # rows, below which a table is no log but a heading of one
@@ -198,12 +198,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
         columns, start = _recorded(columns, notes)
     _check_numbers(table, columns, start)
     columns, period, jitter = _uniform(table, columns, start, notes, strict)
-    derivatives: dict[str, Array] = {
-        angle: zero_phase_derivative(columns[angle], period, CHECKED)
-        for angle, velocity, _ in SHAFTS
-        if angle in columns and velocity in columns
-    }
-    check_pairs(table.label, columns, derivatives)
+    notes += check_columns(table.label, columns, period)
     check_sizes(table.label, columns, start)
     motion = Motion({name: columns[name] for shaft in SHAFTS for name in shaft if name in columns}, period, cutoff)
     derived = motion.derived()

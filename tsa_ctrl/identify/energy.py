@@ -21,7 +21,10 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.redundancy import compare, judge
 from tsa_ctrl.model.parameters import Model, TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import low_pass
 
 Array = NDArray[np.float64]
 
@@ -38,16 +41,28 @@ RELATED = 0.5  # correlation of an angle with the integral of its own velocity, 
 # Samples: of a longer log every second, third ... is looked at, and 12 blocks have 50,000 each. Of an hour at 1 kHz the
 # fit of all would be the most memory that a diagnosis needs, 0.6 GB
 MOST = 600_000
+BAND = 10.0  # Hz, in which measured and simulated torque are compared
+FOLLOWS = 0.5  # correlation of measured and simulated torque, at least; 0.9 and more where they belong together
+CHANGES = 0.3  # of the simulated torque's change: a measured torque that changes less is of a constant load
+UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
+FEWEST_MEANS = 20  # whose spread is then known to a sixth
+FRICTION_FACTOR = 2.0  # of F, beyond what [uncertainty] leaves open
+SURE = 3.0  # standard errors
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 
 @dataclass(frozen=True)
 class _Signs:
-    """Of a and F, 0 where they are not certain; `carried` is a where its sign is certain."""
+    """Of a and F, 0 where they are not certain; `carried` is a where its sign is certain.
+
+    `friction_torque` is F in N*m with its standard error `doubt`.
+    """
 
     gain: int
     friction: int
     carried: float
+    friction_torque: float
+    doubt: float
 
 
 def check_energy(dataset: Dataset, model: Model) -> None:
@@ -121,6 +136,83 @@ def _check_transmission(dataset: Dataset, model: TendonSheath) -> None:
     )
 
 
+def foreign_torque(dataset: Dataset, model: Model) -> str:
+    """Return why the torques of a log cannot belong to its motion or to this model; empty where nothing shows that.
+
+    The measured joint torque is compared with the simulated one. It must follow the simulated one where both change
+    apart from motion and weight, and the friction torque F of both must agree within FRICTION_FACTOR beyond
+    [uncertainty]. A value counts only if its whole interval is beyond that.
+    """
+    if not isinstance(model, TendonSheath) or "tau_j" not in dataset or model.friction_angle <= 0.0:
+        return ""
+    omega, tau_j = dataset["omega_j"], dataset["tau_j"]
+    tau_m = dataset["tau_m"] * (model.joint_pulley_radius / model.motor_pulley_radius)
+    sliding = _sliding(omega)
+    measured = _signs(dataset, tau_m, omega, sliding, tau_j)
+    if measured is None:
+        return ""
+    other = "; is a column of another log or of another drive, is it noise, or are two columns swapped?"
+    if _is_noise(tau_j):
+        return f"column tau_j is noise: its neighbouring samples have nothing in common{other}"
+    expected = predict(model, dataset.signals())
+    pair = low_pass(expected, dataset.period, BAND), low_pass(tau_j, dataset.period, BAND)
+    try:
+        judge("", "simulated tau_j", "tau_j", compare(*pair, dataset.period), math.inf, signed=False)
+    except UsageError as error:
+        return str(error).removeprefix(": ")
+    correlation = _following(dataset, expected, sliding)
+    if correlation < FOLLOWS:
+        return (
+            f"column tau_j does not follow the joint torque that tau_m gives by the model (correlation "
+            f"{correlation:.2f}, at least {FOLLOWS:g} is needed){other}"
+        )
+    simulated = _signs(dataset, tau_m, omega, sliding, expected)
+    if simulated is None or not simulated.friction_torque > 0.0:
+        return ""
+    spare = FRICTION_FACTOR * (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+    factor = measured.friction_torque / simulated.friction_torque
+    doubt = SURE * measured.doubt / simulated.friction_torque
+    found = f"the friction torque (half the hysteresis width) in tau_m against tau_j is {max(factor, 0.0):.3g} times"
+    if factor - doubt > spare:
+        return (
+            f"{found} the model's, {factor * FRICTION_FACTOR / spare:.3g} times what [uncertainty] allows; torques may "
+            "be in N*cm or mN*m, or per mille of the rated torque: convert them to N*m, or give this drive's model"
+        )
+    if factor + doubt < 1.0 / spare:
+        return f"{found} the model's: friction does not follow the direction of the motion{other}"
+    return ""
+
+
+def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_]) -> float:
+    """Return the correlation of the measured with the simulated joint torque, apart from direction, weight and inertia.
+
+    Both are taken up to BAND. It is nan where the measured torque hardly changes compared with the simulated one: then
+    the load is constant, and the simulation only shows the ripple of the motor torque.
+    """
+    omega, thin = dataset["omega_j"], max(1, len(expected) // MOST)
+    angle = dataset["q_j"] if "q_j" in dataset else np.cumsum(omega) * dataset.period
+    acceleration = np.gradient(low_pass(omega, dataset.period, BAND), dataset.period)
+    apart = [np.sign(omega), angle, np.sin(angle), np.cos(angle), acceleration, np.ones_like(omega)]
+    torques = [low_pass(values, dataset.period, BAND) for values in (expected, dataset["tau_j"])]
+    here = np.flatnonzero(sliding)[::thin]
+    columns = np.column_stack(apart)[here]
+    columns /= np.maximum(np.max(np.abs(columns), axis=0), 1e-12)
+    simulated, measured = (
+        values[here] - columns @ np.linalg.lstsq(columns, values[here], rcond=1e-9)[0] for values in torques
+    )
+    sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(measured))
+    if sizes[0] == 0.0 or sizes[1] < CHANGES * sizes[0]:
+        return math.nan
+    return float(measured @ simulated) / (sizes[0] * sizes[1])
+
+
+def _is_noise(column: Array) -> bool:
+    """Return True if neighbours, also as means over a hundred samples, have nothing to do with each other."""
+    coarse = column[: len(column) // 100 * 100].reshape(-1, 100).mean(axis=1)
+    series = [column, coarse] if len(coarse) >= FEWEST_MEANS else [column]
+    return all(float(np.mean(np.diff(y) ** 2)) > UNRELATED * float(np.var(y)) > 0.0 for y in series)
+
+
 def _refuse_swapped(label: str, carried: float, ratio: float, velocity: str) -> None:
     """Raise UsageError when tau_m and tau_j may have changed places, which turns the sign of friction alone.
 
@@ -192,7 +284,9 @@ def _signs(
     if tau_j is not None and useful[1] and abs(coefficients[1]) > CARRIES * float(np.std(y)):
         gain = int(sign[1])
     carried = float(coefficients[1] / scale[1]) if gain else 0.0
-    return _Signs(gain, int(sign[0]), carried)
+    if not useful[0]:
+        return None
+    return _Signs(gain, int(sign[0]), carried, float(coefficients[0] / scale[0]), float(error[0] / scale[0]))
 
 
 def _clustered_error(columns: Array, residual: Array, block: NDArray[np.int64]) -> Array:

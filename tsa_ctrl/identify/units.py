@@ -75,31 +75,6 @@ def check_sizes(label: str, columns: Mapping[str, Array], first_row: int = 0) ->
             )
 
 
-def check_pairs(label: str, columns: Mapping[str, Array], derivatives: Mapping[str, Array]) -> None:
-    """Raise UsageError when an angle and its own velocity disagree by 180/pi or by 1000.
-
-    `derivatives` holds dq/dt of the angle columns by name.
-    """
-    for angle, velocity in (("q_j", "omega_j"), ("q_m", "omega_m")):
-        if angle not in derivatives or velocity not in columns:
-            continue
-        ratio = _slope(derivatives[angle], columns[velocity])
-        if ratio is None:
-            continue
-        if _near(ratio, DEGREES):
-            found, fix = (
-                f"{velocity} is 180/pi times d{angle}/dt",
-                f"{velocity} seems to be in degrees/s: use rad/s",
-            )
-        elif _near(ratio, 1.0 / DEGREES):
-            found, fix = f"d{angle}/dt is 180/pi times {velocity}", f"{angle} seems to be in degrees: use rad"
-        elif _near(ratio, 1000.0):
-            found, fix = f"{velocity} is 1000 times d{angle}/dt", "t seems to be in milliseconds: use s"
-        else:
-            continue
-        raise UsageError(f"{label}: column {angle} and column {velocity} disagree: {found}; {fix}")
-
-
 def check_ratios(
     label: str, columns: Mapping[str, Array], motor_pulley_radius: float, joint_pulley_radius: float
 ) -> None:

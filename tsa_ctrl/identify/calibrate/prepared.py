@@ -14,6 +14,7 @@ from tsa_ctrl.identify import admit as admissible
 from tsa_ctrl.identify.calibrate.admission import Admission, admit, require
 from tsa_ctrl.identify.calibrate.regression import block_labels, choose_lag
 from tsa_ctrl.identify.dataset import Dataset, matches
+from tsa_ctrl.identify.energy import foreign_torque
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.signals import Signals
 
@@ -72,6 +73,10 @@ def prepare(logs: Sequence[Dataset], model: TendonSheath, tensioner: Mapping[str
         )
     where = logs[0].name if len(logs) == 1 else f"{len(logs)} logs"
     require(admissions, [p.signals.tau_m for p in prepared], where)
+    for dataset in logs:
+        foreign = foreign_torque(dataset, model)
+        if foreign:
+            raise UsageError(f"{dataset.label or dataset.name}: {foreign}")
     return [p for p in prepared if p.mask.any()]
 
 

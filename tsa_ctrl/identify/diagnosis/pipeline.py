@@ -23,6 +23,7 @@ from tsa_ctrl.identify.diagnosis.parameters.refit import refit
 from tsa_ctrl.identify.diagnosis.refusals import (
     UNSUITED,
     InsufficientError,
+    refuse_foreign,
     refuse_unexciting,
     refuse_unrelated,
     refuse_unsuited,
@@ -67,6 +68,7 @@ def diagnose(
     testable = Candidates({}, {})
     try:
         refuse_unexciting(audited)
+        refuse_foreign(data.frame, model)
         scales = scales_of(data.frame, model)
         testable = candidates(data.frame, model, scales)
         say("noise and recalibration")

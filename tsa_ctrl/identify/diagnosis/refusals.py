@@ -6,11 +6,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.audit import Audit
+from tsa_ctrl.identify.diagnosis.data.frame import Frame
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
+from tsa_ctrl.identify.energy import foreign_torque
+from tsa_ctrl.model.parameters import Model
 
 WIDEST_FRICTION = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
 MOST_ERROR = (
@@ -44,6 +47,14 @@ def refuse_unexciting(found: Audit) -> None:
     """Logs in which the audit sees too little."""
     if found.insufficient:
         raise InsufficientError(found.insufficient)
+
+
+def refuse_foreign(frame: Frame, model: Model) -> None:
+    """Reject logs whose torques cannot belong to their motion or to the model."""
+    for run in frame.runs:
+        reason = foreign_torque(run.raw, model)
+        if reason:
+            raise InsufficientError(f"{run.name}: {reason}")
 
 
 def refuse_unsuited(problem: Problem, base: Fit) -> None:

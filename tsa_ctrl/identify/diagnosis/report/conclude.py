@@ -53,7 +53,8 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
     unasked = dict.fromkeys(of_the_stretch(model.effects)[1] if beside.unasked else (), beside.unasked)
     not_testable = {**outcome.testable.not_testable, **unasked, **nothing, **hidden}
     left = sorted((finding for finding in outcome.findings if finding.found), key=lambda finding: -finding.share)
-    verdict = _verdict(named=bool(causes), left=bool(left))
+    held = at_bounds(reported)
+    verdict = _verdict(named=bool(causes), left=bool(left), held=bool(held))
     worse = not by_torque and errors.recalibrated > errors.as_given  # nothing is shipped that is worse than the file
     extended = model if worse else reported.fitted.hypothesis.model(reported.fitted.point)
     formula = _formula(outcome, worse)
@@ -71,7 +72,7 @@ def conclude(model: Model, outcome: Outcome) -> Diagnosis:
         rms=Rms(errors.as_given, errors.recalibrated, errors.extended, errors.noise_floor, _simulated(outcome, model)),
         gain=min(errors.gain, 1.0) if by_torque else 0.0,
         model=_with_more(extended, beside.effects),
-        at_bounds={} if worse else at_bounds(reported),
+        at_bounds={} if worse else held,
         stretch=None if beside.rms is None else StretchRms(*beside.rms),
         formula=formula,
         details=details(outcome, grouped, [errors.lost[i] for i in order]),
@@ -126,9 +127,10 @@ def _with_more(model: Model, effects: Effects) -> Model:
     return model.with_effects({**model.effects, **effects})
 
 
-def _verdict(named: bool, left: bool) -> Verdict:
+def _verdict(named: bool, left: bool, held: bool) -> Verdict:
+    """Return the verdict; a parameter that is `held` at its bound leaves a part of the error to the causes."""
     if named:
-        return Verdict.PARTLY_EXPLAINED if left else Verdict.EXPLAINED
+        return Verdict.PARTLY_EXPLAINED if left or held else Verdict.EXPLAINED
     return Verdict.UNEXPLAINED if left else Verdict.CONSISTENT
 
 

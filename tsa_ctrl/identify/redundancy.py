@@ -1,0 +1,203 @@
+"""Redundant columns of a log: two columns that follow from each other must agree in scale, sign and time.
+
+An angle and its velocity, a velocity and its acceleration, the two ends of the transmission, command and torque: one
+function compares each pair as band-limited signals. With correlation r and ratio s of the RMS values, the scale lies
+between r s (least squares with all noise in the second column) and s / r (with all noise in the first column). A factor
+counts only if this whole range lies beyond its limit, so noise alone never makes a log wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.signals import low_pass, zero_phase_derivative
+
+Array = NDArray[np.float64]
+
+BAND = 10.0  # Hz, in which two columns are compared: factors of units show in any motion
+SAMPLES = 60_000  # at which a pair is compared at most; a longer log is reduced by means
+LEAST_CORRELATION = 0.9  # below, two columns are not one motion and their scale means nothing
+LONGEST_SHIFT = 0.5  # s, within which the second column is looked for in the first
+NOTED = 1.02  # factor from which on a difference is reported
+WRONG = 1.5  # factor from which on two columns of one shaft, or a velocity and its acceleration, cannot both be right
+FAR = 3.0  # factor for two columns between which the drive or the tendons stand
+NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s
+FEWEST_TURNS = 4  # crossings of the mean from which on a shift in time and a scale can be told apart
+CERTAIN = 0.99  # correlation from which on a shift in time is reported
+
+UNITS = {  # factors by which a column is too large: the likely unit, for angles or velocities, and for torques
+    "motion": (
+        (180.0 / math.pi, "degrees"),
+        (30.0 / math.pi, "rpm"),
+        (0.5 / math.pi, "revolutions"),
+        (1000.0, "mrad"),
+    ),
+    "torque": ((100.0, "N*cm"), (1000.0, "N*mm, mN*m or per mille of the rated torque")),
+}
+NEAR = 1.25  # factor either way within which a unit is recognised
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How a second column follows the first: its scale lies between `low` and `high`, it is `shift` s late."""
+
+    correlation: float
+    low: float
+    high: float
+    shift: float
+    turns: int  # times that the first column crosses its mean
+
+    @property
+    def scale(self) -> float:
+        """The most likely scale; negative if the columns run against each other."""
+        return math.copysign(math.sqrt(self.low * self.high), self.correlation)
+
+    def beyond(self, factor: float) -> bool:
+        """Return True if the whole range of the scale is further from 1 than `factor`, either way."""
+        return self.low > factor or self.high < 1.0 / factor
+
+
+def compare(first: Array, second: Array, period: float) -> Agreement | None:
+    """Return how `second` follows `first`; None where one of them does not change, or they are not one motion."""
+    step = max(1, -(-len(first) // SAMPLES))
+    n = len(first) // step * step
+    x, y = (values[:n].reshape(-1, step).mean(axis=1) for values in (first, second))
+    x, y, period = x - x.mean(), y - y.mean(), period * step
+    turns = int(np.count_nonzero(np.diff(np.signbit(x))))
+    shift = _shift(x, y, int(LONGEST_SHIFT / period)) if turns >= FEWEST_TURNS else 0
+    x, y = (x[: len(x) - shift], y[shift:]) if shift >= 0 else (x[-shift:], y[:shift])
+    xx, yy, xy = float(x @ x), float(y @ y), float(x @ y)
+    if xx <= 0.0 or yy <= 0.0:
+        return None
+    correlation = xy / math.sqrt(xx * yy)
+    if abs(correlation) < LEAST_CORRELATION:
+        return None
+    ratio = math.sqrt(yy / xx)
+    return Agreement(correlation, abs(correlation) * ratio, ratio / abs(correlation), shift * period, turns)
+
+
+def _shift(x: Array, y: Array, most: int) -> int:
+    """Return by how many samples `y` is late, at most `most` and a quarter of the log."""
+    most = min(len(x) // 4, most)
+    size = 1 << (2 * len(x) - 1).bit_length()
+    circular = np.fft.irfft(np.fft.rfft(y, size) * np.conj(np.fft.rfft(x, size)), size)
+    both = np.concatenate([circular[len(circular) - most :], circular[: most + 1]])  # of shifts from -most to most
+    return int(np.argmax(np.abs(both))) - most
+
+
+def check_columns(label: str, columns: Mapping[str, Array], period: float) -> list[str]:
+    """Compare every pair of columns that needs no model; returns remarks.
+
+    Raises:
+        UsageError: Two columns disagree by a factor, a sign or a time that cannot be right.
+    """
+    remarks = []
+    for joint in ("j", "m"):
+        angle, velocity, acceleration = (columns.get(f"{name}_{joint}") for name in ("q", "omega", "acceleration"))
+        names = f"dq_{joint}/dt", f"omega_{joint}", f"d(omega_{joint})/dt", f"acceleration_{joint}"
+        if angle is not None and velocity is not None:
+            pair = zero_phase_derivative(angle, period, BAND), low_pass(velocity, period, BAND)
+            remarks += judge(label, names[0], names[1], compare(*pair, period), WRONG, signed=False)
+        if acceleration is not None:
+            rate = velocity if angle is None and velocity is not None else None
+            if rate is None and angle is not None:
+                rate = zero_phase_derivative(angle, period, BAND)
+            if rate is not None:
+                pair = zero_phase_derivative(rate, period, BAND), low_pass(acceleration, period, BAND)
+                remarks += judge(label, names[2], names[3], compare(*pair, period), WRONG)
+    if "tau_m_cmd" in columns:
+        pair = low_pass(columns["tau_m_cmd"], period, BAND), low_pass(columns["tau_m"], period, BAND)
+        remarks += judge(label, "tau_m_cmd", "tau_m", compare(*pair, period), FAR)
+    return remarks
+
+
+def check_ends(label: str, columns: Mapping[str, Array], period: float, ratio: float) -> list[str]:
+    """Compare the motion of motor and joint; `ratio` is r_J / r_M. Returns remarks, raises UsageError.
+
+    Tendons stretch between the two ends, so only a factor that no stiffness explains is an error. A reversed end is
+    found by its energy.
+    """
+    remarks = []
+    for name, derive in (("q", zero_phase_derivative), ("omega", low_pass)):
+        joint, motor = f"{name}_j", f"{name}_m"
+        if joint in columns and motor in columns:
+            pair = derive(ratio * columns[joint], period, BAND), derive(columns[motor], period, BAND)
+            found = compare(*pair, period)
+            remarks += judge(label, f"{joint} times r_J/r_M", motor, found, FAR, signed=False, noted=math.inf)
+    return remarks
+
+
+def judge(
+    label: str,
+    first: str,
+    second: str,
+    found: Agreement | None,
+    wrong: float,
+    signed: bool = True,
+    noted: float = NOTED,
+) -> list[str]:
+    """Return remarks on a pair; raise UsageError if it cannot be right.
+
+    Args:
+        label: The log.
+        first: The column, or what follows from it.
+        second: The column that must agree with it.
+        found: How they agree.
+        wrong: The factor from which on they cannot both be right.
+        signed: A reversed sign is an error here; otherwise another check finds it.
+        noted: The factor from which on a difference is a remark.
+    """
+    if found is None or (signed and found.turns < FEWEST_TURNS):
+        return []
+    where = f"{label}: column {column_of(first)} and column {second} disagree"
+    factor = abs(found.scale)
+    if found.beyond(wrong):
+        raise UsageError(f"{where}: {second} is {in_words(factor)} times {first}; {likely(first, second, factor)}")
+    if signed and found.correlation < 0.0:
+        raise UsageError(f"{where}: {second} runs against {first}: one of the two is reversed; turn its sign")
+    late = f"{second} is {1e3 * abs(found.shift):.3g} ms {'later' if found.shift > 0.0 else 'earlier'} than {first}"
+    if abs(found.shift) > WRONG_SHIFT and abs(found.correlation) > CERTAIN:
+        raise UsageError(f"{where}: {late}; align the two columns, or leave one out")
+    if found.turns < FEWEST_TURNS:
+        return []
+    remarks = [f"column {second} is {factor:.3f} times {first}"] if found.beyond(noted) else []
+    if abs(found.shift) > NOTED_SHIFT and abs(found.correlation) > CERTAIN:
+        remarks.append(f"column {late}")
+    return remarks
+
+
+def column_of(text: str) -> str:
+    """Return the column in a text such as dq_j/dt, "q_j times r_J/r_M" or "simulated tau_j"."""
+    return text.removeprefix("simulated ").removeprefix("d").strip("()").partition(")")[0].partition("/")[0].split()[0]
+
+
+def in_words(factor: float) -> str:
+    """Return a factor as text."""
+    return "180/pi" if 1.0 / NEAR < factor * math.pi / 180.0 < NEAR else f"{factor:.4g}"
+
+
+def likely(first: str, second: str, factor: float) -> str:
+    """Return the unit that would explain the factor by which `second` exceeds `first`, and the remedy."""
+    kind = "torque" if second.startswith("tau") else "motion"
+    over = factor > 1.0
+    column = second if over else column_of(first)
+    size = factor if over else 1.0 / factor
+    proper = {"t": "N*m", "q": "rad", "o": "rad/s", "a": "rad/s^2"}[column[0]]
+    if kind == "motion" and 1.0 / NEAR < size / 1000.0 < NEAR and first.startswith("d") and over:
+        return "t seems to be in milliseconds: use s"
+    for known, unit in UNITS[kind]:
+        if known > 1.0 and 1.0 / NEAR < size / known < NEAR:
+            per = "/s" if unit not in ("rpm",) and proper.endswith("/s") else ""
+            return f"{column} seems to be in {unit}{per}: use {proper}"
+        if known < 1.0 and 1.0 / NEAR < size * known < NEAR:
+            other = column_of(first) if over else second
+            return f"{other} seems to be in {unit}: convert it"
+    if kind == "motion" and size > 10.0:
+        return f"{column} seems to be in counts or mm, or a column of another log: convert it to {proper}"
+    return f"one of them has another unit, gain or source: convert it to {proper}"
