@@ -230,7 +230,15 @@ def test_a_motor_that_rests_while_its_torque_moves_it_has_an_encoder_that_sticks
     predicted = [rest + 0.003 if n % 20 < 10 else math.nan for n in range(95)]
     assert not any(check.update((100 + n) * PERIOD, rest, value) for n, value in enumerate(predicted))
     assert not check.update(0.195, rest, rest - 9.0)
-    assert check.update(0.196, rest, rest - 9.0045)
+    assert not any(check.update(0.196 + n * PERIOD, rest, rest - 9.0045) for n in range(9))
+    assert check.update(0.207, rest, rest - 9.0045)
+
+
+def test_a_knock_that_shows_in_the_velocity_first_is_no_motor_that_rests() -> None:
+    """Its inertia takes torque from the prediction before the position has moved by a count."""
+    check = Standstill(COUNT, PERIOD, has_load=False)
+    for n in range(100):
+        assert not check.update(n * PERIOD, 0.0 if n < 55 else COUNT * (n - 55), 0.0 if n < 50 else 0.02)
 
 
 def test_a_reset_forgets_velocity_and_standstill() -> None:

@@ -30,8 +30,8 @@ LATE = 1e-3  # s, delay of one encoder against the other
 GEARING = 0.02  # 1, of the joint's path: radii at which the tendons lie, eccentric encoders
 CREEP = 0.01  # rad/s, fastest drift of the zero
 BACKLASH = 3e-3  # rad, at motor or joint each
-RESPONSE = 1e-3 + BACKLASH  # rad, limit of the first rule; 1.6e-3 is the most of healthy drawn rigs
-BOUND = RESPONSE + 5e-3  # rad, limit of the second rule; 5.3e-3 is the most of healthy drawn rigs
+RESPONSE = 2.8e-3  # rad, limit of the first rule; 1.6e-3 is the most of 84 healthy drawn rigs, with backlash
+BOUND = 9e-3  # rad, limit of the second rule; 5.3e-3 is the most of the same rigs
 HEAVY = 6e-4  # kg*m^2, motor inertia that is assumed where it is not known
 LIGHT = 0.2  # 1, uncertainty of a known motor inertia
 NOISE = 6e-3  # N*m, fluctuation of a reported torque that moves no motor
@@ -223,7 +223,7 @@ class Standstill:
     def reset(self) -> None:
         """Forget everything."""
         self._angle = self._low = self._high = math.nan
-        self._at = self._rate = 0.0
+        self._at = self._left = self._rate = 0.0
 
     def update(self, now: float, angle: float, predicted: float = math.nan) -> bool:
         """Return True while `angle` (rad) rests and should not.
@@ -234,16 +234,18 @@ class Standstill:
             elapsed = now - self._at
             if elapsed > 0.0 and self._angle == self._angle:
                 self._rate += (1.0 - math.exp(-elapsed / SMOOTH)) * ((angle - self._angle) / elapsed - self._rate)
-            self._angle, self._at = angle, now
+            self._angle, self._at, self._left = angle, now, now
             self._low = self._high = predicted
             return False
         if predicted != predicted:
             self._low = self._high = predicted
-            return abs(self._rate) > self._sudden and now - self._at > self._rested
+            return now - self._at > self._rested and abs(self._rate) > self._sudden
         if self._low != self._low:
             self._low = self._high = predicted
         elif predicted < self._low:
             self._low = predicted
         elif predicted > self._high:
             self._high = predicted
-        return self._high - self._low > self._least
+        if self._high - self._low <= self._least:
+            self._left = now
+        return now - self._left > self._rested
