@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -56,6 +58,34 @@ def test_the_configuration_is_one() -> None:
     tables = re.sub(r"^\[.*\]$", "", block("toml"), flags=re.MULTILINE)
     settings = msgspec.toml.decode(tables, type=SetPointSettings)
     assert (settings.kind, settings.timeout) == ("socket", SetPointSettings().timeout)
+
+
+def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: Serving) -> None:
+    """A set-point beyond the axis' range is clamped, and the program goes on."""
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(Path(serving.path).parent)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", block("python")],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        for q_j, wanted in ((-3.0, 2.0), (0.1, 0.4), (3.0, -2.0)):
+
+            def follows(q_j: float = q_j, wanted: float = wanted) -> bool:
+                serving.mailbox.measure(time.monotonic(), 1, 2, [Reading(q_j=q_j), Reading()])
+                found = serving.mailbox.wanted(0)
+                return found is not None and found[0] == pytest.approx(wanted)
+
+            assert until(follows)
+        serving.end()
+        said, error = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, error) == (0, "")
+    assert "the daemon" in said
 
 
 @pytest.fixture(scope="module")
