@@ -290,6 +290,24 @@ def test_beyond_the_domain_nothing_is_told() -> None:
     assert math.isfinite(seen.torque)
 
 
+def test_a_tendon_that_the_filter_leaves_without_tension_is_slack(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its logarithm would end the loop."""
+    seen = observer()
+    feed(seen, 0.1)
+
+    def corrected(pairs: np.ndarray, *_: object) -> tuple[float, float, int]:
+        pairs[0, 1, tendons.TENSION, -1] = -0.1
+        return 0.0, 1.0, tendons.OK
+
+    with monkeypatch.context() as patch:
+        patch.setattr(tendons, "observe", corrected)
+        feed(seen, 1e-3)
+    assert seen.state is StretchState.SLACK
+    assert math.isnan(seen.torque)
+    feed(seen, 0.1)
+    assert math.isfinite(seen.torque)
+
+
 def test_a_model_without_friction_or_pretension_is_refused() -> None:
     from tsa_ctrl.errors import UsageError
 

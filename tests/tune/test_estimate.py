@@ -13,12 +13,15 @@ from tests.blind import tendon_logs
 from tsa_ctrl.identify import diagnosis
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from
+from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.tune.estimate import Form, estimate, extended, sliding_error
 
 
-def rig_and_log(profile: str, seed: int = 3) -> tuple[tendon_logs.Rig, TendonSheath, Dataset]:
+def rig_and_log(profile: str, seed: int = 3, x: float | None = None) -> tuple[tendon_logs.Rig, TendonSheath, Dataset]:
     rng = np.random.default_rng(seed)
     rig = tendon_logs.draw_rig(rng, profile)
+    if x is not None:
+        rig = dataclasses.replace(rig, mu=0.2, theta=x / 0.2)
     model = model_from(tomllib.loads(tendon_logs.model_text(rig, rng)), "nominal.toml")
     assert isinstance(model, TendonSheath)
     return rig, model, Dataset.from_arrays(tendon_logs.record(rig, rng, seconds=20.0, rate=200.0), "a.csv")
@@ -58,6 +61,13 @@ def test_the_chosen_form_has_the_half_loop_of_the_truth() -> None:
     found = estimate([log], model, certified_gain=False, forms=True).model
     loop = 2.0 * found.pretension * found.joint_pulley_radius * np.tanh(found.friction_angle)
     assert loop == pytest.approx(rig.truth()["half_loop_torque"], rel=0.03)
+
+
+@pytest.mark.parametrize("profile", ["joint_end", "uniform", "motor_end"])
+def test_the_half_loop_of_a_friction_angle_of_one_point_two_is_estimated(profile: str) -> None:
+    rig, model, log = rig_and_log(profile, x=1.2)
+    found = estimate([log], model, certified_gain=False, forms=True)
+    assert sliding(found.model).half_loop == pytest.approx(rig.truth()["half_loop_torque"], rel=0.03)
 
 
 def test_the_new_model_predicts_sliding_better() -> None:

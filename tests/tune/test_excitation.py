@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.model.actuator import ACTUATOR
+from tests.model.capstan import Pair
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     Bounds,
@@ -74,12 +77,30 @@ def test_both_tendons_pull_at_the_most_torque_even_if_the_pretension_is_a_fifth_
     assert motor < 2.0 * 0.8 * ACTUATOR.pretension
 
 
+@pytest.mark.parametrize("x", [0.05, 0.3, 0.6, 0.9, 1.2])
+@pytest.mark.parametrize("shape", ["file", "motor_end", "uniform"])
+def test_a_torque_can_excite_every_friction_angle(x: float, shape: str) -> None:
+    """Both tendons pull by the capstan equation, also with a friction angle and a pretension that are a fifth off."""
+    model = dataclasses.replace(ACTUATOR, friction_coefficient=x / ACTUATOR.bending_angle)
+    profile = {"file": "joint_end", "motor_end": "motor_end", "uniform": "uniform"}[shape]
+    if shape != "file":
+        model = model.with_effects({"elongation_coupling": {"curvature_profile": profile}})
+    torque = most_torque(model, 100.0)
+    assert torque > 0.05
+    for off in (0.8, 1.2):
+        pair = Pair(Profile.of(profile).points[1:], off * x, pretension=0.8 * ACTUATOR.pretension)
+        for wanted, way in itertools.product((torque, -torque), (1.0, -1.0)):
+            at_rest = pair.joint_torque(0.0, way)
+            motor = (wanted - at_rest) / (pair.joint_torque(1.0, way) - at_rest)
+            assert min(pair.motor_tensions(motor, way)) > 0.0
+
+
 def test_the_motor_limit_bounds_the_torque() -> None:
     assert most_torque(ACTUATOR, 0.8) < most_torque(ACTUATOR, 1.0) < most_torque(ACTUATOR, 100.0)
 
 
 def test_a_limit_below_the_friction_is_refused() -> None:
-    with pytest.raises(UsageError, match="hardly overcomes"):
+    with pytest.raises(UsageError, match=r"hardly overcomes .* up to 0.544 N\*m .*; raise limits.torque, or lower"):
         most_torque(ACTUATOR, 0.1)
 
 

@@ -1,7 +1,7 @@
 """Every joint, wherever its sheath bends: error of the delivered torque by how much the controller knows.
 
 Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
-       [--rows FILE] [--brief]
+       [--rows FILE] [--brief] [--angles 0.05 0.8 ...] [--off 0.2]
 The real loop on the plant with distributed tendons, in virtual time: the same command prints the same figures. Laws:
 none (compensation 0), (3.55) with the nominal file, what `tsa tune` and `tsa tune --extended` make of that file on an
 imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
@@ -9,17 +9,21 @@ the RMS rate of the error around reversals; "at rest" the joint's RMS speed at s
 With --limits: what limits none, (3.55) and the true parameters on an imposed joint, by taking one thing away in the
 plant, for the same shapes, delay and inertia. --rows FILE: what is in the file is not run again, and the table is of it
 and of what was added; --brief: one row for each shape and joint, "RMS, 99 %, peak; jerk" of each law in it.
+--angles: friction angles x of the plant, each with limits of torque and rate that suffice for it; --off: by how much
+friction, stiffness and pretension of the nominal file are off, the pretension the other way.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
 import json
 import math
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,13 +39,16 @@ from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for
 from tsa_ctrl.model.curvature import Points
-from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
 from tsa_ctrl.system.processes import tsa
 from tsa_ctrl.virtual.script import Change
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 JOINTS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
-SHAPES = ("uniform", "motor_end", "joint_end")
+SHAPES = ("uniform", "motor_end", "joint_end")  # the last is a point bend at the joint
+LAST_TENTH = "last_tenth"  # evenly bent within the last 10 % of the length
+PROFILES: dict[str, Points] = {LAST_TENTH: ((0.0, 0.0), (0.9, 0.0), (1.0, 1.0))}
 LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
 ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
@@ -56,17 +63,55 @@ TAKEN_AWAY: dict[str, dict[str, dict[str, Any]]] = {
 }
 
 
-def true_model(shape: str | Points) -> TendonSheath:
+@dataclass(frozen=True)
+class Case:
+    """A plant: `x` its friction angle (None: the demo's), `off`: how far the nominal file is off (None: the demo's)."""
+
+    x: float | None = None
+    off: float | None = None
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Return the true parameters over the nominal ones."""
+        if self.off is None:
+            return dict(rig.TRUTH)
+        more, less = 1.0 + self.off, 1.0 - self.off
+        return {"friction_coefficient": 1.0 / more, "pretension": 1.0 / less, "axial_stiffness": 1.0 / more}
+
+    @property
+    def nominal(self) -> TendonSheath:
+        """Return the model of the controller's file."""
+        x = rig.NOMINAL.friction_angle if self.x is None else self.x / self.factors["friction_coefficient"]
+        return rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * (1.0 - (self.off or 0.0)))
+
+    def torque(self, model: TendonSheath) -> float:
+        """Return a limit of the motor torque, N*m, that suffices for 1 N*m at the joint, as a drive is chosen."""
+        most = max(abs(Feedforward(model, 1e-3).update(tau, way, way)) for tau in (-1.0, 1.0) for way in (-1.0, 1.0))
+        return 2.5 if self.x is None else max(2.5, 1.3 * most)
+
+    def confine(self, tables: rig.Tables, model: TendonSheath) -> None:
+        """Set the limits of a controller's tables."""
+        if self.x is None:
+            return
+        axis, torque = tables["axis"][0], self.torque(model)
+        axis["limits"] |= {"torque": torque, "rate": 80.0 * torque}
+        axis["drive"]["max_torque"] = max(3.0, 1.2 * torque)
+
+
+DEMO = Case()
+
+
+def true_model(shape: str | Points, case: Case = DEMO) -> TendonSheath:
     """The plant's own friction, pretension, stiffness and shape, and the encoder's lag."""
-    factors = rig.TRUTH
-    x = rig.NOMINAL.friction_angle * factors["friction_coefficient"]
+    factors, nominal = case.factors, case.nominal
+    x = nominal.friction_angle * factors["friction_coefficient"]
     # (3.55) is exact with all bends at the joint, but a turn of the motor is planned by where they are
     effects: dict[str, dict[str, Any]] = {
         "velocity_lag": {"time_constant": ENCODER_LAG},
         "elongation_coupling": {"curvature_profile": shape},
     }
-    model = rig.NOMINAL.recalibrated(x, rig.NOMINAL.pretension * factors["pretension"]).with_effects(effects)
-    return dataclasses.replace(model, axial_stiffness=rig.NOMINAL.axial_stiffness * factors["axial_stiffness"])
+    model = nominal.recalibrated(x, nominal.pretension * factors["pretension"]).with_effects(effects)
+    return dataclasses.replace(model, axial_stiffness=nominal.axial_stiffness * factors["axial_stiffness"])
 
 
 def controller(folder: Path, law: str, rate: float) -> rig.Tables:
@@ -79,19 +124,23 @@ def controller(folder: Path, law: str, rate: float) -> rig.Tables:
     return rig.controller(VIRTUAL, "run", rate, "true.toml" if law == "true" else "nominal.toml", shares[law])
 
 
-def tune(folder: Path, law: str, axis: dict[str, Any], rate: float) -> str:
+def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) -> str:
     """Tune the nominal file on an imposed joint in `folder`/LAW; the last line of what went wrong, if anything did."""
     place = folder / law
     place.mkdir()
     tables = {"tune": rig.controller(VIRTUAL, "tune", rate, "nominal.toml", NOMINAL_SHARE)}
+    case.confine(tables["tune"], load_tendon_sheath(folder / "true.toml"))
     rig.write(place, gait(), rig.plant(VIRTUAL, "distributed", axis), tables)
+    save_model(case.nominal, place / "nominal.toml")
     options = ["--extended"] if law == "extended" else []
     verb = tsa("tune", "controller-tune.toml", "--virtual", "plant.toml", "--yes", "--json", "--out", "out", *options)
     run = subprocess.run(verb, cwd=place, capture_output=True, text=True, check=False)
     return "" if run.returncode == 0 else run.stderr.strip().splitlines()[-1]
 
 
-def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int) -> Measures:
+def play(
+    folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int, case: Case = DEMO
+) -> Measures:
     """One law on one joint: some periods of the set-point, then none."""
     played = play_for(joint)
     seconds = played.seconds if joint == "wearer" else rig.FADE_IN + cycles * float(played.t[-1])
@@ -100,12 +149,15 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
     if law == "true":
         late = (axis["drive"]["delay_periods"] + 1.5) / rate + axis["drive"].get("torque_time_constant", LAG)
         tables["axis"][0]["law"] |= {"motor_inertia": axis["motor"]["inertia"], "delay": late}
+    case.confine(tables, load_tendon_sheath(folder / "true.toml"))
     rig.write(folder, played, rig.plant(VIRTUAL, "distributed", axis, joint), {"run": tables})
+    save_model(case.nominal, folder / "nominal.toml")
+    rest = 0.5 if joint in ("imposed", "held") else REST  # the motion of neither shows anything at rest
     end = seconds + 0.2  # the first cycles have no torque yet
     result = simulate_loop(
         folder / "controller-run.toml",
         folder / "plant.toml",
-        seconds + TO_REST + REST,
+        seconds + TO_REST + rest,
         changes=[Change("setpoint_gain", 0.0, end)],
     )
     return measure(result.axes[0], end, end + TO_REST)
@@ -114,37 +166,42 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:
     """One row for each joint, shape and law; where tuning fails, one for the shape and the law."""
     drive = {"delay_periods": arguments.delay - 1}
-    kept = Results(arguments.rows, lambda row: (row["shape"], row["joint"], row["law"]))
-    for shape in arguments.shapes:
-        axis = {"tendon": {"curvature": shape}, "motor": {"inertia": arguments.inertia}, "drive": drive}
-        missing = {law for law in arguments.laws for joint in arguments.joints if (shape, joint, law) not in kept}
+    kept = Results(arguments.rows, lambda row: (row["shape"], row["joint"], row["law"], row.get("x")))
+    for shape, x in itertools.product(arguments.shapes, arguments.angles or [None]):
+        case, profile = Case(x, arguments.off), PROFILES.get(shape, shape)
+        axis = {"tendon": {"curvature": profile}, "motor": {"inertia": arguments.inertia}}
+        peak = max(3.0, 1.5 * case.torque(true_model(profile, case)))
+        axis |= {"drive": {**drive, "peak_torque": peak}, "perturbation": case.factors}
+        missing = {law for law in arguments.laws for joint in arguments.joints if (shape, joint, law, x) not in kept}
         with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
             folder = Path(name)
-            save_model(true_model(shape), folder / "true.toml")
-            failed = {law: tune(folder, law, axis, arguments.rate) for law in ("tuned", "extended") if law in missing}
+            save_model(true_model(profile, case), folder / "true.toml")
+            tuned = [law for law in ("tuned", "extended") if law in missing]
+            failed = {law: tune(folder, law, axis, arguments.rate, case) for law in tuned}
             for law, reason in failed.items():
                 if reason:
-                    yield {"shape": shape, "law": law, "failed": reason}
+                    yield {"shape": shape, "law": law, "x": x, "failed": reason}
             for joint in arguments.joints:
                 for law in arguments.laws:
                     if failed.get(law):
                         continue
-                    if (shape, joint, law) not in kept:
-                        found = play(folder, joint, axis, law, arguments.rate, arguments.cycles)
-                        kept.add({"shape": shape, "joint": joint, "law": law, **dataclasses.asdict(found)})
-                    yield kept[shape, joint, law]
+                    if (shape, joint, law, x) not in kept:
+                        found = play(folder, joint, axis, law, arguments.rate, arguments.cycles, case)
+                        kept.add({"shape": shape, "joint": joint, "law": law, "x": x, **dataclasses.asdict(found)})
+                    yield kept[shape, joint, law, x]
 
 
 def whole(found: Sequence[Row]) -> Table:
     """A row for each shape, joint and law."""
-    heads = ("shape", "joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
+    heads = ("shape", "x", "joint", "law", "RMS (mN·m)", "99 %", "peak", "jerk (N·m/s)", "at rest (rad/s)", "reduction")
     table = Table(*heads)
-    none = {(row["shape"], row["joint"]): row["rms"] for row in found if row["law"] == "none"}
+    none = {(row["shape"], row["joint"], row.get("x")): row["rms"] for row in found if row["law"] == "none"}
     for row in found:
-        without = none.get((row["shape"], row["joint"]))
+        without = none.get((row["shape"], row["joint"], row.get("x")))
         reduction = "-" if without is None else f"{100.0 * (1.0 - row['rms'] / without):.1f} %"
         errors = (f"{1e3 * row[key]:.1f}" for key in ("rms", "p99", "peak"))
-        table.add_row(row["shape"], row["joint"], row["law"], *errors, _jerk(row), _rest(row), reduction)
+        x = "-" if row.get("x") is None else f"{row['x']:g}"
+        table.add_row(row["shape"], x, row["joint"], row["law"], *errors, _jerk(row), _rest(row), reduction)
     return table
 
 
@@ -154,7 +211,8 @@ def brief(found: Sequence[Row]) -> Table:
     table = Table("shape", "joint", *laws, "at rest (rad/s)")
     cells: dict[tuple[str, str], dict[str, Row]] = {}
     for row in found:
-        cells.setdefault((row["shape"], row["joint"]), {})[row["law"]] = row
+        shape = row["shape"] if row.get("x") is None else f"{row['shape']}, x {row['x']:g}"
+        cells.setdefault((shape, row["joint"]), {})[row["law"]] = row
     for (shape, joint), of in cells.items():
         worst = max(of.values(), key=lambda row: float(row["resting_speed"]))
         table.add_row(shape, joint, *(_brief(of.get(law)) for law in laws), _rest(worst))
@@ -195,13 +253,15 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--joints", nargs="+", choices=JOINTS, default=JOINTS)
     parser.add_argument(
-        "--shapes", nargs="+", choices=(*SHAPES, "s_bent"), default=SHAPES, help="of the sheath's bending"
+        "--shapes", nargs="+", choices=(*SHAPES, "s_bent", LAST_TENTH), default=SHAPES, help="of the sheath's bending"
     )
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz (default 1000)")
     parser.add_argument("--delay", type=int, choices=range(1, 9), default=1, help="periods from measurement to torque")
     parser.add_argument("--inertia", type=float, default=1e-4, help="of the motor, kg*m^2 (default 1e-4)")
     parser.add_argument("--cycles", type=int, default=4, help="periods of the set-point (default 4)")
+    parser.add_argument("--angles", nargs="+", type=float, help="friction angles x of the plant, 1")
+    parser.add_argument("--off", type=float, help="share by which the nominal file is off, 1")
     parser.add_argument("--limits", action="store_true", help="what limits the compensation of an imposed joint")
     parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")
     parser.add_argument("--brief", action="store_true", help="a row for each shape and joint")

@@ -257,7 +257,8 @@ class StretchObserver:
             (TIME_DOUBT * (stretch - self._stretch) / elapsed) ** 2 + self._misled_by,
         )
         self._last, self._omega, self._stretch = way, omega_m, stretch
-        if code != tendons.OK:
+        ends = self._pairs[0, 1, tendons.TENSION]
+        if code != tendons.OK or not (ends[0] > 0.0 and ends[-1] > 0.0):  # what was learned may leave no tension
             self._lose()
             self.state = StretchState.SLACK
             return

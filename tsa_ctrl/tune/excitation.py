@@ -20,6 +20,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.log.waypoints import from_zero, read_waypoints
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import sliding
 
 FloatArray = NDArray[np.float64]
 
@@ -31,7 +32,8 @@ PROBE_SHARES = (0.2, 0.5, 0.9)  # of the most torque, one after the other until 
 FREQUENCIES = (0.31, 0.53, 0.87, 1.19)  # Hz of the excitation: slow against sensor delays, several periods in 15 s
 OTHER_FREQUENCIES = (0.41, 0.71, 1.03)  # Hz of the verification: a motion not used for the fit
 VERIFICATION_SHARE = 0.8  # of the excitation's torque: inside what was learned from
-DOMAIN_SHARE = 0.7  # of 2 T_p r_M: nominal parameters may be 20 % off, and both tendons must pull
+OFF = 0.2  # 1, of friction angle and pretension, by which the file may be off while both tendons must pull
+PULLING = 0.8  # of the joint torque at which a tendon then goes slack
 SHAKE_SECONDS = 8.0
 MOVING = 0.05  # rad/s RMS; slower is called standing
 MOVED_BY_TORQUE = 0.3  # share of the velocity's variance that the torque explains
@@ -87,16 +89,22 @@ class Design:
 
 
 def most_torque(model: TendonSheath, limit: float) -> float:
-    """Joint torque (N*m) up to which both tendons surely pull; `limit` is that of the motor torque in N*m."""
-    share = min(DOMAIN_SHARE, limit / max(2.0 * model.pretension * model.motor_pulley_radius, 1e-9))
-    x = model.friction_angle
-    torque = 2.0 * model.pretension * model.joint_pulley_radius * (share * math.cosh(x) - math.sinh(x))
-    if torque <= 0.0:
+    """Return the joint torque, N*m, up to which both tendons pull, also with parameters that are `OFF` as a whole.
+
+    `limit`: of the motor torque, N*m. Raises UsageError if it does not overcome the friction.
+    """
+    x = (1.0 + OFF) * model.friction_angle
+    # With all bends at the joint a tendon goes slack first, and where the sheath bends may not be known yet.
+    slack = 2.0 * (1.0 - OFF) * model.pretension * model.joint_pulley_radius * math.exp(-x)
+    line = sliding(model, 1.0, x)
+    friction = line.motor_half_loop
+    least = min(PULLING * slack, line.slope * (limit - friction))
+    if least <= 0.0:
         raise UsageError(
-            f"{model.source or 'model'}: a motor torque of {limit:g} N*m hardly overcomes the friction of the sheaths; "
-            "raise limits.torque or the pretension"
+            f"{model.source or 'model'}: limits.torque {limit:g} N*m hardly overcomes the friction of the sheaths, "
+            f"which takes up to {friction:.3g} N*m at the motor; raise limits.torque, or lower the pretension"
         )
-    return torque
+    return least
 
 
 def probe(bounds: Bounds, share: float, seconds: float) -> Waveform:

@@ -1,0 +1,289 @@
+"""Random rigs with the effects of real ones: tuned by `tsa tune` alone, then evaluated on other runs.
+
+Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--results FILE] [--keep FOLDER] [--json]
+A rig is drawn by seed and number: friction angle 0.05 to 1.2, a random curvature profile, motor inertia, delay, noise,
+encoders of 12 to 20 bit, and a random choice of torque ripple, friction of the motor's gear, backlash, an eccentric
+pulley, and drift by temperature or relaxation. The controller's file is up to 20 % off and has none of the effects.
+`tsa tune --virtual` gets nothing else. The tuned controller then runs without changes on a prescribed motion, on a
+locked joint, on a human-in-the-loop load, and with a sine of 20 mN*m on the locked joint.
+
+Reduction = 1 - RMS error / RMS error without compensation, of the plant's true joint torque less the set-point after
+the fade-in. The last column is the RMS error of the small sine, whose RMS is 14.1 mN*m. Without --seed every run draws
+other rigs; the seed is printed. --keep writes the files of each rig to a folder and keeps them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+import secrets
+import subprocess
+import tempfile
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from rich.console import Console
+from rich.table import Table
+
+from tools import command
+from tools.bench.results import Results, Row
+from tsa_ctrl.demo import rig as demo
+from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.motion import gait, play_for
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.model.curvature import Points, Profile
+from tsa_ctrl.model.feedforward import Feedforward
+from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.virtual.simulation import simulate_loop
+
+X = (0.05, 1.2)  # 1, friction angle
+THETA = 6.0  # rad, wrap angle: a friction coefficient of 0.2 at the largest x
+OFF = 0.2  # file over truth, minus 1, either way: friction, pretension, stiffness
+INERTIA = (3e-5, 6e-4)  # kg*m^2 at the motor pulley
+STIFFNESS = (0.6, 1.8)  # of the demo's tendons
+PRESENT = 0.5  # probability of each effect
+SMALL = 0.02  # N*m, amplitude of the small sine
+SECONDS = {"imposed": 4.4, "held": 4.4, "wearer": 9.0, "small": 5.2}  # s of torque, 1 s of fade-in included
+TUNING = ("--seconds", "20", "--verify-seconds", "8")
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One rig. `effects`: of the plant, by name; `temperature`: [s, deg C]; `bits`: of the encoders of motor, joint."""
+
+    seed: int
+    number: int
+    truth: TendonSheath
+    nominal: TendonSheath
+    profile: Points
+    inertia: float  # kg*m^2
+    delay: int  # periods
+    noise: float  # N*m, of the joint torque sensor
+    bits: tuple[int, int]
+    effects: dict[str, dict[str, Any]]
+    temperature: list[list[float]]
+
+    @property
+    def torque(self) -> float:
+        """Return a limit of the motor torque, N*m, that suffices for 1 N*m at the joint: as a drive is chosen."""
+        model = self.truth.with_effects({"elongation_coupling": {"curvature_profile": self.profile}})
+        most = max(abs(Feedforward(model, 1e-3).update(tau, way, way)) for tau in (-1.0, 1.0) for way in (-1.0, 1.0))
+        return max(2.5, 1.4 * most)
+
+    def plant(self, joint: str) -> dict[str, Any]:
+        """Return the plant's tables with the joint `joint`."""
+        axis: dict[str, dict[str, Any]] = {
+            "tendon": {"curvature": [list(point) for point in self.profile]},
+            "motor": {"inertia": self.inertia},
+            "drive": {
+                "delay_periods": self.delay - 1,
+                "counts_per_revolution": 2 ** self.bits[0],
+                "peak_torque": 1.5 * self.torque,
+            },
+            "encoder": {"counts_per_revolution": 2 ** self.bits[1]},
+            "torque_sensor": {"noise": self.noise},
+            "environment": {"temperature": self.temperature},
+        }
+        tables = demo.plant(VIRTUAL, "distributed", axis, joint)
+        tables["axis"][0] |= {"actuator": "truth.toml", "perturbation": {}, "effects": self.effects}
+        tables["physics"]["seed"] = (self.seed + self.number) % 2**31
+        return tables
+
+    def controller(self) -> dict[str, Any]:
+        """Return the controller's tables: data sheets of encoders and drive, and a model file that is off."""
+        tables = demo.controller(VIRTUAL, "tune", 1000.0, "nominal.toml", 0.95)
+        axis, torque = tables["axis"][0], self.torque
+        axis["law"] = {"compensation": 0.95, "fade_in": demo.FADE_IN}
+        axis["limits"] |= {"torque": torque, "rate": 80.0 * torque}
+        axis["drive"] |= {"max_torque": 1.2 * torque, "counts_per_revolution": 2 ** self.bits[0]}
+        axis["encoder"]["counts_per_revolution"] = 2 ** self.bits[1]
+        return tables
+
+    def write(self, folder: Path) -> None:
+        """Write the model files, the motions, one plant per joint and the controller."""
+        folder.mkdir(parents=True, exist_ok=True)
+        save_model(self.truth, folder / "truth.toml")
+        save_model(self.nominal, folder / "nominal.toml")
+        gait().write_motion(folder / "motion.csv")
+        for joint in ("imposed", "held", "wearer"):
+            play_for(joint).write_setpoint(folder / f"{joint}.csv")
+            (folder / f"plant-{joint}.toml").write_text(tomlkit.dumps(self.plant(joint)), encoding="utf-8")
+        (folder / "setpoint.csv").write_bytes((folder / "imposed.csv").read_bytes())
+        (folder / "controller.toml").write_text(tomlkit.dumps(self.controller()), encoding="utf-8")
+
+
+def draw(seed: int, number: int) -> Rig:
+    """Return the rig of this seed and number."""
+    rng = np.random.default_rng([seed, number])
+    x = float(rng.uniform(*X))
+    stiffness = demo.NOMINAL.axial_stiffness * math.exp(rng.uniform(*np.log(STIFFNESS)))
+    tension = float(rng.uniform(35.0, 55.0))
+    bent = dataclasses.replace(demo.NOMINAL, bending_angle=THETA, bending_centre=None, axial_stiffness=stiffness)
+    truth = bent.recalibrated(x, tension)
+    off = 1.0 + rng.uniform(-OFF, OFF, 3)
+    nominal = truth.recalibrated(float(off[0]) * x, float(off[1]) * tension)
+    nominal = dataclasses.replace(nominal, axial_stiffness=float(off[2]) * stiffness)
+    effects, temperature = drawn_effects(rng)
+    return Rig(
+        seed=seed,
+        number=number,
+        truth=truth,
+        nominal=nominal,
+        profile=drawn_profile(rng),
+        inertia=math.exp(rng.uniform(*np.log(INERTIA))),
+        delay=int(rng.integers(1, 4)),
+        noise=math.exp(rng.uniform(math.log(2e-3), math.log(2e-2))),
+        bits=(int(rng.integers(12, 21)), int(rng.integers(12, 21))),
+        effects=effects,
+        temperature=temperature,
+    )
+
+
+def drawn_profile(rng: np.random.Generator) -> Points:
+    """Return one to three bends of any place, length and angle, as (share of the length, share of the bending)."""
+    count = int(rng.integers(1, 4))
+    begins = rng.uniform(0.0, 0.98, count)
+    ends = np.minimum(1.0, begins + np.exp(rng.uniform(math.log(0.02), 0.0, count)))
+    weights = rng.dirichlet(np.ones(count))
+    places = np.unique(np.concatenate([[0.0, 1.0], begins, ends]).round(6))
+    shares = sum(w * np.clip((places - a) / (b - a), 0.0, 1.0) for w, a, b in zip(weights, begins, ends, strict=True))
+    values = np.maximum.accumulate(np.asarray(shares).round(9))
+    values[0], values[-1] = 0.0, 1.0
+    return tuple((float(u), float(b)) for u, b in zip(places, values, strict=True))
+
+
+def drawn_effects(rng: np.random.Generator) -> tuple[dict[str, dict[str, Any]], list[list[float]]]:
+    """Return the plant's effects and the course of its temperature; each effect with the probability `PRESENT`."""
+    phase = float(rng.uniform(-math.pi, math.pi))
+    cycles = int(rng.choice([6, 12, 24, 36]))
+    gap = float(rng.uniform(0.5e-3, 3e-3))  # rad of the joint
+    choices: dict[str, dict[str, Any]] = {
+        "torque_ripple": {
+            "amplitude": float(rng.uniform(5e-3, 4e-2)),
+            "cycles_per_revolution": cycles,
+            "phase": phase,
+        },
+        "motor_side_friction": {"coulomb": float(rng.uniform(0.01, 0.06))},
+        str(rng.choice(["backlash", "joint_play"])): {"gap": gap},
+        "pulley_eccentricity": {"relative_eccentricity": float(rng.uniform(2e-3, 2e-2)), "phase": phase},
+    }
+    drift: dict[str, dict[str, Any]] = {
+        "thermal_friction_drift": {"temperature_coefficient": float(rng.uniform(-1e-2, 1e-2))},
+        "pretension_relaxation": {
+            "relaxed_fraction": float(rng.uniform(0.02, 0.12)),
+            "time_constant": float(rng.uniform(10.0, 200.0)),
+        },
+    }
+    name = str(rng.choice(list(drift)))
+    choices[name] = drift[name]
+    warm = float(rng.uniform(28.0, 45.0))  # deg C
+    here = {key: values for key, values in choices.items() if rng.random() < PRESENT}
+    return here, [[0.0, 25.0], [60.0, warm]] if "thermal_friction_drift" in here else []
+
+
+def trial(rig: Rig, folder: Path) -> Row:
+    """Write, tune and evaluate one rig; the row has `outcome`, reductions in % and the error of the small sine."""
+    rig.write(folder)
+    row: Row = {
+        "seed": rig.seed,
+        "rig": rig.number,
+        "x": rig.truth.friction_angle,
+        "centre": Profile(rig.profile).centre,
+    }
+    row |= {"effects": rig.effects, "bits": [*rig.bits], "inertia": rig.inertia, "delay": rig.delay}
+    options = ("--virtual", "plant-imposed.toml", "--json", "--yes", "--out", "out", *TUNING)
+    verb = tsa("tune", "controller.toml", *options)
+    run = subprocess.run(verb, cwd=folder, capture_output=True, text=True, check=False)
+    if run.returncode != 0:
+        return {**row, "outcome": (run.stderr.strip().splitlines() or [f"exit code {run.returncode}"])[-1]}
+    found = json.loads(run.stdout)
+    row["verified"] = found["verification"]["reduction_percent"]["after"]
+    row["outcome"] = "tuned" if found["written"] else "tuned, not written"
+    for name in SECONDS:
+        try:
+            row |= evaluate(folder, name)
+        except (BusError, UsageError) as error:
+            row["outcome"] += f"; {name}: {error}"
+    return row
+
+
+def evaluate(folder: Path, name: str) -> Row:
+    """Run the tuned controller with and without compensation on one joint."""
+    joint = "held" if name == "small" else name
+    errors = {}
+    row: Row = {}
+    for law in ("tuned", "none"):
+        tables = tomllib.loads((folder / "out" / "controller.toml").read_text(encoding="utf-8"))
+        axis = tables["axis"][0]
+        axis["setpoint"] = {"kind": "file", "file": f"{joint}.csv", "loop": True}
+        if name == "small":
+            axis["setpoint"] = {"kind": "sine", "amplitude": SMALL, "frequency": 0.5}
+        axis["model"] = f"out/{Path(axis['model']).name}"
+        if law == "none":
+            axis["law"] = {"compensation": 0.0, "fade_in": demo.FADE_IN}
+        path = folder / f"evaluate-{name}-{law}.toml"
+        path.write_text(tomlkit.dumps(tables), encoding="utf-8")
+        result = simulate_loop(path, folder / f"plant-{joint}.toml", SECONDS[name]).axes[0]
+        errors[law] = float(np.sqrt(np.mean(np.square(result.error))))
+        if result.faults:
+            row[f"{name}_faults"] = list(result.faults)
+    row[name] = 1e3 * errors["tuned"] if name == "small" else 100.0 * (1.0 - errors["tuned"] / errors["none"])
+    return row
+
+
+def report(rows: list[Row]) -> None:
+    """Print a row for each rig, and what the reductions are over all."""
+    table = Table("rig", "s_c", "x", "bits", "effects", "outcome", "imposed %", "held %", "wearer %", "small mN·m")
+    names = ("imposed", "held", "wearer", "small")
+    for row in rows:
+        cells = [f"{row[name]:.1f}" if name in row else "-" for name in names]
+        faults = [f"{name}: {row[f'{name}_faults'][0]}" for name in names if f"{name}_faults" in row]
+        outcome = "; ".join([row["outcome"], *faults])
+        bits = "/".join(str(value) for value in row["bits"])
+        effects = ", ".join(row["effects"]) or "none"
+        table.add_row(str(row["rig"]), f"{row['centre']:.2f}", f"{row['x']:.2f}", bits, effects, outcome, *cells)
+    console = Console(width=180)
+    console.print(table)
+    for name, worst in (("imposed", min), ("held", min), ("wearer", min), ("small", max)):
+        values = [row[name] for row in rows if name in row]
+        if values:
+            console.print(f"{name:8s} median {np.median(values):.1f}, worst {worst(values):.1f}, {len(values)} rigs")
+    console.print(f"{sum('verified' not in row for row in rows)} of {len(rows)} tunings failed")
+
+
+def main() -> int:
+    parser = command.parser(__name__, __doc__)
+    parser.add_argument("--rigs", type=int, default=6)
+    parser.add_argument("--first", type=int, default=0, help="number of the first rig")
+    parser.add_argument("--seed", type=int, help="default: a fresh one, which is printed")
+    parser.add_argument("--results", type=Path, help="a JSON object per rig; those that it holds are not run again")
+    parser.add_argument("--keep", type=Path, help="folder for the files of each rig")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
+    run(parser.parse_args())
+    return 0
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Draw, tune and evaluate the rigs that the arguments ask for."""
+    seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
+    if not arguments.json:
+        print(f"seed {seed}", flush=True)
+    known = Results(arguments.results, lambda row: (row["seed"], row["rig"]))
+    rows = []
+    for number in range(arguments.first, arguments.first + arguments.rigs):
+        if (seed, number) not in known:
+            with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
+                folder = Path(name) if arguments.keep is None else arguments.keep / f"rig-{seed}-{number}"
+                known.add(trial(draw(seed, number), folder))
+        rows.append(known[seed, number])
+        if arguments.json:
+            print(json.dumps(rows[-1]), flush=True)
+    if not arguments.json:
+        report(rows)
