@@ -56,10 +56,10 @@ class ElongationTorque:
         self._joint = 0.0
         self._zero_low, self._zero_high = -math.inf, math.inf  # m
         self._slid = 0.0  # m, signed, that both ends have moved the same way
-        self._command = 0.0  # N*m, the most of late
+        self._command = 0.0  # N*m, maximum of the last 30 ms
 
     def update(self, q_m: float, q_j: float, command: float) -> None:
-        """Take one cycle: rad of motor and joint, N*m that the motor was commanded; skip what is not finite."""
+        """Take one cycle: rad of motor and joint, N*m that the motor was commanded. Skip values that are not finite."""
         motor, joint = self._r_m * q_m, self._r_j * q_j
         if not math.isfinite(motor + joint + command):
             return

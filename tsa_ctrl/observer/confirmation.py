@@ -1,4 +1,4 @@
-"""Whether the tendon elongation confirms the reported motor torque, by the innovations of the observer."""
+"""Compare the innovations of the elongation observer with their uncertainty, to confirm the reported motor torque."""
 
 from __future__ import annotations
 

@@ -7,15 +7,15 @@ meets and the friction torque h of the tendons, the zero of the encoders is
 
 Two rules follow. Neither needs the load, a speed or a joint torque sensor:
 
-    response   f changes only with the torque or with the motion of the joint, and in their direction. A motor that
-               moves by itself gives another torque than it reports.
+    response   f changes only with the torque or with the motion of the joint, and in their direction. If
+               the motor moves by itself, its torque is not the reported one.
     friction   f is bounded, so all zeros that were seen must fit into the bound. How far f lies from its bounds is
                followed from the same two causes.
 
 `Velocity` compares the reported velocity with the change of the position. `Standstill` finds a position that rests
 although it cannot.
 
-All limits are widths in rad at the motor. The zero may drift: the widths forget what was seen long ago.
+All limits are widths in rad at the motor. The zero may drift, so the limits forget old samples.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ class Elongation:
             most += way
         self._most = most = 1.0 if most > 1.0 else -1.0 if most < -1.0 else most
         self._least = least = -1.0 if least < -1.0 else most if least > most else least
-        if least < 0.0:  # the least friction is none
+        if least < 0.0:  # there may be no friction at all
             low += least * self._most_friction
         if most > 0.0:
             high += most * self._most_friction
