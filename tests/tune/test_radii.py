@@ -54,7 +54,7 @@ def log(ratio: float, bits: int, load: str = "independent", travel: float = 0.5,
 @pytest.mark.parametrize("bits", [14, 16, 20])
 @pytest.mark.parametrize("error", [0.99, 1.0, 1.01])
 def test_the_ratio_is_found_to_two_thousandths(load: str, bits: int, error: float) -> None:
-    """Whatever the file says, with a torque of its own or a weight's."""
+    """The file may be right or 1 % off. The torque is independent of the angle, or a weight makes it."""
     true = 1.25 * error
     found = radius_ratio([log(true, bits, load)], ACTUATOR)
     assert found is not None

@@ -20,7 +20,7 @@ REMEDY = "give the model file of this joint, or tune this joint again (tsa tune)
 
 
 def admitted(configuration: Configuration, allow_simulated: bool) -> Configuration:
-    """Return the configuration as a run on its bus may use it; simulated numbers are no calibration of hardware.
+    """Return the configuration as a run on its bus may use it. Simulated numbers do not calibrate hardware.
 
     Raises:
         UsageError: a simulated model file is used on hardware, and `allow_simulated` is False.
@@ -47,7 +47,7 @@ def admitted(configuration: Configuration, allow_simulated: bool) -> Configurati
 
 
 class JointFiles:
-    """The model files of a configuration beside the nodes that a bring-up found."""
+    """Compare the model files of a configuration with the nodes that a bring-up found."""
 
     def __init__(self, configuration: Configuration, simulated: bool) -> None:
         """`simulated`: the nodes are simulated, so a file that was tuned on them is theirs."""

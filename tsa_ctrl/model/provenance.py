@@ -65,7 +65,7 @@ class _Stated(msgspec.Struct):
 
 
 def with_origin(text: str, origin: Origin) -> str:
-    """Return the text of a model file with this origin in place of its own; all else stays as it is."""
+    """Return the text of a model file with this origin. Everything else is unchanged."""
     document: Any = tomlkit.parse(text)
     table = document.setdefault("provenance", tomlkit.table())
     for key in ("source", *NODES):

@@ -36,7 +36,7 @@ NOISE_MEDIAN = 1.652  # 1, median size of a second difference of noise over its 
 OWN = 5.0  # times its noise, that the torque must have of its own: its noise flattens the line by 4 % then
 WANTED = 0.002  # 1, half the interval over the ratio, at which it is calibrated
 REPORTED = 0.01  # 1, correction that is reported
-WRONG = 0.05  # 1, correction that is none: another pulley, exchanged radii, or counts of another encoder
+WRONG = 0.05  # 1, greatest correction: beyond it another pulley, exchanged radii, or counts of another encoder
 
 
 def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | None:
@@ -70,7 +70,7 @@ def radius_ratio(logs: Sequence[Dataset], model: TendonSheath) -> Quantity | Non
 
 
 def with_ratio(model: TendonSheath, found: Quantity | None) -> tuple[TendonSheath, tuple[str, ...]]:
-    """Return the model with the measured ratio, by its joint pulley, and what a person must know of it.
+    """Return the model with the measured ratio, by its joint pulley, and notes for the report.
 
     Raises:
         UsageError: the angles contradict the file by more than a pulley's tolerance.
@@ -104,7 +104,7 @@ def with_ratio(model: TendonSheath, found: Quantity | None) -> tuple[TendonSheat
 
 
 def _rows(log: Dataset, model: TendonSheath, gear: float) -> tuple[FloatArray, FloatArray]:
-    """What the line is made of where the tendons slide, (n, 4): q_J, tau_M, sigma, omega_J; and q_M - gear q_J (n)."""
+    """Return regressors q_J, tau_M, sigma, omega_J (n, 4) and q_M - gear q_J (n), where the tendons slide."""
     angle, speed = log["q_j"], log["omega_j"]
     direction = np.sign(speed)
     turns = np.concatenate([[True], direction[1:] != direction[:-1]])

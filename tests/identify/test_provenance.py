@@ -1,0 +1,40 @@
+"""Files that are made from logs stay those of the nominal file's joint, and are no tuning of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.identify.provenance import provenance
+from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
+from tsa_ctrl.model.provenance import NodeIdentity, Origin, with_origin
+
+NODES = {
+    "drive": NodeIdentity(serial_number=4711, node_id=1),
+    "encoder": NodeIdentity(serial_number=815, node_id=32),
+}
+
+
+def test_a_calibration_from_logs_keeps_the_joint_and_is_no_tuning(tmp_path: Path) -> None:
+    nominal, new = tmp_path / "nominal.toml", tmp_path / "new.toml"
+    save_model(ACTUATOR, nominal)
+    nominal.write_text(with_origin(nominal.read_text(), Origin("measured", NODES)))
+    save_model(ACTUATOR, new, template=nominal, provenance=provenance("calibrate", {"a.csv": "1"}, nominal, {}))
+    assert load_tendon_sheath(new).origin == Origin("logs", NODES)
+
+
+def test_a_tuning_writes_its_own_joint(tmp_path: Path) -> None:
+    nominal, new = tmp_path / "nominal.toml", tmp_path / "new.toml"
+    save_model(ACTUATOR, nominal)
+    nominal.write_text(with_origin(nominal.read_text(), Origin("simulated", {})))
+    source = provenance("tune", {"a.csv": "1"}, nominal, {}, Origin("measured", NODES), split=False)
+    save_model(ACTUATOR, new, template=nominal, provenance=source)
+    assert load_tendon_sheath(new).origin == Origin("measured", NODES)
+    assert 'command = "tune"' in new.read_text()
+
+
+def test_a_file_without_an_origin_gets_none(tmp_path: Path) -> None:
+    nominal = tmp_path / "nominal.toml"
+    save_model(ACTUATOR, nominal)
+    text = nominal.read_text()
+    assert "provenance" not in with_origin(with_origin(text, Origin("measured", NODES)), Origin())
