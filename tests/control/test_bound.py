@@ -70,7 +70,7 @@ def test_what_was_never_calibrated_is_bounded_where_nothing_sees_it() -> None:
     assert bound.unseen == pytest.approx(0.64)
     assert any("never calibrated" in note for note in bound.notes)
     blind = of(UNIFORM, sees=False)
-    assert any("cannot be promised; at most 64 % of the friction" in note for note in blind.notes)
+    assert any("At most 64 % of it is compensated" in note for note in blind.notes)
     assert of(UNIFORM, sees=False, c=0.0).notes == ()
 
 

@@ -325,6 +325,7 @@ def test_reasons_are_the_codes_of_the_log() -> None:
         "DOMAIN": 11,
         "PASSIVITY": 12,
         "SENSE": 13,
+        "UNPROVEN": 14,
     }
 
 

@@ -10,9 +10,9 @@ from tsa_ctrl.bus.canopen.cia402 import PowerState, decode
 from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
-from tsa_ctrl.control.bound import Bound
+from tsa_ctrl.control.compensation_limit import CompensationLimit
 from tsa_ctrl.control.delivered import delivered_of
-from tsa_ctrl.control.estimator import EstimateState, Estimator, Fixed, Sample, toward
+from tsa_ctrl.control.estimator import Estimator, Fixed, Sample
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
@@ -30,7 +30,6 @@ BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times th
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
 _ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
-BOUND_RATE = 0.5  # 1/s, at which the bound of the compensation moves: no step of the torque
 
 
 @dataclass(slots=True)
@@ -67,7 +66,7 @@ class ControlAxis:
         period: float,
         most_age: float,
         stop_time: float,
-        bound: Bound,
+        compensation_limit: CompensationLimit,
         has_torque_sensor: bool,
     ) -> None:
         """`most_age`: s, of measurements that may still drive the motor; `stop_time`: s, from full torque to 0."""
@@ -84,7 +83,7 @@ class ControlAxis:
         self.law = law
         self.limiter = limiter
         self.guard = guard
-        self.bound = bound
+        self.compensation_limit = compensation_limit
         self.plausibility = plausibility
         self.joint_torque = joint_torque
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
@@ -109,7 +108,15 @@ class ControlAxis:
         self._nominal_half_loop = abs(sliding(model).motor_half_loop)
         self._transmitted = transmitted_by(model)
         self.delivered = delivered_of(self.instruments, joint_torque.stretch, has_torque_sensor)
-        law.bound = self._bounded()
+        law.bound = compensation_limit.share
+
+    @property
+    def reason(self) -> Reason:
+        """Return why this cycle's torque is not the desired one; the strongest cause counts."""
+        for reason in (self.terms.reason, self.guard.reason, self.compensation_limit.reason):
+            if reason is not Reason.NONE:
+                return reason
+        return Reason.NONE
 
     @property
     def at_rest(self) -> bool:
@@ -174,6 +181,21 @@ class ControlAxis:
         instruments.update(now)
         self.joint_torque.update(image, terms.omega_j, instruments.tau_j, terms.tau_m_cmd, terms.permitted)
         terms.theta = theta = self.bending.update()
+        proven, law = self.compensation_limit.proven, self.law
+        if not image.fresh:
+            proven.miss(self._period)
+        elif not terms.permitted:
+            proven.pause()
+        else:
+            proven.update(
+                image.tau_m,
+                image.omega_m,
+                image.q_m,
+                terms.q_j,
+                instruments.tau_j,
+                law.velocity,
+                law.turn.turning,
+            )
         if not terms.permitted:
             self.release()
             return
@@ -235,6 +257,7 @@ class ControlAxis:
         self.image.skipped += periods
         self.law.pass_over(periods)
         self.joint_torque.pass_over(periods)
+        self.compensation_limit.proven.miss(periods * self._period)
         if self._enabled_at is not None:  # the guard begins with the torque
             self.guard.pass_over(periods)
 
@@ -250,7 +273,8 @@ class ControlAxis:
         self.law.reset()
         self.guard.reset()
         self.law.damping.share = 1.0
-        self.law.bound = self._bounded()
+        self.compensation_limit.reset()
+        self.law.bound = self.compensation_limit.share
         self.plausibility.reset()
         self.sense.reset()
         self._unheard.reset()
@@ -275,17 +299,8 @@ class ControlAxis:
             self.direction.follows,
         )
         law.damping.share = guard.damping
-        bound = self._bounded()
-        if law.bound != bound:
-            law.bound = toward(law.bound, bound, BOUND_RATE * self._period)
-
-    def _bounded(self) -> float:
-        """1, most of the friction that may be compensated now; by an estimate of it in use, else by the file."""
-        estimator, bound = self.estimator, self.bound
-        if not self.delivered.known:
-            return bound.unseen
-        sure = estimator.sure if estimator.use and estimator.state is EstimateState.ESTIMATED else None
-        return bound.seen if sure is None else sure
+        limit, moving = self.compensation_limit, velocity if abs(velocity) > self.direction.zone else 0.0
+        law.bound = limit.update(law.half_loop, law.friction_term, moving, terms.tau_j_des, self.set_point.rate)
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

@@ -59,13 +59,15 @@ def bound_of(
     if calibrated is None and sees and compensation > 0.0:
         notes.append(
             f"the model file was never calibrated: by its [uncertainty] the friction may be {100.0 * uncertain:.0f} % "
-            "of what it says, and only the guard is there for that; tsa tune measures it"
+            "of the file's value. Until a motion proves more, an energy credit limits the compensation; tsa tune "
+            "measures the friction"
         )
     if not sees and compensation > 0.0:
         notes.append(
-            "without a joint torque sensor, and without a stretch that tells it, nothing sees what the joint is given: "
-            f"that it never moves by itself cannot be promised; at most {100.0 * unseen:.0f} % of the friction are "
-            "compensated, the least that the file leaves open"
+            "no sensor proves the friction of this axis (no joint torque sensor, no usable elongation). At most "
+            f"{100.0 * unseen:.0f} % of it is compensated. At a constant set-point the compensation is withdrawn once "
+            "the joint has moved on it. While the set-point changes, nothing bounds the motion of a joint whose "
+            "friction is less"
         )
     return Bound(seen, unseen, tuple(notes))
 

@@ -42,11 +42,9 @@ class ByStretch:
         observer: StretchObserver,
         period: float,
         contradicted: Callable[[], bool] = lambda: False,
-        sure: float = 1.0,
     ) -> None:
-        """`period` in s; `sure`: 1, of the half loop found, that is there at least, whatever the shape's bound."""
+        """`period` in s."""
         self.use = bool(settings.use)
-        self.sure = sure
         self._contradicted = contradicted
         self._model = model
         self._observer = observer

@@ -39,8 +39,6 @@ ABSENT = 0.2  # s without a value of either cell: twice the time-out of a line
 class ByTension:
     """The outputs hold while nothing is admitted; `why` says what is wrong while it is invalid."""
 
-    sure = None
-
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
         """`period` in s."""
         self.use = bool(settings.use)

@@ -78,10 +78,6 @@ class Estimator(Protocol):
     why: str  # what a person must know of a state INVALID; empty where the state says it
 
     @property
-    def sure(self) -> float | None:
-        """1, of the half loop estimated, that is there at least; None: friction is not measured, the file's holds."""
-
-    @property
     def found(self) -> float:
         """1, half loop that both ways have shown, over the model file's; nan while they have not."""
 
@@ -95,7 +91,6 @@ class Fixed:
 
     state = EstimateState.FIXED
     use = True
-    sure = None
     why = ""
     found = math.nan
 
@@ -118,7 +113,6 @@ class ConfigurationMap:
     """
 
     use = True
-    sure = None
     why = ""
     found = math.nan
 

@@ -16,9 +16,9 @@ with f = tanh, x, sinh by where the sheath bends. The condition of passivity, on
     c b h_model <= h_true
 
 whether the term turns early, in time or late. Beyond it a joint of damping d runs by itself, up to
-(r_J/r_M) (c b h_model - h_true)/d. c is bounded by how well h is known (`bound`), b is the guard's, which watches the
-integral of P (`safety.passivity`). With the true parameters and c = 1 nothing but the joint's own damping ends a
-swing; there the share e (`settle`) is taken back while the set-point stands and the joint hardly moves.
+(r_J/r_M) (c b h_model - h_true)/d. c is bounded by the proven h (`compensation_limit`), b is the guard's, which
+watches the integral of P (`safety.passivity`). With the true parameters and c = 1 nothing but the joint's own damping
+ends a swing; there the share e (`settle`) is taken back while the set-point stands and the joint hardly moves.
 
 theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the stretch between motor and joint as an angle of
 the motor; J_M theta'' of a turn is planned with it, J_M r_J/r_M alpha_J carries the motor with the joint. The sum of

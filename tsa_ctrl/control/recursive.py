@@ -31,7 +31,6 @@ PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
 class Recursive:
     """The estimator kinds "sensor" and "motor"; while invalid the outputs return to the model file's."""
 
-    sure = 1.0
     why = ""
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:

@@ -82,6 +82,7 @@ class Loop:
         self._stop: str | None = None
         self._faults = [0] * len(axes)
         self._back_offs = [0] * len(axes)
+        self._limited = [0] * len(axes)
         self._remarks = Remarks(axes, events)
         self._losses = Losses(axes, events, self._ticker.history)
         for index, axis in enumerate(axes):
@@ -314,9 +315,10 @@ class Loop:
                     self.events.add(fault.time - self._start * 1e-9, axis.name, str(fault), fault=True)
                 self._faults[index] = len(faults)
                 self._fault(planned)
-            if axis.guard.count > self._back_offs[index]:
-                self._back_offs[index] = axis.guard.count
-                self.events.add(self._t(planned), axis.name, axis.guard.words)
+            for seen, source in ((self._back_offs, axis.guard), (self._limited, axis.compensation_limit)):
+                if source.count > seen[index]:
+                    seen[index] = source.count
+                    self.events.add(self._t(planned), axis.name, source.words)
 
     def _fault(self, planned: int) -> None:
         """One axis' fault ramps all others to 0: they move the same limb."""

@@ -43,7 +43,7 @@ class Remarks:
     def begin(self) -> None:
         """Before the first cycle."""
         for axis in self._axes:
-            for note in (*axis.law.notes, *axis.bound.notes):
+            for note in (*axis.law.notes, *axis.compensation_limit.bound.notes):
                 self._events.add(0.0, axis.name, note)
             if axis.joint_torque.why_not:
                 self._events.add(0.0, axis.name, axis.joint_torque.why_not)

@@ -21,7 +21,6 @@ from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.record import Record
 from tsa_ctrl.log.ring import RingWriter
-from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.system.notify import Notifier
 
@@ -82,9 +81,7 @@ class Telemetry:
             image, terms, estimator, instruments = axis.image, axis.terms, axis.estimator, axis.instruments
             joint_torque = axis.joint_torque
             stretch, low, high = joint_torque.torque
-            reason = terms.reason
-            if reason is Reason.NONE:
-                reason = axis.guard.reason
+            reason = axis.reason
             push(
                 index,
                 Record(
@@ -217,7 +214,7 @@ class Telemetry:
             pretension=estimator.pretension,
             estimate_state=estimator.state.value,
             state=_STATE[image.statusword & 0x7F],
-            limit_reason=(axis.guard.reason if terms.reason is Reason.NONE else terms.reason).value,
+            limit_reason=axis.reason.value,
             missed=image.missed,
             pdo_age=image.pdo_age,
             late=sum(node.late for node in image.nodes),

@@ -37,6 +37,7 @@ class Reason(Enum):
     DOMAIN = 11  # limited by the law before this check: beyond it one tendon goes slack
     PASSIVITY = 12  # as wanted, but the compensation moved the joint by itself and the guard holds it back
     SENSE = 13  # small until the motor has shown since the enable that it pulls the way it says: see safety.sense
+    UNPROVEN = 14  # as desired, but the sensors prove less friction than the compensation needs
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

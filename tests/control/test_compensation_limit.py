@@ -1,0 +1,188 @@
+"""The share of the friction that may be compensated: the proven friction, and an energy credit."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.control.bound import Bound
+from tsa_ctrl.control.compensation_limit import CompensationLimit, EnergyCredit
+from tsa_ctrl.observer.proven_friction import ProvenFriction
+
+PERIOD = 1e-3
+FRICTION = 0.5  # N*m at the motor
+GEARING = 1.25
+
+
+class Proof:
+    """Bounds that a test sets."""
+
+    def __init__(self, usable: bool = True) -> None:
+        self.usable = usable
+        self.low, self.high, self.reads = 0.0, math.inf, False
+
+
+def limit(proof: Proof, capacity: float = 0.4, seen: float = 0.95) -> CompensationLimit:
+    return CompensationLimit(Bound(seen, 0.6), cast(ProvenFriction, proof), capacity, GEARING, PERIOD)
+
+
+def move(
+    chosen: CompensationLimit, way: float, *, set_point: float = 0.0, rate: float = 0.0, speed: float = 1.0
+) -> float:
+    """Move the joint by `way` on the term that is allowed; return the energy that the term gave the joint, J."""
+    given, sigma = 0.0, math.copysign(1.0, way)
+    for _ in range(round(abs(way) / speed / PERIOD)):
+        term = chosen.share * FRICTION
+        given += GEARING * term * speed * PERIOD
+        chosen.update(FRICTION, sigma * term, sigma * speed, set_point, rate)
+    return given
+
+
+def rest(chosen: CompensationLimit, seconds: float, set_point: float = 0.0, rate: float = 0.0) -> None:
+    for _ in range(round(seconds / PERIOD)):
+        chosen.update(FRICTION, 0.0, 0.0, set_point, rate)
+
+
+@pytest.mark.parametrize("capacity", [0.1, 0.4])
+def test_an_unproven_term_gives_no_more_than_the_credit(capacity: float) -> None:
+    chosen = limit(Proof(), capacity)
+    given = sum(move(chosen, way) for way in (0.3, -0.5, 0.2, -0.4, 0.4))
+    assert 0.9 * capacity < given < 1.01 * capacity
+    assert chosen.share == 0.0
+    assert "no sensor confirms" in chosen.words
+
+
+def test_random_motions_never_get_more_than_their_fills() -> None:
+    """Whatever the joint does: one credit, and another for each motion without the term after a rest."""
+    random = np.random.default_rng(5)
+    chosen = limit(Proof(), 0.1)
+    given, fills = 0.0, 1
+    for _ in range(2000):
+        before = chosen.credit.withdrawn
+        given += move(chosen, float(random.uniform(-0.05, 0.05)), speed=float(random.uniform(1.0, 3.0)))
+        fills += before and not chosen.credit.withdrawn
+        if random.random() < 0.05:
+            rest(chosen, 0.3)
+        assert given < 1.02 * 0.1 * fills
+    assert fills > 3
+
+
+def test_a_joint_that_does_not_move_keeps_its_compensation() -> None:
+    chosen = limit(Proof())
+    rest(chosen, 60.0)
+    assert chosen.share == 0.95
+
+
+def test_a_proven_friction_is_all_that_is_compensated_and_costs_nothing() -> None:
+    proof = Proof()
+    proof.low = proof.high = 0.7 * FRICTION
+    chosen = limit(proof)
+    move(chosen, 5.0)
+    assert chosen.share == pytest.approx(0.7)
+    proof.low = proof.high = 2.0 * FRICTION
+    move(chosen, 0.2)
+    assert chosen.share == 0.95
+
+
+def test_the_share_falls_at_once_and_rises_slowly() -> None:
+    proof = Proof()
+    proof.low = proof.high = FRICTION
+    chosen = limit(proof)
+    proof.low = proof.high = 0.2 * FRICTION
+    chosen.update(FRICTION, 0.4, 1.0, 0.0, 0.0)
+    assert chosen.share == pytest.approx(0.2)
+    proof.low = proof.high = FRICTION
+    chosen.update(FRICTION, 0.1, 1.0, 0.0, 0.0)
+    assert chosen.share == pytest.approx(0.21)
+
+
+def empty(set_point: float = 0.0) -> CompensationLimit:
+    chosen = limit(Proof())
+    move(chosen, 1.6, set_point=set_point)
+    assert chosen.share == 0.0
+    return chosen
+
+
+def test_a_withdrawn_term_does_not_come_back_while_the_joint_coasts_or_rests() -> None:
+    chosen = limit(Proof())
+    move(chosen, 2.5)
+    assert chosen.share == 0.0
+    rest(chosen, 30.0)
+    assert chosen.share == 0.0
+
+
+def test_a_hand_that_moves_the_resting_joint_brings_it_back() -> None:
+    chosen = empty()
+    rest(chosen, 0.2)
+    move(chosen, 0.25)
+    assert chosen.share > 0.9
+
+
+def test_motion_that_lasts_without_the_term_brings_it_back_twice_as_long() -> None:
+    chosen = limit(Proof())
+    move(chosen, 1.6)
+    assert chosen.share == 0.0
+    assert 0.75 < move(chosen, 4.0) < 0.81
+
+
+def test_motion_that_the_set_point_may_have_caused_proves_nothing() -> None:
+    chosen = empty(0.3)
+    move(chosen, 10.0, set_point=0.3)
+    assert chosen.share == 0.0
+    move(chosen, -3.0, set_point=0.3)
+    assert chosen.credit.share > 0.0
+
+
+def test_a_set_point_that_asks_for_the_other_direction_has_a_credit_of_its_own() -> None:
+    chosen = empty(0.3)
+    rest(chosen, 1.0, 0.3)
+    assert chosen.credit.share == 0.0
+    rest(chosen, 0.2, -0.3)
+    assert chosen.credit.share == 1.0
+
+
+def test_a_changing_set_point_suspends_the_account_where_nothing_can_be_proven() -> None:
+    blind = limit(Proof(usable=False))
+    move(blind, 10.0, set_point=0.3, rate=1.0)
+    assert blind.share == 0.6
+    seeing = limit(Proof())
+    move(seeing, 10.0, set_point=0.3, rate=1.0)
+    assert seeing.share == 0.0
+
+
+def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> None:
+    """Friction may have grown: a smaller term would never show it. At a constant set-point the bound stays."""
+    proof = Proof()
+    proof.low = proof.high = 0.3 * FRICTION
+    chosen = limit(proof)
+    rest(chosen, 5.0)
+    assert chosen.share == pytest.approx(0.3)
+    rest(chosen, 0.5, rate=1.0)
+    assert chosen.share == 0.95
+
+
+def test_less_friction_than_the_file_has_is_reported_once() -> None:
+    proof = Proof()
+    proof.low, proof.high, proof.reads = 0.4 * FRICTION, 0.5 * FRICTION, True
+    chosen = limit(proof)
+    move(chosen, 1.0)
+    assert chosen.count == 1
+    assert "at most 50 % of the model's" in chosen.words
+
+
+def test_an_enable_fills_the_credit_again() -> None:
+    chosen = empty()
+    chosen.reset()
+    assert chosen.share == 0.95
+
+
+def test_a_credit_is_not_filled_beyond_its_size() -> None:
+    credit = EnergyCredit(0.4, PERIOD)
+    for _ in range(1000):
+        credit.update(-1.0, 1.0, 0.0, False)
+    for _ in range(1000):
+        credit.update(0.41, 1.0, 0.0, False)
+    assert credit.withdrawn

@@ -1,0 +1,150 @@
+"""The friction torque that the sensors of an axis prove, on an evenly bent sheath that is written out here.
+
+With the bends in the middle the mean tension difference is that of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J, and
+while the tendons slide tau_J = r_J/r_M (tau_M - sigma h) (stretch.md, to first order in x).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.observer.proven_friction import ProvenFriction
+from tsa_ctrl.observer.stretch import StretchObserver
+
+PERIOD = 1e-3
+MODEL = NOMINAL.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}})
+FRICTION = 2.0 * 45.0 * 0.020 * 0.26  # N*m, h = 2 T_p0 r_M x
+
+
+class Joint:
+    """Strokes of a joint of 0.6 rad to and fro, a load on it, and what its sensors measure."""
+
+    def __init__(
+        self,
+        model: TendonSheath = MODEL,
+        *,
+        sensor: bool = False,
+        zero: float = 0.0,
+        radius: float = 1.0,
+        seed: int = 1,
+    ) -> None:
+        observer = StretchObserver(model, PERIOD, (1e-4, 1e-6))
+        self.proven = ProvenFriction(model, PERIOD, 0.0, sensor, None if sensor else observer)
+        self.friction = FRICTION
+        self.zero, self.radius, self.sensor = zero, radius, sensor
+        self.random = np.random.default_rng(seed)
+        self.q = 0.0
+
+    def move(self, way: float, speed: float = 1.0, turning: bool = False) -> list[tuple[float, float]]:
+        """Go `way` rad further; return the bounds of each cycle."""
+        sigma = math.copysign(1.0, way)
+        bounds = []
+        for _ in range(round(abs(way) / speed / PERIOD)):
+            self.q += sigma * speed * PERIOD
+            load = 0.3 * math.sin(3.0 * self.q) + 0.1  # N*m at the joint
+            tau_m = load * 0.8 + sigma * self.friction
+            elongation = (tau_m / 0.020 + load / 0.025) / (4.0 * 60e3 / 1.2) + self.zero
+            elongation += 2e-6 * self.random.standard_normal()
+            q_m = (elongation + 0.025 * self.radius * self.q) / 0.020
+            tau_j = load if self.sensor else math.nan
+            self.proven.update(tau_m, speed * sigma / 0.8, q_m, self.q, tau_j, sigma * speed, turning)
+            bounds.append((self.proven.low, self.proven.high))
+        return bounds
+
+
+def test_one_direction_of_the_elongation_proves_nothing() -> None:
+    """The zero hides the friction: any friction torque fits."""
+    joint = Joint(zero=3e-4)
+    assert all(low == 0.0 and high > 2.0 * FRICTION for low, high in joint.move(0.6))
+
+
+@pytest.mark.parametrize("zero", [-5e-4, 0.0, 2e-4])
+@pytest.mark.parametrize("radius", [0.99, 1.0, 1.01])
+@pytest.mark.parametrize("stiffness", [0.92, 1.0, 1.08])
+def test_both_directions_bound_the_friction(zero: float, radius: float, stiffness: float) -> None:
+    """The zero, the radii and the stiffness of the file may be off: the bounds hold, and are near each other."""
+    model = dataclasses.replace(MODEL, axial_stiffness=60e3 * stiffness)
+    joint = Joint(model, zero=zero, radius=radius)
+    for way in (0.6, -0.6, 0.6, -0.6, 0.6):
+        joint.move(way)
+    for low, high in joint.move(-0.6)[-300:]:
+        assert 0.7 * FRICTION < low < FRICTION < high < 1.35 * FRICTION
+
+
+def test_a_joint_torque_sensor_proves_it_within_the_first_stroke() -> None:
+    low, high = Joint(sensor=True).move(0.1)[-1]
+    assert 0.93 * FRICTION < low < FRICTION < high < 1.07 * FRICTION
+
+
+@pytest.mark.parametrize("sensor", [False, True])
+@pytest.mark.parametrize("left", [0.1, 0.5])
+def test_friction_that_is_lost_within_a_stroke_is_seen_within_it(sensor: bool, left: float) -> None:
+    """Three hundredths of a radian later the upper bound is near what is left, and the next strokes keep the zero."""
+    joint = Joint(sensor=sensor)
+    for way in (0.6, -0.6, 0.6, -0.6):
+        joint.move(way)
+    joint.move(0.3)
+    joint.friction = left * FRICTION
+    _, high = joint.move(0.05)[-1]
+    assert high < (left + 0.15) * FRICTION
+    joint.move(0.25)
+    for way in (-0.6, 0.6, -0.6):
+        low, high = joint.move(way)[-1]
+        assert low < left * FRICTION < high < (left + 0.2) * FRICTION
+
+
+def test_a_reversal_and_a_turning_term_are_no_reading() -> None:
+    """The friction front runs through the sheath first: until then the bounds are those of before."""
+    joint = Joint(sensor=True)
+    joint.move(0.3)
+    before = joint.proven.low, joint.proven.high
+    joint.friction = 0.0
+    assert joint.move(-0.015) == [before] * 15
+    assert not joint.proven.reads
+    assert joint.move(-0.1, turning=True) == [before] * 100
+    assert joint.move(-0.1)[-1] != before
+
+
+def test_a_joint_that_rests_shows_nothing_and_forgets_nothing() -> None:
+    joint = Joint(sensor=True)
+    joint.move(0.3)
+    before = joint.proven.low
+    for _ in range(1000):
+        joint.proven.update(0.0, 0.0, 0.0, joint.q, 0.0, 0.0, False)
+    assert joint.proven.low == before
+    assert not joint.proven.reads
+
+
+def test_the_zero_is_kept_over_a_disable_and_lost_in_a_long_gap() -> None:
+    joint = Joint(zero=4e-4)
+    for way in (0.6, -0.6, 0.6, -0.6):
+        joint.move(way)
+    joint.proven.pause()
+    assert joint.move(0.1)[-1][0] > 0.7 * FRICTION
+    joint.proven.miss(2.0)
+    assert joint.move(-0.1)[-1][0] == 0.0
+
+
+def test_a_tendon_that_slips_on_its_pulley_makes_it_begin_again() -> None:
+    """The elongation has another zero from then on: no stroke agrees with those of before."""
+    joint = Joint()
+    for way in (0.6, -0.6, 0.6, -0.6):
+        joint.move(way)
+    joint.zero = 4e-3
+    for _ in range(6):
+        joint.move(0.6)
+        joint.move(-0.6)
+    low, high = joint.move(0.3)[-1]
+    assert low < FRICTION < high < 1.35 * FRICTION
+
+
+def test_without_a_sensor_at_the_joint_nothing_is_proven() -> None:
+    proven = ProvenFriction(MODEL, PERIOD, 0.0, False, None)
+    proven.update(0.5, 1.0, 1.0, 1.0, math.nan, 1.0, False)
+    assert (proven.usable, proven.low, proven.high) == (False, 0.0, math.inf)

@@ -1,0 +1,204 @@
+"""The share of the friction that may be compensated now: the proven friction, and a limited energy beyond it.
+
+Compensation drives a joint wherever it exceeds the friction that is really there (`law`). So the friction term never
+exceeds the friction torque that the sensors prove at this moment (`observer.proven_friction`), but for an energy
+credit:
+
+    limit h = low + k (min(c h, high) - low)        low <= friction torque <= high,  h of the model in use
+    dE/dt = (low - term) |omega_J|                  E <= capacity,  k = min(1, E / (KNEE capacity))
+
+The credit pays for the work of the term while nothing is proven: at most its capacity, whatever the
+friction, the load and the set-point. It is spent by way, so a held joint keeps its full compensation. Where friction is
+proven, low is near high, and the credit has no say.
+
+An empty credit takes the term to 0. A term that came back while the joint rests would start it again. So the credit is
+filled again only if the joint is moved without the term: after a rest, or for so long that it is not the joint's own
+motion. Motion in the direction of the set-point's torque proves nothing, as that torque may have caused it. A set-point
+that asks a resting joint for the other direction fills it as well: each request has one credit.
+
+Without a sensor at the joint nothing is ever proven. A set-point that changes then suspends the account: a person asks
+for motion.
+"""
+
+from __future__ import annotations
+
+import math
+
+from tsa_ctrl.control.bound import Bound
+from tsa_ctrl.observer.proven_friction import ProvenFriction
+from tsa_ctrl.safety.limiter import Reason
+
+KNEE = 0.4  # of the capacity, below which the share falls with what is left: no step that a person feels
+EMPTY = 0.02  # of the capacity, below which the term is withdrawn
+STANDS = 0.02  # N*m/s: a set-point that changes more slowly stands
+RISE = 10.0  # 1/s at which the limit rises; it falls at once
+RESTED = 0.1  # s of rest after which a new motion is not the old one
+MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill the credit
+LASTING = 2.0  # s of motion without the term that fill it: a joint of a person comes to rest in less by its friction
+MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who walks on needs them
+# s without a reading, while the set-point asks for motion, after which the last upper bound is outdated: more friction
+# than was read last may hold the joint, and a smaller term would never show it. A slow reversal takes less.
+OUTDATED = 0.3
+LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
+SURELY_LESS = 0.1  # rad of the joint for which it must be so: a single stroke's begin is no finding
+
+
+class EnergyCredit:
+    """The energy (J) that a friction term may give a joint without a proof; `share` (1) is the part of it allowed."""
+
+    def __init__(self, capacity: float, period: float) -> None:
+        """`capacity` in J, `period` in s."""
+        self._capacity = capacity
+        self._period = period
+        self.reset()
+
+    def reset(self) -> None:
+        """Fill the credit: a new enable."""
+        self._size = self._left = self._capacity
+        self.withdrawn = False
+        self._forget()
+
+    def _forget(self) -> None:
+        self._rest = self._moved = self._moving = 0.0
+        self._rested = False
+        self._side = 0.0  # rad/s of the motion that emptied the credit
+
+    @property
+    def share(self) -> float:
+        if self.withdrawn:
+            return 0.0
+        return min(1.0, self._left / (KNEE * self._size))
+
+    def update(self, unproven: float, velocity: float, tau_j_des: float, suspended: bool) -> None:
+        """Account for one cycle.
+
+        Args:
+            unproven: N*m at the joint, of the term beyond the proven friction, in the direction of the motion.
+            velocity: rad/s of the joint, 0 where it is noise.
+            tau_j_des: N*m, the set-point.
+            suspended: True if nothing is spent in this cycle.
+        """
+        way = abs(velocity) * self._period
+        spent = unproven * way
+        if spent < 0.0:
+            self._left = min(self._size, self._left - spent)
+            if self.withdrawn and self._left > KNEE * self._size:
+                self._fill(1.0)
+        elif not self.withdrawn:
+            if not suspended:
+                self._left -= spent
+            if self._left <= EMPTY * self._size:
+                self.withdrawn = True
+                self._forget()
+                self._side = velocity
+        elif velocity == 0.0:
+            self._moving = 0.0
+            self._rest += self._period
+            if self._rest > RESTED:
+                self._rested = True
+                if tau_j_des * self._side < 0.0:
+                    self._fill(1.0)
+        else:
+            self._rest = 0.0
+            if tau_j_des * velocity <= 0.0:
+                self._moved_without(way)
+
+    def _moved_without(self, way: float) -> None:
+        self._moving += self._period
+        if self._rested:
+            self._moved += way
+            if self._moved > MOVED:
+                self._fill(1.0)
+        elif self._moving > LASTING:
+            self._fill(min(MOST_FILLS, 2.0 * self._size / self._capacity))
+
+    def _fill(self, capacities: float) -> None:
+        self._size = self._left = capacities * self._capacity
+        self.withdrawn = False
+        self._forget()
+
+
+class CompensationLimit:
+    """The share of the model's friction term that the law may use; `count` and `words` of what was reported."""
+
+    def __init__(self, bound: Bound, proven: ProvenFriction, capacity: float, gearing: float, period: float) -> None:
+        """Start at the bound of the files.
+
+        Args:
+            bound: of the model file and the wrap angle's range.
+            proven: the friction torque that the sensors prove.
+            capacity: J of the credit.
+            gearing: r_J/r_M.
+            period: s.
+        """
+        self.bound = bound
+        self.proven = proven
+        self.credit = EnergyCredit(capacity, period)
+        self.ceiling = bound.seen if proven.usable else bound.unseen
+        self._gearing = gearing
+        self._period = period
+        self._step = RISE * period
+        self.count = 0
+        self.words = ""
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again at an enable; what is proven stays."""
+        self.credit.reset()
+        self._noted = False
+        self._less = self._unread = 0.0  # rad, s
+        self.share = self.ceiling
+
+    def update(self, half_loop: float, term: float, omega_j: float, tau_j_des: float, rate: float) -> float:
+        """Return the share for the next cycle.
+
+        Args:
+            half_loop: N*m at the motor, the friction torque of the model in use.
+            term: N*m at the motor, the friction term as sent.
+            omega_j: rad/s of the joint, 0 within its noise.
+            tau_j_des, rate: N*m, N*m/s of the set-point.
+        """
+        proven, credit = self.proven, self.credit
+        low, high = proven.low, proven.high
+        along = term if omega_j >= 0.0 else -term
+        asked = not -STANDS < rate < STANDS
+        if proven.reads:
+            self._unread = 0.0
+        elif asked or self._unread > OUTDATED:  # an outdated bound stays outdated until the next reading
+            self._unread += self._period
+        if self._unread > OUTDATED:
+            high = math.inf
+        suspended = asked and not proven.usable
+        before = credit.withdrawn
+        credit.update(self._gearing * (along - low), omega_j, tau_j_des, suspended)
+        ceiling = self.ceiling
+        most = min(ceiling * half_loop, high)
+        allowed = low if low < most else most
+        share = (allowed + credit.share * (most - allowed)) / half_loop if half_loop > 0.0 else ceiling
+        share = min(share, ceiling)
+        rise = self.share + self._step
+        self.share = share if share < rise else rise
+        if credit.withdrawn and not before:
+            self._report(
+                "the friction term is withdrawn: the joint moved on it, and no sensor confirms that the friction is "
+                "that large; move the joint by hand, or calibrate the model"
+            )
+        elif high < LESS * min(1.0, ceiling) * half_loop and not self._noted:
+            self._less += abs(omega_j) * self._period
+            self._noted = self._less > SURELY_LESS
+            if not self._noted:
+                return self.share
+            self._report(
+                f"the measured friction torque is at most {100.0 * high / half_loop:.0f} % of the model's: the "
+                "compensation follows it; check pretension and sheath, or run tsa tune"
+            )
+        return self.share
+
+    @property
+    def reason(self) -> Reason:
+        """Return why less than the files allow is compensated, for the log."""
+        return Reason.UNPROVEN if self.share < LESS * self.ceiling else Reason.NONE
+
+    def _report(self, words: str) -> None:
+        self.count += 1
+        self.words = words

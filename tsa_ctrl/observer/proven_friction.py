@@ -1,0 +1,334 @@
+"""Friction torque that the sensors of an axis prove at this moment, at the motor, with its 95 % bounds.
+
+While the tendons slide in the direction sigma, the friction torque h (half the hysteresis width) is what the motor
+gives and the joint does not receive:
+
+    h = sigma (tau_M - J_M alpha_M - tau_J / a)                        joint torque sensor, a the slope of the model
+    h = sigma (s_0 + kappa q_J + gamma tau - y) P_t / R                elongation, R = r_J/r_M
+
+    y = s - (R + Q)/P tau,    s = r_M q_M - r_J q_J,    tau = tau_M - J_M alpha_M
+    P_t = (R + Q) / ((R + Q)/P + gamma)
+
+P and Q are those of `tsa_ctrl.model.stretch`. The zero s_0, the error of the radii kappa, the error of the compliance
+gamma and the mean friction g follow from least squares over the strokes so far, y = s_0 + kappa q_J + gamma tau -
+sigma g. One direction alone leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite.
+The numbers of a fit change between two strokes only, so that friction that is lost within a stroke is seen within it.
+
+Samples count by the way of the joint, not by time: the work of a wrong torque grows with the way, and so does what a
+stroke shows. After a reversal the friction front has to run through the whole sheath first; until then, at rest, and
+while the law turns its friction term, the last values of both directions hold.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.model.functions import Array
+from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.model.sliding import sliding, wound_by_friction
+from tsa_ctrl.model.stretch import compliance_centre, stretch_line
+from tsa_ctrl.observer.stretch import RESTART, StretchObserver, StretchState
+
+SLIDES = 0.05  # rad/s of the joint above which it slides: three times the noise of a 16 bit encoder's velocity
+GATE = 1.0  # of the joint's way in which a reversal runs through the sheath, before a sample counts
+SMOOTH = 0.01  # rad of the joint over which a reading is averaged: 6 mJ of a friction torque of 0.6 N*m
+SAMPLE = 0.05  # rad of the joint that count as one independent sample
+NOISE = 0.03  # of the elongation that friction makes, standard deviation of such a sample: creep, ripple, counts
+MEMORY = 1.5  # rad of the joint after which older strokes count 1/e
+RADIUS_PRIOR = 0.01  # 1, standard deviation of r_J/r_M: by 1 % the radii at which tendons lie are known
+# 1: radii that the strokes show to be right within this (95 %) leave the stiffness to the observer of the elongation
+RIGHT_RADII = 0.001
+LEARNED = 0.02  # 1, standard deviation of that stiffness: what another curvature profile within a turn makes of it
+SURE = 1.65  # standard deviations of a one-sided 95 % bound
+CERTAIN = 0.1  # of the friction torque: standard deviation below which the fit of whole strokes is kept within a stroke
+UNLIKE = 2.0  # times the variance of a sample: a stroke that adds more than this to the misfit is not of one friction
+MOST_SKIPPED = 4  # strokes in a row without a fit, after which the zero must have moved: a tendon or an encoder slipped
+FIT_EVERY = 32  # cycles between two fits before that
+ALIKE = 1.25  # of one direction's friction, at most in the other: the same sheaths; more is a zero that is wrong
+SENSOR_GAIN, SENSOR_ZERO = 0.03, 0.01  # 1: of the joint torque, and of the friction torque, from a data sheet
+
+
+class ProvenFriction:
+    """Measure the friction torque from a joint torque sensor, else from the elongation, while the tendons slide.
+
+    Attributes: `low`, `high`: N*m at the motor, bounds of the friction torque; 0 and inf while nothing is proven.
+    `reads`: True if this cycle has a reading, False if the bounds are those of earlier ones.
+    """
+
+    def __init__(
+        self,
+        model: TendonSheath,
+        period: float,
+        inertia: float,
+        has_sensor: bool,
+        observer: StretchObserver | None = None,
+    ) -> None:
+        """Prepare the lines of the model.
+
+        Args:
+            model: its radii, stiffness and curvature profile are used, not its friction.
+            period: s, of the loop.
+            inertia: kg*m^2 of the motor, 0 where it is not known.
+            has_sensor: True if the joint torque is measured.
+            observer: of the elongation, None without a joint encoder; it learns the stiffness, which the strokes
+                alone show only while the set-point varies.
+        """
+        self._period = period
+        self._inertia = inertia
+        r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+        self._r_m, self._r_j = r_m, r_j
+        self._expected = abs(sliding(model).motor_half_loop)
+        self._per_torque = tuple(1.0 / sliding(model, sigma).slope for sigma in (-1.0, 1.0))
+        self._gate = GATE * wound_by_friction(model) * r_m / r_j
+        self._ratio = r_j / r_m
+        self._has_sensor = has_sensor
+        self._observer = observer
+        self.usable = has_sensor
+        self._shape = 0.0
+        if not has_sensor and observer is not None:
+            line = stretch_line(model)
+            self.usable = True
+            self._compliance = (self._ratio + line.per_torque) / line.per_stretch  # m per N*m
+            self._whole = self._ratio + line.per_torque
+            self._shape = model.bending_centre_uncertainty / 1.96 / (1.0 - compliance_centre(model))
+            gap = max(self._expected, 1e-6) * self._ratio / line.per_stretch  # m, half of it that friction makes
+            self._noise = NOISE * gap
+            self._stiffness = model.axial_stiffness_uncertainty
+            error = max(self._stiffness / 1.96, 1e-6) * self._compliance
+            spread = (40.0 * gap, RADIUS_PRIOR * r_j, error, 4.0 * gap)
+            self._prior = np.array([(self._noise / each) ** 2 for each in spread])
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the zero of the elongation included."""
+        self._origin = math.nan
+        self._kept = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)
+        self._variance = 0.0  # m^2 of a sample, as the last fit left it
+        self._skipped = 0  # strokes in a row that no fit explains
+        self._fit = (0.0, 0.0, 0.0)
+        self._covariance: tuple[float, ...] = ()  # of the fit, its upper triangle; empty before the first one
+        self._settled = False
+        self._read = [math.nan, math.nan]  # N*m, by direction
+        self._spread = [math.inf, math.inf]
+        self.low, self.high, self.reads = 0.0, math.inf, False
+        self._direction = 0
+        self._gap = 0.0
+        self._until = FIT_EVERY
+        self._begin_stroke()
+        self.pause()
+
+    def pause(self) -> None:
+        """Pass over a cycle without torque: the next motion is a new one."""
+        self.reads = False
+        self._omega = math.nan
+        self._way = self._gap = 0.0
+
+    def miss(self, seconds: float) -> None:
+        """Pass over `seconds` without measurements; in a long gap an encoder may have started again."""
+        self.reads = False
+        self._omega = math.nan
+        self._gap += seconds
+        if self._gap > RESTART:
+            self.reset()
+
+    def update(
+        self, tau_m: float, omega_m: float, q_m: float, q_j: float, tau_j: float, velocity: float, turning: bool
+    ) -> None:
+        """Take the measurements of one cycle.
+
+        Args:
+            tau_m, omega_m, q_m: N*m, rad/s, rad of the motor.
+            q_j, velocity: rad, rad/s of the joint.
+            tau_j: N*m of the joint torque sensor, nan without.
+            turning: True while the law turns its friction term.
+        """
+        if not self.usable:
+            return
+        self.reads = False
+        self._gap = 0.0
+        last, self._omega = self._omega, omega_m
+        if not -SLIDES < velocity < SLIDES:
+            direction = 1 if velocity > 0.0 else -1
+            if direction != self._direction:
+                self._way = 0.0
+                self._end_stroke()
+                self._direction = direction
+            way = abs(velocity) * self._period
+            self._way += way
+            if self._way > self._gate and not turning and last == last:
+                tau = tau_m - self._inertia * (omega_m - last) / self._period
+                if self._has_sensor:
+                    self._take(direction, direction * (tau - tau_j * self._per_torque[direction > 0]), way, tau_j)
+                else:
+                    self._take_elongation(direction, self._r_m * q_m - self._r_j * q_j, q_j, tau, way)
+                return
+        else:
+            self._way = 0.0
+        reads = [each for each in self._read if each == each]
+        if reads:
+            self._bound(min(reads), max(self._spread[k] for k in (0, 1) if self._read[k] == self._read[k]))
+
+    def _take_elongation(self, direction: int, elongation: float, q_j: float, tau: float, way: float) -> None:
+        if self._origin != self._origin:
+            self._origin, self._angle = elongation, q_j
+        y = elongation - self._origin - self._compliance * tau
+        q = q_j - self._angle
+        weight = way / SAMPLE
+        sums = self._sums
+        wq, wt, wy = weight * q, weight * tau, weight * y
+        sums[0] += weight
+        sums[1] += wq
+        sums[2] += wt
+        sums[3] += wq * q
+        sums[4] += wq * tau
+        sums[5] += wt * tau
+        sums[6] += wy
+        sums[7] += wy * q
+        sums[8] += wy * tau
+        sums[9] += wy * y
+        if not self._settled and sums[0] >= 1.0:
+            self._until -= 1
+            if self._until <= 0:
+                self._until = FIT_EVERY
+                self._fit_to(self._kept.plus(self._stroke()), False)
+        if not self._covariance:
+            return
+        zero, kappa, gamma = self._fit
+        compliance = self._compliance + gamma
+        scale = self._whole / compliance / self._ratio
+        friction = direction * (zero + kappa * q + gamma * tau - y) * scale
+        a, b, c, d, e, f = self._covariance
+        v1, v2 = q, tau - direction * friction / (scale * compliance)
+        variance = a + v1 * (2.0 * b + d * v1) + v2 * (2.0 * c + 2.0 * e * v1 + f * v2)
+        self._take(direction, friction, way, 0.0, scale * math.sqrt(variance) if variance > 0.0 else 0.0)
+
+    def _take(self, direction: int, friction: float, way: float, tau_j: float, deviation: float = -1.0) -> None:
+        """Average a reading over the way of the joint, and bound it."""
+        if not math.isfinite(friction):
+            return
+        side = 1 if direction > 0 else 0
+        value = self._read[side]
+        share = way / (SMOOTH + way)
+        value = friction if value != value else value + share * (friction - value)
+        if deviation < 0.0:
+            deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
+        self._read[side], self._spread[side] = value, deviation
+        self.reads = True
+        self._bound(value, deviation)
+
+    def _bound(self, friction: float, deviation: float) -> None:
+        doubt = SURE * math.hypot(deviation, self._shape * friction)
+        low, high = friction - doubt, friction + doubt
+        if low > 0.0:  # nan while a direction has no reading
+            low = min(low, ALIKE * self._read[0], ALIKE * self._read[1])
+        self.low = low if low > 0.0 else 0.0
+        self.high = high if high > 0.0 else 0.0
+
+    def _begin_stroke(self) -> None:
+        self._sums = [0.0] * 10
+        self._until = FIT_EVERY
+
+    def _end_stroke(self) -> None:
+        """Keep what the stroke shows of zero, radii and compliance, unless friction changed within it."""
+        stroke, n = self._stroke(), self._sums[0]
+        self._begin_stroke()
+        if not n > 0.0:
+            return
+        for before in (self._kept, _without_friction(self._kept)):
+            both = before.faded(math.exp(-n * SAMPLE / MEMORY)).plus(stroke)
+            if not self._settled or self._misfit(both) - self._misfit(before) < UNLIKE * max(n, 1.0):
+                self._kept, self._skipped = both, 0
+                self._fit_to(both, True)
+                return
+        self._kept = _without_friction(self._kept)
+        self._skipped += 1
+        if self._skipped > MOST_SKIPPED:
+            self.reset()
+
+    def _stroke(self) -> _Sums:
+        n, q, t, qq, qt, tt, y, yq, yt, yy = self._sums
+        sigma = -float(self._direction)  # the regressor of the friction
+        normal = [
+            [n, q, t, sigma * n],
+            [q, qq, qt, sigma * q],
+            [t, qt, tt, sigma * t],
+            [sigma * n, sigma * q, sigma * t, n],
+        ]
+        return _Sums(np.array(normal), np.array([y, yq, yt, sigma * y]), yy)
+
+    def _misfit(self, sums: _Sums) -> float:
+        """Return the sum of squares that a fit leaves, the prior's included, over the variance of a sample."""
+        found = np.linalg.solve(sums.normal + np.diag(self._prior), sums.target)
+        return (sums.left(found) + float(found @ (self._prior * found))) / max(self._noise**2, self._variance)
+
+    def _fit_to(self, sums: _Sums, whole: bool) -> None:
+        """Fit zero, radii, compliance and friction; `whole`: no stroke is going on."""
+        prior, mean = self._prior.copy(), np.zeros(4)
+        samples = max(float(sums.normal[0, 0]), 1.0)
+        for again in (False, True):
+            covariance = np.linalg.inv(sums.normal + np.diag(prior))
+            found = covariance @ (sums.target + prior * mean)
+            self._variance = sums.left(found) / samples
+            covariance = covariance * max(self._noise**2, self._variance)
+            if again or not self._learned(float(found[1]), math.sqrt(float(covariance[1, 1])), mean, prior):
+                break
+        zero, kappa, gamma = (float(each) for each in found[:3])
+        self._fit = (zero, kappa, max(gamma, -0.5 * self._compliance))
+        self._covariance = tuple(float(covariance[i, j]) for i in range(3) for j in range(i, 3))
+        if self._settled:
+            return
+        # Readings by an earlier fit are worth as little as that fit was.
+        scale = self._whole / (self._compliance + self._fit[2]) / self._ratio
+        deviation = scale * math.sqrt(max(0.0, float(covariance[3, 3])))
+        if deviation < CERTAIN * self._expected:
+            self._settled = whole
+            self._read = [scale * float(found[3])] * 2
+            self._spread = [deviation] * 2
+
+    def _learned(self, kappa: float, deviation: float, mean: Array, prior: Array) -> bool:
+        """Take the stiffness of the observer as the prior of gamma, unless wrong radii may have misled it."""
+        observer = self._observer
+        if observer is None or observer.state is not StretchState.TOLD:
+            return False
+        if abs(kappa) > 1.96 * deviation + RIGHT_RADII * self._r_j:
+            return False
+        softer = 1.0 / observer.stiffness - 1.0
+        if abs(softer) > self._stiffness:
+            return False
+        spread = max(LEARNED, observer.stiffness_deviation) * self._compliance
+        mean[2], prior[2] = softer * self._compliance, max(prior[2], (self._noise / spread) ** 2)
+        return True
+
+
+class _Sums(NamedTuple):
+    """The normal equations of a fit: matrix, right-hand side, and the sum of squares of y."""
+
+    normal: Array
+    target: Array
+    square: float
+
+    def faded(self, keep: float) -> _Sums:
+        return _Sums(keep * self.normal, keep * self.target, keep * self.square)
+
+    def plus(self, other: _Sums) -> _Sums:
+        return _Sums(self.normal + other.normal, self.target + other.target, self.square + other.square)
+
+    def left(self, found: NDArray[np.floating[Any]]) -> float:
+        return max(0.0, self.square - float(found @ (2.0 * self.target - self.normal @ found)))
+
+
+def _without_friction(sums: _Sums) -> _Sums:
+    """Keep zero, radii and compliance, but no friction: the fourth unknown is eliminated (Schur complement)."""
+    n = float(sums.normal[3, 3])
+    if not n > 0.0:
+        return sums
+    row = sums.normal[:, 3]
+    return _Sums(
+        sums.normal - np.outer(row, row) / n,
+        sums.target - row * (sums.target[3] / n),
+        sums.square - float(sums.target[3]) ** 2 / n,
+    )
