@@ -103,7 +103,7 @@ class Daemon:
                 status = client.ask(Status())
         except TsaError:
             return None
-        self.start = time.monotonic() - status["age"] - status["uptime"]
+        self.start = time.monotonic() - status["age"] - (status["uptime"] or 0.0)
         return status
 
     @property
@@ -117,12 +117,12 @@ class Daemon:
         """What it counted of its PDOs since its start; nothing where nobody answers."""
         status = self.status() if self.process.poll() is None else None
         axis = status["axes"][0] if status else {}
-        return {name: axis.get(name, 0) for name in ("late", "repeated", "malformed")}
+        return {name: axis.get(name) or 0 for name in ("late", "repeated", "malformed")}
 
     def faults(self, since: float) -> tuple[str, ...]:
         """What its status tells since then (CLOCK_MONOTONIC in s); nothing where nobody answers."""
         status = self.status() if self.process.poll() is None else None
-        told = status["faults"] if status else []
+        told = [event for event in (*status["events"], *status["faults"]) if event["fault"]] if status else []
         return tuple(fault["text"] for fault in told if fault["t"] >= since - self.start - 0.02)
 
     def recover(self) -> None:
