@@ -58,7 +58,7 @@ class Sound:
 
 
 def frames(sound: Sound, seconds: float, edit: Edit = lambda t, frames: frames) -> Iterator[tuple[Frame | None, float]]:
-    """What the monitor is given, 0.1 ms between two frames, and a look at what is missing at the end of each cycle."""
+    """Yield the frames of each cycle, 0.1 ms apart, and None at its end."""
     for number in range(round(seconds / PERIOD)):
         t = number * PERIOD
         for place, frame in enumerate(edit(t, sound.cycle(t))):
@@ -67,7 +67,7 @@ def frames(sound: Sound, seconds: float, edit: Edit = lambda t, frames: frames) 
 
 
 def play(monitor: Monitor, sound: Sound, seconds: float, edit: Edit = lambda t, frames: frames) -> Stop | None:
-    """Give it all of that; return the cause."""
+    """Pass all frames to the monitor; return the cause."""
     for frame, now in frames(sound, seconds, edit):
         monitor.step(frame, now)
     return monitor.stop

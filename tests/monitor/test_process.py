@@ -1,4 +1,4 @@
-"""The monitor's process: what it does on a bus of its own, and how it ends. Its output is tested in tests/system."""
+"""The process of the monitor on its own bus, and its end. tests/system tests its output."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 from tsa_ctrl.system.torque_off import OutputSettings, TorqueOff
 
 READY = b"ready\n"
-TICK = 0.004  # s between two looks at what is missing
+TICK = 0.004  # s between two checks for missing frames
 REPEAT = 0.02  # s between two repetitions of the stop
 PERMIT = 0.05  # s between two bytes that permit torque
 OUTLIVE = 5.0  # s for which it repeats the stop after the daemon's end
@@ -41,7 +41,7 @@ _IGNORED = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGTSTP, signal
 
 
 class Given(msgspec.Struct, frozen=True, kw_only=True):
-    """What the process is started with."""
+    """The input of the process."""
 
     watched: Watched
     interface: str
@@ -53,7 +53,7 @@ class Given(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Report(msgspec.Struct, frozen=True):
-    """What the process found so far."""
+    """The findings so far."""
 
     stop: Stop | None = None
     confirmed: bool = False
@@ -154,7 +154,7 @@ class Watch:
             self._follow(time.monotonic())
 
     def _take(self) -> None:
-        """Give what has come to the monitor, by its time of arrival."""
+        """Pass the received frames to the monitor, with their time of arrival."""
         step, receive = self._monitor.step, self._bus.receive
         try:
             for _ in range(MOST):
@@ -197,7 +197,7 @@ class Watch:
 
 
 class MonitorProcess:
-    """The daemon's end: starts the process, and looks after it."""
+    """The daemon's end: start the process, and supervise it."""
 
     def __init__(self, given: Given) -> None:
         """Raises UsageError with the one line of a process that cannot watch."""
@@ -231,7 +231,7 @@ class MonitorProcess:
         return f"monitor: no sign of life for {SILENT:g} s" if silent > SILENT else None
 
     def news(self) -> list[str]:
-        """Return what was noticed since the last call, and needs no action."""
+        """Return the notices since the last call."""
         new = [str(notice) for notice in self.report.notices if notice.id not in self._told]
         self._told |= {notice.id for notice in self.report.notices}
         return new

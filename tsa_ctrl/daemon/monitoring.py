@@ -1,4 +1,4 @@
-"""The second channel beside the loop: what its monitor is given, in plain numbers, and whether it watches."""
+"""The second channel of a run: the inputs of its monitor as plain numbers, and the state of the monitor."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MORE_MISSES = 3  # periods beyond the misses that the loop tolerates: the loop a
 
 
 def watched_of(configuration: Configuration) -> Watched:
-    """Return what the monitor of a configuration watches, with limits from [axis.limits]."""
+    """Return the inputs of the monitor of a configuration, with limits from [axis.limits]."""
     file, axes = configuration.file, []
     for settings, model, profile in zip(file.axes, configuration.models, configuration.profiles, strict=True):
         drive, encoder, limits = settings.drive, settings.encoder, settings.limits
@@ -96,7 +96,7 @@ class SecondChannel:
 
     @property
     def state(self) -> MonitorState:
-        """Return whether it watches."""
+        """Return the state of the monitor."""
         if self._watcher is None:
             return MonitorState.OFF
         if self._watcher.report.stop is not None:
@@ -121,7 +121,7 @@ class SecondChannel:
         return self._fault
 
     def follow(self, now: float, axes: Sequence[ControlAxis]) -> str | None:
-        """Latch in every supervisor what the monitor stopped for; return once why there is no monitor any longer."""
+        """Latch a stop of the monitor in every supervisor; return a failure of the monitor once."""
         text = self.fault(now)
         if text is None or self.state is not MonitorState.STOPPED:
             return text

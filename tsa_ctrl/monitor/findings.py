@@ -1,4 +1,4 @@
-"""What the monitor may find, as a table, and what it has to be given, as plain numbers."""
+"""The findings of the monitor as a table, and its inputs as plain numbers."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class WatchedAxis(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Watched(msgspec.Struct, frozen=True, kw_only=True):
-    """What one monitor watches on one bus."""
+    """The axes and nodes of one bus that a monitor checks."""
 
     axes: tuple[WatchedAxis, ...]
     nodes: tuple[int, ...]  # every node of the axes

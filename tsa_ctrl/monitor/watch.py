@@ -20,7 +20,7 @@ SPEED_WINDOW = 0.01  # s, over which positions are differentiated
 SURPLUS, FORGIVEN = 3.0, 0.05  # frames beyond one per SYNC, and the share forgiven per SYNC: bus errors repeat some
 RATE_WINDOW, FAST, SLOW = 32, 1.5, 0.5  # SYNC periods over which SYNCs are counted; of the rate
 MEMORY = 0.2  # s, over which 0x606C is compared with 0x6064, and for which tendons may stay stretched after a torque
-VELOCITY_ERROR, VELOCITY_SHARE, VELOCITY_LAG = 0.02, 0.25, 0.01  # rad, 1, s: what a drive's 0x606C may be off by
+VELOCITY_ERROR, VELOCITY_SHARE, VELOCITY_LAG = 0.02, 0.25, 0.01  # rad, 1, s: error of a drive's 0x606C
 RATIO_ERROR, LATE, CREEP = 0.02, 3e-3, 0.2  # 1 of the travel; s between two encoders; 1/s of the allowance
 STUCK, FROZEN = 0.25, 0.05  # of the torque limit, by which the command moves while a measurement does not
 _COUNTER = 1 << 32  # where 0x6064 wraps
@@ -42,7 +42,7 @@ class _Angle:
         self.count, self._fresh = values[0], True
 
     def update(self, sampled: float) -> bool:
-        """Follow the count of the SYNC at `sampled` s; return False when there is none."""
+        """Follow the count of the SYNC at `sampled` s; return False without a new count."""
         if not self._fresh:
             return False
         half = self._wraps // 2
@@ -113,7 +113,7 @@ class _Axis:
         self.on = on
 
     def take_command(self, values: tuple[Any, ...], now: float) -> None:
-        """Check what the loop commands."""
+        """Check the command of the loop."""
         watched, last, elapsed = self.watched, self._command, now - self._commanded_at
         self._commanded = values[0] & 0x8F == Controlword.ENABLE_OPERATION
         self._switch(now)
@@ -142,7 +142,7 @@ class _Axis:
             self.take_state(int.from_bytes(data[4:6], "little"))
 
     def judge(self, sampled: float, now: float) -> None:
-        """Compare what the nodes sampled at the SYNC of `sampled` s."""
+        """Compare the samples of the SYNC at `sampled` s with each other."""
         watched, motor, joint, check = self.watched, self.motor, self.joint, self._check
         moved, joint_moved = motor.update(sampled), joint.update(sampled)
         elapsed = sampled - self._sampled
@@ -192,7 +192,7 @@ class _Axis:
 
 
 class Monitor:
-    """Watch one bus. `stop`: the cause, latched; `notices` by id: what came while torque was on and does no harm."""
+    """Check the frames of one bus. `stop`: the cause, latched; `notices` by id: harmless frames of another master."""
 
     def __init__(self, watched: Watched) -> None:
         self.stop: Stop | None = None

@@ -16,9 +16,9 @@ _HELD_UP = "the loop was held up for longer than the drive's time-out: tsa docto
 
 CURES: Mapping[str, str] = MappingProxyType(
     {
-        "monitor: its process ended": "find what ended it (memory, a kill); then recover: a new monitor starts",
+        "monitor: its process ended": "find the reason (memory, a kill); then recover: a new monitor starts",
         "monitor: no sign of life": "the computer is overloaded, or the monitor was stopped: tsa doctor; then recover",
-        "monitor: ": "remove what the monitor reports, then recover: nodes are configured anew, a new monitor starts",
+        "monitor: ": "remove the reported cause, then recover: nodes are configured again, a new monitor starts",
         "over-speed at the limiter": (
             "look at the tendons before anything else: torn or off the pulley; then the joint encoder; "
             "then [axis.limits] speed"

@@ -15,7 +15,7 @@ from msgspec import Meta
 
 from tsa_ctrl.errors import UsageError
 
-_PERMIT, _OFF = b"1", b"0"  # bytes on the serial line, beside the modem line
+_PERMIT, _OFF = b"1", b"0"  # bytes on the serial line, in addition to the modem line
 _BAUD_RATE = 9600  # bit/s
 
 
@@ -33,7 +33,7 @@ class OutputSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
     @property
     def named(self) -> str:
-        """Return what is switched, in a few words."""
+        """Return the name of the output."""
         if self.command:
             return f"command {self.command[0]}"
         return f"gpio {self.gpio}" if self.gpio is not None else f"serial {self.serial} {self.line}"
@@ -47,7 +47,7 @@ class MonitorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 
 
 def check_output(output: OutputSettings, where: str) -> None:
-    """Raise UsageError if this computer lacks what the output needs; switch nothing."""
+    """Raise UsageError if this computer lacks a package or a program of the output; switch nothing."""
     if output.gpio is not None and importlib.util.find_spec("gpiod") is None:
         raise UsageError(
             f'{where}: gpio "{output.gpio}" needs the package gpiod; install it: pip install tsa-ctrl[gpio]'
@@ -57,7 +57,7 @@ def check_output(output: OutputSettings, where: str) -> None:
 
 
 class TorqueOff:
-    """Permit torque from the start, and take it away with `off`. The end of the process takes a line away, too."""
+    """Permit torque from the start, and remove it with `off`. If the process ends, a line becomes inactive."""
 
     def __init__(self, output: OutputSettings | None, where: str = "[monitor] output") -> None:
         """Raises UsageError when the line cannot be opened."""
@@ -100,7 +100,7 @@ class TorqueOff:
         def switch(on: bool) -> None:
             with contextlib.suppress(OSError):  # a pseudo-terminal has no modem lines
                 setattr(opened, line, on)
-            with contextlib.suppress(OSError):  # nobody reads
+            with contextlib.suppress(OSError):  # the buffer is full
                 opened.write(_PERMIT if on else _OFF)
 
         def off() -> bool:

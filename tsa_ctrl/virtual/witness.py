@@ -1,4 +1,4 @@
-"""The monitor in virtual time: the object of the monitor's process, with an end of its own on the wire."""
+"""The monitor in virtual time: the same object as in the process, with its own end of the wire."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from tsa_ctrl.monitor.findings import Watched
 from tsa_ctrl.monitor.watch import Frame, Monitor
 from tsa_ctrl.virtual.lockstep import End, Wire
 
-TICK = 1e-3  # s between two looks at what is missing
+TICK = 1e-3  # s between two checks for missing frames
 
 
 class VirtualMonitor:
-    """Hears every frame of a wire from now on. It acts as its process does, unless it is only a witness."""
+    """Receive every frame of a wire from now on. It acts like the process, unless it is only a witness."""
 
     def __init__(self, wire: Wire, watched: Watched, acts: bool = True) -> None:
         self.report = Report()
@@ -33,7 +33,7 @@ class VirtualMonitor:
         return new
 
     def close(self) -> None:
-        """Hear nothing any longer."""
+        """Stop receiving."""
         self._open = False
         self._wire.listeners.remove(self._hear)
 
