@@ -116,7 +116,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 stop_time=file.controller.stop_time,
                 compensation_limit=CompensationLimit(
                     bound_for(settings, model, joint_torque, why_fixed),
-                    ProvenFriction(model, period, plan.inertia, has_torque_sensor(settings), joint_torque.stretch),
+                    proven_friction_of(settings, model, joint_torque, plan.inertia, period),
                     UNPROVEN_ENERGY[file.safety.use_class],
                     model.joint_pulley_radius / model.motor_pulley_radius,
                     period,
@@ -210,6 +210,17 @@ def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float,
     except UsageError as error:
         return JointTorque(by_model, None, f"no joint torque from the tendons' stretch: {error}", period)
     return JointTorque(by_model, stretch, "", period, ElongationTorque(model, period, counts))
+
+
+def proven_friction_of(
+    settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, inertia: float, period: float
+) -> ProvenFriction:
+    """Return the measurement of the friction torque: by the sensor on the bus, the elongation, or a serial sensor.
+
+    A serial sensor comes last because its values are late: a torque that changes looks like friction meanwhile.
+    """
+    by_sensor = settings.torque_sensor is not None or (has_torque_sensor(settings) and joint_torque.stretch is None)
+    return ProvenFriction(model, period, inertia, by_sensor, joint_torque.stretch)
 
 
 def has_torque_sensor(settings: AxisSettings) -> bool:
