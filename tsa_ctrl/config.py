@@ -32,7 +32,7 @@ from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
-from tsa_ctrl.model.plausible import check_against_motor
+from tsa_ctrl.model.plausible import check_against_motor, check_consistent
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
@@ -260,6 +260,7 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
             f"{file.controller.rate:g} Hz; raise it"
         )
     most = max(PEAK * drive.rated_torque * drive.gear_ratio, axis.limits.torque)
+    check_consistent(model)
     check_against_motor(model, abs(sliding(model).motor_half_loop), most, axis.law.motor_inertia, where)
     serial.check_all(axis.serial, where, {"tau_j"} if axis.torque_sensor is not None else set())
     estimator, bending, measured = axis.estimator, axis.bending, {sensor.quantity for sensor in axis.serial}

@@ -37,13 +37,13 @@ def move(
     for _ in range(round(abs(way) / speed / PERIOD)):
         term = chosen.share * FRICTION
         given += GEARING * term * speed * PERIOD
-        chosen.update(FRICTION, sigma * term, sigma * speed, set_point, rate)
+        chosen.update(FRICTION, sigma * term, sigma * speed, set_point, rate, 1.0)
     return given
 
 
 def rest(chosen: CompensationLimit, seconds: float, set_point: float = 0.0, rate: float = 0.0) -> None:
     for _ in range(round(seconds / PERIOD)):
-        chosen.update(FRICTION, 0.0, 0.0, set_point, rate)
+        chosen.update(FRICTION, 0.0, 0.0, set_point, rate, 1.0)
 
 
 @pytest.mark.parametrize("capacity", [0.1, 0.4])
@@ -81,7 +81,7 @@ def test_a_proven_friction_is_all_that_is_compensated_and_costs_nothing() -> Non
     proof.low = proof.high = 0.7 * FRICTION
     chosen = limit(proof)
     move(chosen, 5.0)
-    assert chosen.share == pytest.approx(0.7)
+    assert chosen.share == pytest.approx(0.95 * 0.7)
     proof.low = proof.high = 2.0 * FRICTION
     move(chosen, 0.2)
     assert chosen.share == 0.95
@@ -92,11 +92,11 @@ def test_the_share_falls_at_once_and_rises_slowly() -> None:
     proof.low = proof.high = FRICTION
     chosen = limit(proof)
     proof.low = proof.high = 0.2 * FRICTION
-    chosen.update(FRICTION, 0.4, 1.0, 0.0, 0.0)
-    assert chosen.share == pytest.approx(0.2)
+    chosen.update(FRICTION, 0.4, 1.0, 0.0, 0.0, 1.0)
+    assert chosen.share == pytest.approx(0.19)
     proof.low = proof.high = FRICTION
-    chosen.update(FRICTION, 0.1, 1.0, 0.0, 0.0)
-    assert chosen.share == pytest.approx(0.21)
+    chosen.update(FRICTION, 0.1, 1.0, 0.0, 0.0, 1.0)
+    assert chosen.share == pytest.approx(0.2)
 
 
 def empty(set_point: float = 0.0) -> CompensationLimit:
@@ -159,7 +159,7 @@ def test_an_old_upper_bound_does_not_hold_a_joint_that_is_asked_to_move() -> Non
     proof.low = proof.high = 0.3 * FRICTION
     chosen = limit(proof)
     rest(chosen, 5.0)
-    assert chosen.share == pytest.approx(0.3)
+    assert chosen.share == pytest.approx(0.95 * 0.3)
     rest(chosen, 0.5, rate=1.0)
     assert chosen.share == 0.95
 
@@ -186,3 +186,12 @@ def test_a_credit_is_not_filled_beyond_its_size() -> None:
     for _ in range(1000):
         credit.update(0.41, 1.0, 0.0, False)
     assert credit.withdrawn
+
+
+def test_the_desired_share_is_of_the_measured_friction() -> None:
+    """With 70 % of the file's friction and c = 0.9, the term is 0.9 of the 70 %."""
+    proof = Proof()
+    proof.low, proof.high = 0.68 * FRICTION, 0.72 * FRICTION
+    chosen = limit(proof)
+    chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 0.9)
+    assert chosen.share == pytest.approx(0.9 * 0.7)

@@ -300,7 +300,9 @@ class ControlAxis:
         )
         law.damping.share = guard.damping
         limit, moving = self.compensation_limit, velocity if abs(velocity) > self.direction.zone else 0.0
-        law.bound = limit.update(law.half_loop, law.friction_term, moving, terms.tau_j_des, self.set_point.rate)
+        law.bound = limit.update(
+            law.half_loop, law.friction_term, moving, terms.tau_j_des, self.set_point.rate, law.compensation
+        )
 
     def adapt(self) -> None:
         """Hand the estimate to the law where that is allowed, else the model file's values."""

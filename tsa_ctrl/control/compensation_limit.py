@@ -4,12 +4,12 @@ Compensation drives a joint wherever it exceeds the friction that is really ther
 exceeds the friction torque that the sensors prove at this moment (`observer.proven_friction`), but for an energy
 credit:
 
-    limit h = low + k (min(c h, high) - low)        low <= friction torque <= high,  h of the model in use
+    limit h = low + k (most - low),    most = c min(h, (low + high)/2)      low <= friction torque <= high
     dE/dt = (low - term) |omega_J|                  E <= capacity,  k = min(1, E / (KNEE capacity))
 
-The credit pays for the work of the term while nothing is proven: at most its capacity, whatever the
-friction, the load and the set-point. It is spent by way, so a held joint keeps its full compensation. Where friction is
-proven, low is near high, and the credit has no say.
+h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while
+nothing is proven: at most its capacity, whatever the friction, the load and the set-point. It is spent by way, so a
+held joint keeps its full compensation. Where friction is proven, low is near high, and the credit has no say.
 
 An empty credit takes the term to 0. A term that came back while the joint rests would start it again. So the credit is
 filled again only if the joint is moved without the term: after a rest, or for so long that it is not the joint's own
@@ -147,9 +147,11 @@ class CompensationLimit:
         self.credit.reset()
         self._noted = False
         self._less = self._unread = 0.0  # rad, s
-        self.share = self.ceiling
+        self.share = self._desired = self.ceiling
 
-    def update(self, half_loop: float, term: float, omega_j: float, tau_j_des: float, rate: float) -> float:
+    def update(
+        self, half_loop: float, term: float, omega_j: float, tau_j_des: float, rate: float, compensation: float
+    ) -> float:
         """Return the share for the next cycle.
 
         Args:
@@ -157,6 +159,7 @@ class CompensationLimit:
             term: N*m at the motor, the friction term as sent.
             omega_j: rad/s of the joint, 0 within its noise.
             tau_j_des, rate: N*m, N*m/s of the set-point.
+            compensation: the desired share of the friction.
         """
         proven, credit = self.proven, self.credit
         low, high = proven.low, proven.high
@@ -171,11 +174,10 @@ class CompensationLimit:
         suspended = asked and not proven.usable
         before = credit.withdrawn
         credit.update(self._gearing * (along - low), omega_j, tau_j_des, suspended)
-        ceiling = self.ceiling
-        most = min(ceiling * half_loop, high)
+        self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
+        most = desired * min(half_loop, 0.5 * (low + high))
         allowed = low if low < most else most
-        share = (allowed + credit.share * (most - allowed)) / half_loop if half_loop > 0.0 else ceiling
-        share = min(share, ceiling)
+        share = (allowed + credit.share * (most - allowed)) / half_loop if half_loop > 0.0 else desired
         rise = self.share + self._step
         self.share = share if share < rise else rise
         if credit.withdrawn and not before:
@@ -183,7 +185,7 @@ class CompensationLimit:
                 "the friction term is withdrawn: the joint moved on it, and no sensor confirms that the friction is "
                 "that large; move the joint by hand, or calibrate the model"
             )
-        elif high < LESS * min(1.0, ceiling) * half_loop and not self._noted:
+        elif high < LESS * desired * half_loop and not self._noted:
             self._less += abs(omega_j) * self._period
             self._noted = self._less > SURELY_LESS
             if not self._noted:
@@ -197,7 +199,7 @@ class CompensationLimit:
     @property
     def reason(self) -> Reason:
         """Return why less than the files allow is compensated, for the log."""
-        return Reason.UNPROVEN if self.share < LESS * self.ceiling else Reason.NONE
+        return Reason.UNPROVEN if self.share < LESS * self._desired else Reason.NONE
 
     def _report(self, words: str) -> None:
         self.count += 1

@@ -23,13 +23,13 @@ Diameter = Annotated[
     float,
     Meta(ge=2e-5, le=0.01, description="m; a tendon of 0.02 mm is one fibre, one of 10 mm a rope; divide mm by 1000"),
 ]
-MOST_FRICTION = 0.5  # 1
+MOST_FRICTION = 0.8  # 1
 Friction = Annotated[
     float,
     Meta(
         ge=0.0,
         le=MOST_FRICTION,
-        description="1; steel on steel without liner and lubricant has 0.5; x is this times bending_angle",
+        description="1; dry steel on steel has 0.8; x is this times bending_angle",
     ),
 ]
 TURNS = 6.0 * math.pi  # rad, three turns

@@ -19,7 +19,6 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import MOST_FRICTION, ActuatorFile, RigidDriveFile, UncertaintySection
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
-from tsa_ctrl.model.plausible import check_consistent
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
 
 Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
@@ -185,7 +184,6 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         origin=origin_of(file.provenance, where),
     )
     model = dataclasses.replace(model, pretension=_resolve_pretension(file, model, where))
-    check_consistent(model)
     return dataclasses.replace(model, effects=check_effects(file.effects, where))
 
 
