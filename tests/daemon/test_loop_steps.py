@@ -38,6 +38,7 @@ class Axis:
         self.supervisor = SimpleNamespace(phase=Phase.ENABLED, faults=[], needs_bring_up=False)
         self.limiter = SimpleNamespace(reset=lambda: self.did.append("released"))
         self.guard = SimpleNamespace(count=0, words="took back")
+        self.compensation_limit = SimpleNamespace(count=0, words="less friction")
         self.request: object = None
         self.at_rest = self.is_off = True
 
@@ -526,6 +527,9 @@ def test_faults_and_what_the_guard_took_back_become_events_once(bench: Bench) ->
     bench.axes[1].guard.count = 2
     bench.loop._note_faults(START + 700 * MS)
     assert bench.texts()[-1] == (0.7, "hip", "took back", False)
+    bench.axes[0].compensation_limit.count = 1
+    bench.loop._note_faults(START + 800 * MS)
+    assert bench.texts()[-1] == (0.8, "knee", "less friction", False)
 
 
 def test_a_fault_is_met_in_the_cycle_in_which_it_is_there(bench: Bench) -> None:

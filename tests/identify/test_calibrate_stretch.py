@@ -140,6 +140,7 @@ def test_angles_that_contradict_each_other_are_refused(change: dict[str, float],
     data = rows()
     for name, factor in change.items():
         data[name] = factor * data["q_j"]
+        data["omega_m"] = factor * data["omega_j"]
     with pytest.raises(UsageError, match=f"q_m and q_j contradict each other.*{words}"):
         fit_stretch([Dataset.from_arrays(data, "log")], NOMINAL)
 

@@ -47,7 +47,7 @@ CHANGES = 0.3  # of the simulated torque's change: a measured torque that change
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
 FEWEST_MEANS = 20  # whose spread is then known to a sixth
 FRICTION_FACTOR = 2.0  # of F, beyond what [uncertainty] leaves open
-SURE = 3.0  # standard errors
+SURE = 3.0  # standard errors by which a friction torque must lie outside: one log of 400 by chance
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 

@@ -27,7 +27,7 @@ LONGEST_SHIFT = 0.5  # s, within which the second column is looked for in the fi
 NOTED = 1.02  # factor from which on a difference is reported
 WRONG = 1.5  # factor from which on two columns of one shaft, or a velocity and its acceleration, cannot both be right
 FAR = 3.0  # factor for two columns between which the drive or the tendons stand
-NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s
+NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s: a filter's delay is reported, a shift longer than any filter's is rejected
 FEWEST_TURNS = 4  # crossings of the mean from which on a shift in time and a scale can be told apart
 CERTAIN = 0.99  # correlation from which on a shift in time is reported
 
