@@ -169,7 +169,9 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
     simulated = _signs(dataset, tau_m, omega, sliding, expected)
     if simulated is None or not simulated.friction_torque > 0.0:
         return ""
-    spare = FRICTION_FACTOR * (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
+    x, wider = model.friction_angle, 1.0 + model.friction_angle_uncertainty
+    friction = math.sinh(x * wider) / math.sinh(x)  # of T_p sinh x, by which the friction angle may raise it
+    spare = FRICTION_FACTOR * friction * (1.0 + model.pretension_uncertainty)
     factor = measured.friction_torque / simulated.friction_torque
     doubt = SURE * measured.doubt / simulated.friction_torque
     found = f"the friction torque (half the hysteresis width) in tau_m against tau_j is {max(factor, 0.0):.3g} times"
