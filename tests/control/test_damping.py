@@ -110,3 +110,18 @@ def test_the_guard_takes_its_share_of_it() -> None:
         assert half.update(*motion) == pytest.approx(0.5 * torque)
         assert none.update(*motion) == 0.0
     assert torque != 0.0
+
+
+@pytest.mark.parametrize("cut", [0.5, 0.0])
+def test_a_plan_that_a_limit_cut_asks_for_no_torque(cut: float) -> None:
+    """The motor goes as far as the cut torque takes it, two periods late."""
+    corrected, uncorrected = (Damping(0.02, 632.0, 2.0 * PERIOD, GEARING, PERIOD) for _ in range(2))
+    torques = []
+    for n in range(100):
+        planned = 0.01 * math.sin(30.0 * n * PERIOD)
+        late = 30.0 * (n - 2) * PERIOD
+        motor = (cut * 0.01 * math.sin(late), cut * 0.3 * math.cos(late), 0.0, 0.0)
+        torques.append([damping.update(planned, *motor) for damping in (corrected, uncorrected)])
+        corrected.replace_plan(cut * planned)
+    with_it, without = np.abs(torques[10:]).max(axis=0)
+    assert with_it < 0.1 * without

@@ -69,32 +69,37 @@ class Course:
         way = np.concatenate(([0.0], np.cumsum(np.nan_to_num(GEARED * PERIOD * self.omega_j))))
         return np.asarray(way[1:] - way[np.maximum(self.turns()[1], 0)])
 
-    def pieces(self, driven: FloatArray) -> list[tuple[int, int, bool]]:
+    def held(self) -> NDArray[np.bool_]:
+        """By cycle, whether the joint has been at rest for 0.4 s."""
+        moves = ~(np.abs(self.omega_j) < 0.05)
+        return np.asarray(self.t - np.maximum.accumulate(np.where(moves, self.t, -math.inf)) > 0.4)
+
+    def pieces(self, driven: FloatArray, free: float = math.inf) -> list[tuple[int, int, bool]]:
         """First, end and whether friction winds up the tendons there, of what is looked at without a break."""
         turned, begin = self.turns()
         travel = np.abs(self.travel())
         looked = (begin < 0) | ~(self.t < self.t[np.maximum(begin, 0)] + 0.1)
         winds = (driven > 0.0) & (travel > 0.15 * self.wound) & (travel < 1.5 * self.wound)
+        looked &= self.held() | (np.arange(self.t.size) < free)
         kinds = np.where(looked, 2 * np.cumsum(turned) + winds, -1)
         starts = np.flatnonzero(np.diff(kinds, prepend=-2))
         ends = [*starts[1:].tolist(), self.t.size]
         pieces = zip(starts.tolist(), ends, strict=True)
         return [(first, end, bool(winds[first])) for first, end in pieces if kinds[first] >= 0]
 
-    def ratios(self, driven: FloatArray) -> dict[int, tuple[float, float, bool, bool, bool]]:
+    def ratios(self, driven: FloatArray, free: float = math.inf) -> dict[int, tuple[float, float, bool, bool, bool]]:
         """By cycle, where the torque shows anything: how it is answered, and what a held joint's sensor follows by.
 
         The first a correlation, the second a gain, 0 where it does not follow; then whether friction winds up,
         whether less than half of the stretch is the motor's own way, on tendons that need not have slid, and whether
         the tendons of a held joint give by half as much again as the torque stretches them, slower than 50 rad/s.
-        `driven`: from when on the joint counts as moved by something, each 0 or 1.
+        `driven`: from when on the joint counts as moved by something, each 0 or 1; `free`: cycle in which the torque is
+        free to grow, from which on only a joint at rest is looked at.
         """
         ratio = {}
-        moves = ~(np.abs(self.omega_j) < 0.05)
-        moved = np.maximum.accumulate(np.where(moves, self.t, -math.inf))
-        held = self.t - moved > 0.4
+        held = self.held()
         travel = self.travel()
-        for first, end, winds in self.pieces(driven):
+        for first, end, winds in self.pieces(driven, free):
             t, a, j = (self.band(values, first, end) for values in (self.torque, self.apart, self.tau_j))
             tt, ta, aa, tj, jj = (filtered(x) for x in (t * t, t * a, a * a, t * j, j * j))
             apart = self.apart[first:end]
@@ -127,20 +132,30 @@ class Course:
                 ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]), bool(gives[n]))
         return ratio
 
-    def foretold(self, driven: FloatArray) -> tuple[FloatArray, int | None]:
+    def foretold(self, driven: FloatArray, free: float = math.inf) -> tuple[FloatArray, int | None]:
         """The ceiling after each cycle, and the cycle in which something is said."""
-        ratio, travel = self.ratios(driven), self.travel()
+        ratio, travel = self.ratios(driven, free), self.travel()
         wrong = {"at rest": Leaky(0.02), "driven": Leaky(0.25), "shown": Leaky(0.4), "excessive": Leaky(0.02)}
         wrong["gives"] = Leaky(0.04)
-        looked = {n for first, end, _ in self.pieces(driven) for n in range(first, end)}
+        looked = {n for first, end, _ in self.pieces(driven, free) for n in range(first, end)}
         ceiling, ceilings, shown, waited = 0.11 * LIMIT, [], False, 0.0
         suspect = fast = False
+        held_for = 0.0  # s, since friction held the motor fast
         for n, now in enumerate(self.t.tolist()):
             if shown:
                 ceiling = ceiling + LIMIT * PERIOD / 0.2
                 ceiling = math.inf if ceiling >= LIMIT else ceiling
-            elif now - self.t[0] > 0.1 and not suspect:
-                ceiling += LIMIT * PERIOD / (0.5 if fast else 2.0)
+                if ceiling == math.inf and free == math.inf:
+                    return self.foretold(driven, n)
+            else:
+                if 0.0 < held_for < 0.5:
+                    held_for += PERIOD
+                    if abs(travel[n - 1]) > 1.5 * self.wound:
+                        held_for, ceiling = math.inf, min(ceiling, 0.11 * LIMIT)
+                elif held_for == 0.0 and fast:
+                    held_for = PERIOD
+                if now - self.t[0] > 0.1 and not suspect and not 0.0 < held_for < 0.5:
+                    ceiling += LIMIT * PERIOD / (0.5 if fast else 2.0)
             ceilings.append(ceiling)
             if n not in ratio:
                 suspect, fast = (False, False) if n in looked else (suspect, fast)
@@ -425,7 +440,7 @@ def drawn(number: int, kind: str) -> tuple[Course, FloatArray]:
     elif kind == "shown":
         apart = 3.0 + np.where(t < draw.uniform(0.4, 0.7), torque, draw.choice([-1.0, 0.2]) * torque) / STIFFNESS
         shown = int(np.argmax(Course(torque, apart, tau_j, sigma, omega_j).foretold(driven)[0] == math.inf))
-        omega_j[shown + 1 :], driven[shown:], wound = 0.1, 1.0 if shown else 0.0, draw.uniform(0.0, 0.1)
+        driven[shown:], wound = 1.0 if shown else 0.0, draw.uniform(0.0, 0.1)
     elif kind == "by sensor":
         tau_j, apart = follows, np.full(count, math.nan)
     elif kind == "moved":

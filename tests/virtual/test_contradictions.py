@@ -100,7 +100,8 @@ def test_a_wearer_who_begins_to_move_as_the_torque_begins_is_no_reversed_motor(t
     found = [event.text for event in result.summary.events if event.fault]
     assert bool(found) is bool(fault), found
     assert all("the wrong way round" in text for text in found)
-    assert np.abs(result.truth["tau_m"]).max() <= 0.15 * 2.5 + 0.02
+    if fault:  # a healthy motor slides once the wearer has moved a little, and may then pull
+        assert np.abs(result.truth["tau_m"]).max() <= 0.15 * 2.5 + 0.02
 
 
 @pytest.mark.slow
@@ -121,7 +122,7 @@ def test_a_motor_that_gives_twice_what_it_reports_is_found(tmp_path: Path) -> No
     """On a joint that is held. On one that moves, friction that turns may follow the torque as much."""
     result = play(tmp_path, "held", sine(0.8, 0.5), 2.0, known=False, faults=["torque_gain@0.001"])
     fault = next(event for event in result.summary.events if event.fault)
-    assert "the joint torque sensor follows" in fault.text
+    assert "the motor gives more than it reports" in fault.text
     assert fault.t < 0.5
 
 

@@ -17,6 +17,7 @@ import pytest
 
 from tests.model.capstan import Pair
 from tests.virtual.joints import GAIT, error, play, play_case, rms, sine
+from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 
@@ -201,3 +202,17 @@ def test_beyond_the_domain_is_told(tmp_path: Path) -> None:
     highest = unloaded / (unloaded - slack)  # N*m at the motor, at which T1 is 0 by the capstan equation
     assert result.log["tau_m_cmd"].max() <= highest + 0.05
     assert result.axes[0].delivered[result.axes[0].counted].max() > 1.9  # 1.66 with the bound of the other direction
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("wearer_speed", "share"), [(3.41, 1.25), (3.79, 1.05)])
+def test_a_wearer_who_is_faster_than_the_limit_backs_no_compensation_off(
+    tmp_path: Path, wearer_speed: float, share: float
+) -> None:
+    """The torque fades while the joint is too fast; when it returns, nothing swings on the tendons."""
+    limits = {"joint_speed": share * wearer_speed, "over_speed": 1.25 * share * wearer_speed}
+    result = play(tmp_path, "imposed", GAIT, 1.8, axis={"limits": limits})
+    log = result.axes[0].log
+    assert (log["limit_reason"] == Reason.SPEED.value).any()
+    assert not (log["limit_reason"] == Reason.PASSIVITY.value).any()
+    assert np.abs(log["omega_m"]).max() < 1.1 * 1.25 * np.abs(log["omega_j"]).max()

@@ -243,8 +243,8 @@ class ControlAxis:
         A tendon that is slow may stick for seconds after the law's direction has turned, and a sheath may be bent more
         than its estimate has followed yet (BENT).
         """
-        tau_m, used = self.image.tau_m, self._used
-        with_motion, against = self._transmitted(tau_m, 1.0, *used), self._transmitted(tau_m, -1.0, *used)
+        angle, pretension = self._used
+        with_motion, against = self._transmitted(self.image.tau_m, angle, pretension)
         middle, either = 0.5 * (with_motion + against), 0.5 * BENT * (with_motion - against)
         return middle + either, middle - either
 

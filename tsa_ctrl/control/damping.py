@@ -40,6 +40,11 @@ class Damping:
         self._planned: list[float] = []
         self._mean = math.nan
 
+    def replace_plan(self, planned: float) -> None:
+        """Replace the last planned stretch, rad: a limit cut its torque, so the motor will not be there."""
+        if self._planned:
+            self._planned[-1] = planned
+
     def pass_over(self) -> None:
         """A period without a cycle: what was planned last stands for it, too."""
         if self._planned:

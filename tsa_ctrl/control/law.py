@@ -294,6 +294,7 @@ class Law:
         wanted = self.ideal + term
         if wanted * wanted > (self.ideal + left) * wanted:
             self._stretch *= max(0.0, (self.ideal + left) / wanted)
+            self.damping.replace_plan(self._stretch)
         if (term > 0.0 and left < term) or (term < 0.0 and left > term):
             self.friction_term = 0.0 if left * term < 0.0 else left
 

@@ -22,6 +22,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 MOST_PERIODS = 1000.0  # between two updates; after more the watchdogs have taken the torque away
 LARGEST_ANGLE = 10.0  # 1, friction angle; a tension ratio of 22000, beyond which only overflow is left
 
+_LINEAR = frozenset({"elongation_coupling", "sheath_asymmetry"})  # effects that only change the line of tau_J in tau_M
 _OPTIONAL = ("q_j", "q_m", "temperature")  # signals that an axis may lack
 
 
@@ -57,6 +58,8 @@ class Feedforward:
         self._last_omega = math.nan
         self._presliding: PreslidingState | None = None
         self._by_motor = False
+        self._pulling: tuple[float, float] | None = None  # N*m, of tau_M, `limits` at the last update
+        self._line: tuple[float, float, float, float] | None = None  # x, T_p0 and `limits` at the last update
         self.clipped = False  # the last update ended at a bound of the domain
         self._memories.reset()
         self._use_effects()
@@ -67,6 +70,7 @@ class Feedforward:
         """Take over another x (1) or T_p0 (N) while running; the memory stays. UsageError if x cannot be changed."""
         self._model = self._model.recalibrated(friction_angle, pretension)
         self._transmission = self._stack.transmission(self._model)
+        self._pulling = self._line = None
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -80,7 +84,9 @@ class Feedforward:
         while the tendons slide, friction changes the pretension by (3.54) with the torque, and drive friction adds to
         one side. 0 is always inside, so that a bound never moves a torque away from 0.
         """
-        low, high = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
+        if self._pulling is None:
+            self._pulling = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
+        low, high = self._pulling
         if (custom := self._stack.custom_at("motor")) is not None:
             low, high = (custom.invert(end, self._state, self._memories) for end in (low, high))
         for effect in reversed(self._stack.motor_torque):
@@ -113,6 +119,8 @@ class Feedforward:
         """
         if not math.isfinite(tau_j_des):
             return tau_j_des  # for the limiter to refuse
+        if self._line_only and theta != theta:
+            return self._by_line(tau_j_des, sigma)
         state, memories = self._state, self._memories
         memories.begin(self._measure(state, omega_j, q_j, q_m, temperature, theta, t, acceleration_j))
         stack = self._stack  # may just have changed
@@ -138,6 +146,7 @@ class Feedforward:
         if memories.parts and (custom := stack.custom_at("joint")) is not None:
             custom.accept(brought if cut == tau_m else self._brought(cut, x, pretension), state, memories)
         self.clipped = cut != tau_m
+        self._pulling = low, high
         tau_m = cut
         if (custom := stack.custom_at("motor")) is not None:
             tau_m = custom.invert(tau_m, state, memories)
@@ -147,6 +156,25 @@ class Feedforward:
         if math.isfinite(tau_m):
             return tau_m
         return _without_friction(self._model, tau_j_des)
+
+    def _by_line(self, tau_j_des: float, sigma: float) -> float:
+        """`update` of a model whose effects only change the line of tau_J in tau_M: no measurement enters."""
+        sigma = -1.0 if sigma < -1.0 else 1.0 if sigma > 1.0 else sigma if sigma == sigma else self._state.sigma
+        line = self._line
+        if line is None or sigma != self._state.sigma:
+            state, model = self._state, self._model
+            state.sigma = sigma
+            angle, pretension = bending_and_pretension(SCALARS, model, self._stack, state)
+            x = min(friction_angle(SCALARS, model, self._stack, state, angle), LARGEST_ANGLE)
+            self.friction_angle, self.pretension = x, pretension
+            self._pulling = self._transmission.limits(sigma, x, pretension)
+            self._line = line = (x, pretension, *self._pulling)
+        x, pretension, low, high = line
+        tau_m = self._transmission.motor_torque(tau_j_des, sigma, x, pretension)
+        self.clipped = not low <= tau_m <= high
+        if self.clipped:
+            tau_m = low if tau_m < low else high if tau_m > high else tau_m
+        return tau_m if math.isfinite(tau_m) else _without_friction(self._model, tau_j_des)
 
     def _brought(self, tau_m: float, x: float, pretension: float) -> float:
         """N*m that the tendons bring to the joint of `tau_m` on the motor's pulley."""
@@ -182,6 +210,7 @@ class Feedforward:
             self._use_effects()
         if isfinite(theta):
             state.theta = theta
+            self._line = None
         elapsed = self._period
         if isfinite(t):
             periods = (t - state.t) / self._period
@@ -215,6 +244,8 @@ class Feedforward:
         self._active = {name: p for name, p in self._model.effects.items() if not _lacking(self._model, name, here)}
         self._stack = Stack.of(self._active, self._model.source)
         self._transmission = self._stack.transmission(self._model)
+        self._pulling = self._line = None
+        self._line_only = self._transmission.linear and set(self._model.effects) <= _LINEAR
         presliding = self._stack.presliding
         if presliding is not None and self._presliding is None:  # kept when another measurement comes later
             self._presliding = PreslidingState(presliding)

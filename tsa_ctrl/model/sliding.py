@@ -14,6 +14,7 @@ the joint is held, friction apart. Of the effects only those of the transmission
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -45,18 +46,43 @@ def sliding(
     """
     x = model.friction_angle if friction_angle is None else friction_angle
     tension = model.pretension if pretension is None else pretension
-    slope, loss = Stack.of(model.effects, model.source).transmission(model).tangent(sigma, x, tension)
-    return Sliding(slope, sigma * loss)
+    return sliding_by(model)(sigma, x, tension)
 
 
-def transmitted_by(model: TendonSheath) -> Callable[[float, float, float, float], float]:
-    """tau_J (N*m) by tau_M (N*m), sigma in [-1, 1], friction angle (1) and pretension (N), an instant at a time."""
+def sliding_by(model: TendonSheath) -> Callable[[float, float, float], Sliding]:
+    """Return `sliding` as a function of sigma, x (1) and T_p0 (N), for parameters that change while it runs."""
     transmission = Stack.of(model.effects, model.source).transmission(model)
 
-    def transmitted(tau_m: float, sigma: float, friction_angle: float, pretension: float) -> float:
-        return transmission.torque(SCALARS, tau_m, sigma, friction_angle, pretension)
+    def line(sigma: float, friction_angle: float, pretension: float) -> Sliding:
+        slope, loss = transmission.tangent(sigma, friction_angle, pretension)
+        return Sliding(slope, sigma * loss)
 
-    return transmitted
+    return line
+
+
+def transmitted_by(model: TendonSheath) -> Callable[[float, float, float], tuple[float, float]]:
+    """Return a function: tau_J (N*m) with the motion and against it, by tau_M (N*m), x (1) and T_p0 (N)."""
+    transmission = Stack.of(model.effects, model.source).transmission(model)
+    if not transmission.linear:
+
+        def transmitted(tau_m: float, friction_angle: float, pretension: float) -> tuple[float, float]:
+            return (
+                transmission.torque(SCALARS, tau_m, 1.0, friction_angle, pretension),
+                transmission.torque(SCALARS, tau_m, -1.0, friction_angle, pretension),
+            )
+
+        return transmitted
+    used = with_motion = against = (math.nan, math.nan)
+
+    def on_lines(tau_m: float, friction_angle: float, pretension: float) -> tuple[float, float]:
+        nonlocal used, with_motion, against
+        if used != (friction_angle, pretension):
+            used = friction_angle, pretension
+            with_motion = transmission.tangent(1.0, friction_angle, pretension)
+            against = transmission.tangent(-1.0, friction_angle, pretension)
+        return with_motion[0] * tau_m - with_motion[1], against[0] * tau_m - against[1]
+
+    return on_lines
 
 
 def shape_factor(model: TendonSheath, friction_angle: float | None = None) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import Sliding, sliding
+from tsa_ctrl.model.sliding import Sliding, sliding_by
 
 STILL = 0.02  # rad/s of the joint below which it may stand still: what a motor's ringing leaves on a still joint
 
@@ -20,7 +20,7 @@ class ModelTorque:
 
     def __init__(self, model: TendonSheath, period: float, motor_inertia: float = 0.0, still: float = STILL) -> None:
         """`period` in s, J_M in kg*m^2 (0: not known); `still`: rad/s of the joint that count as standstill."""
-        self._model = model
+        self._sliding = sliding_by(model)
         self._period = period
         self._inertia = motor_inertia
         self._still = still
@@ -35,8 +35,8 @@ class ModelTorque:
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
         """Use another friction angle (1) and pretension (N) from now on."""
-        self._forward: Sliding = sliding(self._model, 1.0, friction_angle, pretension)
-        self._backward: Sliding = sliding(self._model, -1.0, friction_angle, pretension)
+        self._forward: Sliding = self._sliding(1.0, friction_angle, pretension)
+        self._backward: Sliding = self._sliding(-1.0, friction_angle, pretension)
 
     def update(self, tau_m: float, omega_m: float, omega_j: float, fresh: bool = True) -> None:
         """One cycle's measurements, N*m, rad/s and rad/s; the last estimate stays while they are not `fresh`."""

@@ -17,8 +17,10 @@ class Confirmation:
 
     def __init__(self, model: TendonSheath, noise: float, period: float) -> None:
         """Prepare the test; `noise`: m^2 of one measured elongation; `period`: s."""
-        self._doubt = model.axial_stiffness_uncertainty
+        self._stiffest = math.exp(model.axial_stiffness_uncertainty)
+        self._softest = 1.0 / self._stiffest
         self._noise = float(noise)
+        self._least = MISFIT**2 * self._noise  # m^2: the variance is never less than the noise
         self._share = 1.0 - math.exp(-period / SMOOTH)
         self.reset()
 
@@ -29,11 +31,17 @@ class Confirmation:
 
     def update(self, memory: Array) -> None:
         """Compare the last innovation with its standard deviation, and the stiffness with the bounds of the file."""
-        self._innovation += self._share * (float(memory[tendons.INNOVATION]) - self._innovation)
-        if not self.confirmed or memory[tendons.SLID] == 0.0:
+        self._innovation += self._share * (memory.item(tendons.INNOVATION) - self._innovation)
+        if not self.confirmed:
+            return
+        squared = self._innovation**2
+        stiff = memory.item(tendons.STIFF)
+        if squared <= self._least and self._softest <= stiff <= self._stiffest:  # as expected whatever is known
+            return
+        if memory[tendons.SLID] == 0.0:
             return
         by_x, by_k = float(memory[tendons.GAIN_S]), float(memory[tendons.GAIN_S + 1])
         x, k, passing, zero = memory[tendons.COVARIANCE :: tendons.STATES + 1].tolist()
         variance = by_x * by_x * (x + passing) + by_k * by_k * k + zero + self._noise
-        off = abs(math.log(float(memory[tendons.STIFF]))) > self._doubt
-        self.confirmed = not (off or self._innovation**2 > MISFIT**2 * variance)
+        off = not self._softest <= stiff <= self._stiffest
+        self.confirmed = not (off or squared > MISFIT**2 * variance)

@@ -103,6 +103,7 @@ class StretchObserver:
         self._r_m, self._r_j = r_m, r_j
         self._first = pairs_of(model)
         self._pairs = self._first.copy()
+        self._ends = self._pairs[0, 1, tendons.TENSION]
         self._memory = np.zeros(tendons.MEMORY)
         self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]), self._line.centre)
         self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
@@ -257,8 +258,8 @@ class StretchObserver:
             (TIME_DOUBT * (stretch - self._stretch) / elapsed) ** 2 + self._misled_by,
         )
         self._last, self._omega, self._stretch = way, omega_m, stretch
-        ends = self._pairs[0, 1, tendons.TENSION]
-        if code != tendons.OK or not (ends[0] > 0.0 and ends[-1] > 0.0):  # what was learned may leave no tension
+        near, far = self._ends.item(0), self._ends.item(-1)
+        if code != tendons.OK or not (near > 0.0 and far > 0.0):  # what was learned may leave no tension
             self._lose()
             self.state = StretchState.SLACK
             return
@@ -266,7 +267,7 @@ class StretchObserver:
         torque = self._r_j * tensions
         variance = OF_TENDONS * (self._r_j * deviation) ** 2 + self._noise
         tau = self._per_torque * tau_m
-        turning = self._turning()
+        turning = self._turning(near, far)
         self._misled_by = self._misleads(turning)
         variance += self._bent * (torque - tau) ** 2 + self._course**2 * turning
         self.state = StretchState.TOLD
@@ -276,10 +277,12 @@ class StretchObserver:
         half = BAND * math.sqrt(variance)
         self.torque, self.low, self.high = torque, torque - half, torque + half
 
-    def _turning(self) -> float:
-        """1: 0 while all of a tendon slides one way, 1 in the middle of a turn, 1 - z^2 of the friction's state z."""
-        ends = self._pairs[0, 1, tendons.TENSION]
-        z = math.log(float(ends[-1]) / float(ends[0])) / float(self._memory[tendons.ANGLE])
+    def _turning(self, near: float, far: float) -> float:
+        """1: 0 while all of a tendon slides one way, 1 in the middle of a turn, 1 - z^2 of the friction's state z.
+
+        `near`, `far`: N, of the tendon at the motor and at the joint.
+        """
+        z = math.log(far / near) / float(self._memory[tendons.ANGLE])
         return max(0.0, 1.0 - z * z)
 
     def _misleads(self, turning: float) -> float:

@@ -175,7 +175,8 @@ class Plausibility:
         if self._slip is None and self._elongation.reversed:
             return (
                 "motor and joint answer the motor's torque the wrong way round, or by less than reported: the motor "
-                "turns the wrong way, the sign of a torque or of an encoder is reversed, or a tendon is torn"
+                "turns the wrong way, the sign of a torque or of an encoder is reversed, an encoder is stuck, or a "
+                "tendon is torn"
             )
         return (
             f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable, beyond what "

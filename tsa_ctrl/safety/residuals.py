@@ -87,6 +87,7 @@ class Elongation:
         self._least, self._most = -1.0, 1.0  # of z
         self._low, self._high = -math.inf, math.inf  # rad, between which a - tau/K may lie by the first rule
         self._top, self._bottom = -math.inf, math.inf  # rad, that the zero was at least and at most
+        self._low_pull = self._high_pull = self._top_pull = self._bottom_pull = 0.0  # N*m, motor torque at each bound
         self.reversed = False  # the motor moved against the torque that it reports
 
     def update(self, torque: float, angle: float, speed: float, joint: float) -> float | None:
@@ -137,9 +138,13 @@ class Elongation:
         self._low -= up + drift
         self._high += down + drift
         falls, rises = self._low - high - self._response, low - self._high - self._response
-        beyond = falls if falls > rises else rises
-        self.reversed = (falls > 0.0 and pull > NOISE) or (rises > 0.0 and pull < -NOISE)
-        self._low, self._high = max(self._low, low), min(self._high, high)
+        against = (falls > 0.0 and pull > min(0.0, self._low_pull) + NOISE) or (
+            rises > 0.0 and pull < max(0.0, self._high_pull) - NOISE
+        )
+        if low > self._low:
+            self._low, self._low_pull = low, pull
+        if high < self._high:
+            self._high, self._high_pull = high, pull
         # The second rule.
         most = self._most + self._turn * up
         least = self._least - self._turn * down
@@ -156,8 +161,18 @@ class Elongation:
             high += most * self._most_friction
         self._top -= loss + drift
         self._bottom += loss + drift
-        beyond = max(beyond, low - self._bottom - self._bound, self._top - high - self._bound)
-        self._top, self._bottom = max(self._top, low), min(self._bottom, high)
+        fell, rose = self._top - high - self._bound, low - self._bottom - self._bound
+        beyond = max(falls, rises, fell, rose)
+        if beyond > 0.0:
+            self.reversed = (
+                against
+                or (fell > 0.0 and pull > self._top_pull + NOISE)
+                or (rose > 0.0 and pull < self._bottom_pull - NOISE)
+            )
+        if low > self._top:
+            self._top, self._top_pull = low, pull
+        if high < self._bottom:
+            self._bottom, self._bottom_pull = high, pull
         return beyond if beyond > 0.0 else None
 
 

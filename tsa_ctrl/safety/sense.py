@@ -10,8 +10,9 @@ joint that is moved, friction stretches the tendon against the torque that begin
 a way of the joint, and where something moves it slowly more than a second. Before that friction may hold the motor fast
 as its torque turns, most of all in a sheath that bends there, until the torque has changed by twice the half loop: what
 motor and joint then move apart by is the way of a joint that something else moves, and says nothing of the motor. One
-that pulls the wrong way goes that way itself. While friction holds the motor, the limit grows (`HELD`): a motor that is
-held cannot show its sense, so a limit below the half loop would stay for ever.
+that pulls the wrong way goes that way itself. While friction holds the motor, the limit does not grow. The motion of
+the joint frees the motor after a short way, and the limit is small again. If the motor is not free within `FREES`, the
+limit grows (`HELD`): a motor that is held cannot show its sense, so a limit below the half loop would stay for ever.
 
 The stretch of a joint that is held cannot be more than the torque's, tau_M/K: friction only takes away there. Where it
 follows the torque by half as much again, the motor gives more than it reports, a tendon hangs, or the file's stiffness
@@ -62,6 +63,7 @@ SHAKEN = 0.4  # s, of a sense that was shown: a heavy motor that is shaken on it
 GROWTH = 0.2  # s in which the torque may then grow to the limit: no step that a person feels
 RESTS = 0.1  # s after which a torque that does not change may grow slowly, so that it shows its sense by that
 SLOWLY = 2.0  # s in which it would come to the limit: a reversed one is found within 20 ms of it
+FREES = 0.5  # s in which the motion of a joint frees the motor: until then a reversed one, held so, gets no more
 HELD = 0.5  # s in which it would come there while friction holds the motor fast: until it slides the joint gets nothing
 PATIENCE = 0.15  # s with such ripple after which the torque grows although nothing is shown
 
@@ -108,6 +110,8 @@ class Sense:
         """Torque is not permitted: the next enable shows it anew."""
         self.ceiling = SMALL * self._limit
         self._waited = 0.0
+        self._resting = False  # no comparison at present
+        self._held_for = 0.0  # s, since friction held the motor fast; inf once the joint's motion has freed it
         self._shown = False
         self._begun = math.inf
         self._moved = -math.inf
@@ -155,7 +159,14 @@ class Sense:
                 self.ceiling = math.inf
         elif not self._shown:
             self._begun = min(self._begun, now)
-            if now - self._begun > RESTS and not self._suspect:
+            if 0.0 < self._held_for < FREES:
+                self._held_for += self._period
+                if abs(self._travel) > self._way:  # freed, and the change of torque shows its sense
+                    self._held_for = math.inf
+                    self.ceiling = min(self.ceiling, SMALL * self._limit)
+            elif self._held_for == 0.0 and self._fast:
+                self._held_for = self._period
+            if now - self._begun > RESTS and not self._suspect and not 0.0 < self._held_for < FREES:
                 self.ceiling += self._limit * self._period / (HELD if self._fast else SLOWLY)
         direction = (sigma > 0.0) - (sigma < 0.0)
         if direction != self._direction:
@@ -163,8 +174,15 @@ class Sense:
             self._begin(direction, now + TURN)
         if omega_j == omega_j:
             self._travel += self._travel_step * omega_j
+        held = now - self._moved > AT_REST
+        if self.ceiling == math.inf and not held:  # a moving joint is compared by `residuals`
+            self._resting = True
+            return None
         if now < self._until:
             return None
+        if self._resting:
+            self._resting = False
+            self._forget()
         winds_up = self._winds_up()
         if winds_up is not self._winding:  # what was seen of the one says nothing of the other
             self._winding = winds_up
@@ -185,7 +203,6 @@ class Sense:
         self._stretch = a
         self._tj += memory * (t * j - self._tj)
         self._jj += memory * (j * j - self._jj)
-        held = now - self._moved > AT_REST
         if held:
             self._held_tt += memory * (t * t - self._held_tt)
             self._held_tj += memory * (t * j - self._held_tj)

@@ -100,6 +100,11 @@ class FourTensions:
         """Whether both tendons' tensions grow by the same exp(sigma x)."""
         return self.asymmetry is None and self.tension_dependence is None
 
+    @property
+    def linear(self) -> bool:
+        """Return True if B is the line of `tangent` in tau_M, and `limits` bounds it."""
+        return self.slack is None and self.tension_dependence is None
+
     def torque(self, functions: Functions[F], tau_m: F, sigma: F, x: F, pretension: F) -> F:
         """B, N*m."""
         if self.symmetric:
@@ -205,6 +210,11 @@ class Elongating:
     _last: list[tuple[float, float, transmission.FullModel[float]]] = field(
         default_factory=list, compare=False, repr=False
     )
+
+    @property
+    def linear(self) -> bool:
+        """Return True: B is always the line of `tangent` in tau_M."""
+        return True
 
     def line(self, functions: Functions[F], x: F, pretension: F) -> transmission.FullModel[F]:
         """(3.53)-(3.54) at the signed angle x, all lengths over l_us."""
