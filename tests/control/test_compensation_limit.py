@@ -65,7 +65,7 @@ def test_random_motions_never_get_more_than_their_fills() -> None:
         given += move(chosen, float(random.uniform(-0.05, 0.05)), speed=float(random.uniform(1.0, 3.0)))
         fills += before and not chosen.credit.withdrawn
         if random.random() < 0.05:
-            rest(chosen, 0.3)
+            rest(chosen, 0.6)
         assert given < 1.02 * 0.1 * fills
     assert fills > 3
 
@@ -116,9 +116,18 @@ def test_a_withdrawn_term_does_not_come_back_while_the_joint_coasts_or_rests() -
 
 def test_a_hand_that_moves_the_resting_joint_brings_it_back() -> None:
     chosen = empty()
-    rest(chosen, 0.2)
+    rest(chosen, 0.6)
     move(chosen, 0.25)
     assert chosen.share > 0.9
+
+
+def test_the_turning_points_of_a_swing_are_no_rest() -> None:
+    """A pendulum stands for less than half a second there, and goes on by itself."""
+    chosen = empty()
+    for way in (0.3, -0.25, 0.2, -0.15):
+        move(chosen, way)
+        rest(chosen, 0.3)
+    assert chosen.share == 0.0
 
 
 def test_motion_that_lasts_without_the_term_brings_it_back_twice_as_long() -> None:
