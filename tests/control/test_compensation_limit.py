@@ -145,11 +145,12 @@ def test_motion_that_the_set_point_may_have_caused_proves_nothing() -> None:
     assert chosen.credit.share > 0.0
 
 
-def test_a_set_point_that_asks_for_the_other_direction_has_a_credit_of_its_own() -> None:
-    chosen = empty(0.3)
-    rest(chosen, 1.0, 0.3)
+@pytest.mark.parametrize("set_point", [0.3, -0.3])
+def test_a_set_point_that_has_changed_has_a_credit_of_its_own(set_point: float) -> None:
+    chosen = empty(set_point)
+    rest(chosen, 5.0, set_point)
     assert chosen.credit.share == 0.0
-    rest(chosen, 0.2, -0.3)
+    rest(chosen, 0.2, -set_point)
     assert chosen.credit.share == 1.0
 
 
@@ -191,9 +192,9 @@ def test_an_enable_fills_the_credit_again() -> None:
 def test_a_credit_is_not_filled_beyond_its_size() -> None:
     credit = EnergyCredit(0.4, PERIOD)
     for _ in range(1000):
-        credit.update(-1.0, 1.0, 0.0, False)
+        credit.update(-1.0, 1.0, 0.0, 0.1, False)
     for _ in range(1000):
-        credit.update(0.41, 1.0, 0.0, False)
+        credit.update(0.41, 1.0, 0.0, 0.1, False)
     assert credit.withdrawn
 
 

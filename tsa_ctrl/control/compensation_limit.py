@@ -14,7 +14,7 @@ held joint keeps its full compensation. Where friction is proven, low is near hi
 An empty credit takes the term to 0. A term that came back while the joint rests would start it again. So the credit is
 filled again only if the joint is moved without the term: after a rest, or for so long that it is not the joint's own
 motion. Motion in the direction of the set-point's torque proves nothing, as that torque may have caused it. A set-point
-that asks a resting joint for the other direction fills it as well: each request has one credit.
+that has changed since fills it as well, once the joint rests: each request has one credit.
 
 Without a sensor at the joint nothing is ever proven. A set-point that changes then suspends the account: a person asks
 for motion.
@@ -34,6 +34,7 @@ STANDS = 0.02  # N*m/s: a set-point that changes more slowly stands
 RISE = 10.0  # 1/s at which the limit rises; it falls at once
 RESTED = 0.5  # s of rest after which a new motion is not the old one: a leg that swings turns within 0.2 s
 MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill the credit
+REQUEST = 0.2  # of the friction torque, by which a set-point that changed asks a resting joint for motion again
 LASTING = 2.0  # s of motion without the term that fill it: a joint of a person comes to rest in less by its friction
 MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who walks on needs them
 # s without a reading, while the set-point asks for motion, after which the last upper bound is outdated: more friction
@@ -61,7 +62,7 @@ class EnergyCredit:
     def _forget(self) -> None:
         self._rest = self._moved = self._moving = 0.0
         self._rested = False
-        self._side = 0.0  # rad/s of the motion that emptied the credit
+        self._asked = 0.0  # N*m, the set-point that emptied the credit
 
     @property
     def share(self) -> float:
@@ -69,13 +70,14 @@ class EnergyCredit:
             return 0.0
         return min(1.0, self._left / (KNEE * self._size))
 
-    def update(self, unproven: float, velocity: float, tau_j_des: float, suspended: bool) -> None:
+    def update(self, unproven: float, velocity: float, tau_j_des: float, request: float, suspended: bool) -> None:
         """Account for one cycle.
 
         Args:
             unproven: N*m at the joint, of the term beyond the proven friction, in the direction of the motion.
             velocity: rad/s of the joint, 0 where it is noise.
             tau_j_des: N*m, the set-point.
+            request: N*m by which a set-point must change to ask for motion again.
             suspended: True if nothing is spent in this cycle.
         """
         way = abs(velocity) * self._period
@@ -90,13 +92,13 @@ class EnergyCredit:
             if self._left <= EMPTY * self._size:
                 self.withdrawn = True
                 self._forget()
-                self._side = velocity
+                self._asked = tau_j_des
         elif velocity == 0.0:
             self._moving = 0.0
             self._rest += self._period
             if self._rest > RESTED:
                 self._rested = True
-                if tau_j_des * self._side < 0.0:
+                if abs(tau_j_des - self._asked) > request:
                     self._fill(1.0)
         else:
             self._rest = 0.0
@@ -173,7 +175,8 @@ class CompensationLimit:
             high = math.inf
         suspended = asked and not proven.usable
         before = credit.withdrawn
-        credit.update(self._gearing * (along - low), omega_j, tau_j_des, suspended)
+        request = REQUEST * self._gearing * half_loop
+        credit.update(self._gearing * (along - low), omega_j, tau_j_des, request, suspended)
         self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
         most = desired * min(half_loop, 0.5 * (low + high))
         allowed = low if low < most else most
