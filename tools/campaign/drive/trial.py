@@ -27,6 +27,7 @@ from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.machine import AxisNodes, Machine
 from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
+from tsa_ctrl.safety.release import REST
 from tsa_ctrl.virtual.lockstep import End, Wire
 
 WANTED = 0.5  # N*m at the joint
@@ -84,6 +85,7 @@ class Station:
         self.history: list[Event] = []
         self.first_fault = ""
         self.pulled = self.proved = self.ended = False
+        self.released = -math.inf  # s, the last request for a recovery
 
     @property
     def unit(self) -> AxisNodes:
@@ -140,6 +142,8 @@ class Station:
         return operation.unconfirmed
 
     def recover(self) -> None:
+        """Request a recovery; the loop permits one in REST."""
+        self.released = self.wire.now
         self.mailbox.put(Command(0, RECOVER, 1.0))
 
     def begin(self, fault: str, duration: float = 0.0) -> None:
@@ -223,6 +227,7 @@ def _story(station: Station, wrong: list[str]) -> Story:
         yield from _until(station, lambda: False, "", [], STEADY)
         if not rests():
             wrong.append(f"torque came back by itself after {fault}")
+        yield from _until(station, lambda: station.wire.now > station.released + REST, "", [])
         station.recover()
         yield from _until(station, pulls, f"no torque after the recovery from {fault}", wrong)
     yield from _until(station, lambda: False, "", [], STEADY)
