@@ -48,6 +48,7 @@ UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white
 FEWEST_MEANS = 20  # whose spread is then known to a sixth
 FRICTION_FACTOR = 2.0  # of F, beyond what [uncertainty] leaves open
 SURE = 3.0  # standard errors by which a friction torque must lie outside: one log of 400 by chance
+DIRECTED = 2.5  # times the noise of a velocity, above which it shows a direction
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 
@@ -147,7 +148,7 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
         return ""
     omega, tau_j = dataset["omega_j"], dataset["tau_j"]
     tau_m = dataset["tau_m"] * (model.joint_pulley_radius / model.motor_pulley_radius)
-    sliding = _sliding(omega)
+    sliding = _sliding(omega) & _has_direction(omega, dataset.period)
     measured = _signs(dataset, tau_m, omega, sliding, tau_j)
     if measured is None:
         return ""
@@ -247,6 +248,15 @@ def _check_drive(dataset: Dataset) -> None:
 
 def _sliding(omega: Array) -> NDArray[np.bool_]:
     return np.abs(omega) > SLIDING * float(np.percentile(np.abs(omega), 95.0))
+
+
+def _has_direction(omega: Array, period: float) -> NDArray[np.bool_]:
+    """Return True for samples whose direction the velocity shows, against its own content beyond BAND.
+
+    Friction changes its sign with the direction. Samples with a random direction show less friction than there is.
+    """
+    smooth = low_pass(omega, period, BAND)
+    return np.abs(smooth) > DIRECTED * float(np.std(omega - smooth))
 
 
 def _opposed(x: Array, y: Array) -> bool:
