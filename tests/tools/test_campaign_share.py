@@ -55,12 +55,6 @@ def test_a_change_that_a_torque_sensor_shows_adds_little_work() -> None:
 
 @pytest.mark.slow
 def test_no_fault_takes_the_joint_far_beyond_its_over_speed_limit() -> None:
-    every = [
-        (name, load, sensors, set_point)
-        for name in checks.FAULTS
-        for load in checks.LOADS
-        for sensors in SENSORS
-        for set_point in ("sine", "constant")
-    ]
+    every = checks.combinations(checks.FAULTS, checks.LOADS, SENSORS, ("sine", "constant"))
     for row in drawn(every, lambda key: checks.trial(*key)):
         assert row["peak"] <= FASTEST, row

@@ -25,7 +25,7 @@ import itertools
 import json
 import random
 import secrets
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -70,6 +70,10 @@ class Wrong:
         """s of the log from which times count; 0: from the first torque on."""
         return AT if self.stiffness == 1.0 else 0.0
 
+    def possible(self, sensors: str) -> bool:
+        """Return False for a fault of a joint encoder that the sensor configuration does not have."""
+        return sensors != "motor" or not self.fault.startswith("encoder")
+
 
 FAULTS = {  # by what a person calls it
     "nothing": Wrong("clear"),
@@ -100,6 +104,14 @@ KEY = ("fault", "load", "sensors", "set_point", "calibrated")
 CALIBRATED = (0.006, 0.002)
 TRIPPED = "tripped by the controller: "
 NONE = 0.02  # N*m, that a drive reports of no torque
+
+
+def combinations(
+    faults: Iterable[str], loads: Iterable[str], sensors: Iterable[str], set_points: Iterable[str]
+) -> list[tuple[str, str, str, str]]:
+    """Return every fault on every joint with every sensor configuration in which the fault is possible."""
+    every = itertools.product(faults, loads, sensors, set_points)
+    return [each for each in every if FAULTS[each[0]].possible(each[2])]
 
 
 def trial(name: str, load: str, sensors: str = "encoder", set_point: str = "sine", calibrated: bool = False) -> Row:
@@ -207,8 +219,8 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
     kept = Results(arguments.results, lambda row: tuple(row[name] for name in KEY))
-    product = itertools.product(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)
-    wanted = [(*each, arguments.calibrated) for each in product]
+    every = combinations(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)
+    wanted = [(*each, arguments.calibrated) for each in every]
     seed = secrets.randbelow(10**6) if arguments.seed is None else arguments.seed
     if arguments.sample:
         wanted = random.Random(seed).sample(wanted, min(arguments.sample, len(wanted)))
