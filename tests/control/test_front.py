@@ -31,7 +31,8 @@ def test_named_shapes() -> None:
     """Half of the square, the whole, nothing."""
     uniform, joint, motor = (Front(NAMED[name]) for name in ("uniform", "joint_end", "motor_end"))
     assert (uniform.centre, joint.centre, motor.centre) == pytest.approx((0.5, 1.0, 0.0))
-    assert (uniform.spread, joint.spread, motor.spread) == pytest.approx((1.0 / 3.0, 1.0, 0.0))
+    assert sum(uniform.lengths(16)) == pytest.approx(1.0)
+    assert (joint.lengths(16)[0], motor.lengths(16)[-1]) == pytest.approx((1.0, 1.0))
     assert uniform.depth(0.5 * 0.5 * 0.5) == pytest.approx(0.5, abs=1e-3)
     assert joint.depth(0.25) == pytest.approx(0.25)
     assert motor.depth(0.0) == 1.0

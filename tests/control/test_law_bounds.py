@@ -75,28 +75,29 @@ class Turned(Turn):
 
 
 class Fronts(Slip):
-    """Slip fronts that are said."""
+    """Slip fronts that are said; the stretch is that of the sliding tendons."""
 
     def __init__(self) -> None:
-        self.is_active = False
-        self.scale = 1.0
-        self.short = 0.0
+        super().__init__(PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
+        self.said = 0.0
         self.asked: list[tuple[float, ...]] = []
-        self.resets = 0
+        self.resets = self.slides = 0
 
-    @property
-    def active(self) -> bool:
-        return self.is_active
+    def reset(self, sigma: float) -> None:
+        super().reset(sigma)
+        self.resets = getattr(self, "resets", 0) + 1
 
-    def reset(self) -> None:
-        self.resets += 1
+    def slide(self, sigma: float) -> None:
+        super().slide(sigma)
+        self.slides = getattr(self, "slides", 0) + 1
 
-    def begin(self, old: float, tau_j: float, x: float, pretension: float) -> None:
-        self.asked.append((old, tau_j, x, pretension))
+    def begin(self, sigma: float, tau_m: float, x: float, pretension: float) -> None:
+        self.asked.append((sigma, tau_m, x, pretension))
 
-    def shortfall(self, tau_j: float, x: float, pretension: float, moving: bool) -> float:
-        self.asked.append((tau_j, x, pretension, moving))
-        return self.short
+    def update(self, tau_j: float, x: float, pretension: float, turn: Turn) -> None:
+        super().update(tau_j, x, pretension, turn)
+        self.asked.append((tau_j, x, pretension))
+        self.torque += self.said
 
 
 class Damper(Damping):
@@ -228,7 +229,7 @@ def test_turn_and_damping_are_made_as_planned(monkeypatch: pytest.MonkeyPatch) -
     Law(Inverse(), RADII, LawSettings(), PLAN, motion, Way(motion), PERIOD)
     assert seen["Turn"] == (PLAN.front, PLAN.turn, PERIOD)
     assert seen["Damping"] == (PLAN.damping, PLAN.ringing, PLAN.delay, 1.25, PERIOD)
-    assert seen["Slip"] == (PLAN.front, 0.02, 0.025, PERIOD)
+    assert seen["Slip"] == (PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)
 
 
 def test_the_inverse_is_asked_for_the_joint_when_the_torque_acts() -> None:
@@ -299,37 +300,27 @@ def test_ideal_and_term_stay_within_the_domain(way: float) -> None:
     assert (parts.law.beyond, parts.law.cut) == (False, 2)
 
 
-@pytest.mark.parametrize("sigma", [1.0, -1.0])
-def test_a_front_on_its_way_takes_from_the_turned_part_what_it_falls_short_of(sigma: float) -> None:
+def test_the_torque_of_the_fronts_belongs_to_the_friction_term() -> None:
     parts = Parts()
-    parts.turn.force, parts.way.sigma, parts.way.rest = 0.5, sigma, 0.0
-    parts.fronts.is_active, parts.fronts.short = True, 0.125
+    parts.turn.force, parts.fronts.said = 0.5, -0.125
     parts.ask(0.4)
-    progress = 0.75 if sigma > 0.0 else 0.25
-    assert parts.law.friction_term == pytest.approx(0.25 - progress * 0.125)
-    assert parts.fronts.asked == [(0.4, 0.26, 45.0, True)]
-    parts.fronts.is_active = False
-    parts.ask(0.4)
-    assert parts.law.friction_term == pytest.approx(0.25)
+    assert parts.law.friction_term == pytest.approx(0.25 - 0.125)
+    assert parts.fronts.asked == [(0.4, 0.26, 45.0)]
 
 
 def test_the_motor_is_moved_by_what_the_tendons_stretch() -> None:
-    """1/25 rad per N*m; half of the loop's 0.5 N*m with half of the bends before it."""
+    """By the share of the friction term that the tendons are turned by; 1/25 rad per N*m for the ideal torque."""
     parts = Parts(inertia=2e-4)
     parts.motion.acceleration = 16.0
     parts.turn.force = parts.turn.stretch = 0.5
     parts.turn.bend = 3e4
-    turned = 0.5 * 0.5 / 25.0
-    planned = 2e-4 * (turned * 3e4 + 16.0 / RATIO)
-    assert parts.ask(1.0) == pytest.approx(0.8 + 0.25 + planned)
-    assert parts.law.planned == pytest.approx(planned)
-    assert parts.law._stretch == pytest.approx(0.8 / 25.0 + 0.5 * turned)
-    parts.fronts.is_active, parts.fronts.scale = True, 0.25
+    parts.ask(1.0)
+    stretch, bend = parts.fronts.stretch, parts.fronts.bend
+    assert parts.law.planned == pytest.approx(2e-4 * (bend + 16.0 / RATIO))
+    assert parts.law._stretch == pytest.approx(stretch)
     parts.ask(1.0, back_off=0.5)
-    planned = 2e-4 * (0.125 * turned * 3e4 + 16.0 / RATIO)
-    assert parts.law.planned == pytest.approx(planned)
-    assert parts.law._stretch == pytest.approx(0.8 / 25.0 + 0.125 * 0.5 * turned)
-    assert parts.damper.asked == []
+    assert parts.law.planned == pytest.approx(2e-4 * (0.5 * bend + 16.0 / RATIO))
+    assert parts.law._stretch == pytest.approx(0.5 * (stretch + 0.8 / 25.0))
 
 
 def test_without_an_inertia_nothing_is_planned_and_nothing_damped() -> None:
@@ -345,7 +336,7 @@ def test_what_differs_from_the_plan_is_damped() -> None:
     parts.damper.gives = 0.0625
     assert parts.ask(1.0, 0.7, 0.9) == pytest.approx(0.8 + 0.0625)
     assert parts.law.planned == 0.0625
-    assert parts.damper.asked == [pytest.approx((0.8 / 25.0, 0.7, 0.9, 0.3, 0.75))]
+    assert parts.damper.asked == [pytest.approx((parts.fronts.stretch, 0.7, 0.9, 0.3, 0.75))]
 
 
 def test_a_reset_forgets_all_but_the_joints_motion() -> None:
@@ -461,7 +452,7 @@ def test_what_is_left_of_a_command_that_was_cut(way: float) -> None:
         assert parts.ask(way) == pytest.approx(way * 1.3625)
         parts.law.applied(way * applied)
         assert parts.law.friction_term == pytest.approx(way * term)
-        assert parts.law._stretch == pytest.approx(way * share * 0.8 / 25.0)
+        assert parts.law._stretch == pytest.approx(share * parts.fronts.stretch)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -472,11 +463,11 @@ def test_a_term_against_the_ideal_part_shrinks_by_what_the_limiter_added(way: fl
     assert parts.ask(way) == pytest.approx(way * 0.3)
     parts.law.applied(way * 0.25)
     assert parts.law.friction_term == pytest.approx(-way * 0.5)
-    assert parts.law._stretch == pytest.approx(way * 0.8 / 25.0 * 0.25 / 0.3)
+    assert parts.law._stretch == pytest.approx(parts.fronts.stretch * 0.25 / 0.3)
     parts.ask(way)
     parts.law.applied(way * 0.45)
     assert parts.law.friction_term == pytest.approx(-way * 0.35)
-    assert parts.law._stretch == pytest.approx(way * 0.8 / 25.0)
+    assert parts.law._stretch == pytest.approx(parts.fronts.stretch)
 
 
 def test_without_a_term_nothing_is_taken_of_it() -> None:
@@ -504,31 +495,32 @@ def test_the_joint_is_followed_by_its_encoder() -> None:
 
 @pytest.mark.parametrize(
     ("rest", "turning", "ahead", "begins"),
-    [(0.11, False, 0.5, True), (0.1, False, 0.5, False), (0.11, True, 0.5, False), (0.11, False, math.nan, False)],
+    [(0.11, False, 0.5, True), (0.1, False, 0.5, False), (0.11, True, 0.5, True), (0.11, False, math.nan, False)],
 )
 def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
     rest: float, turning: bool, ahead: float, begins: bool
 ) -> None:
-    """For more than 0.1 s, with no turn on its way and a torque wanted; a turn ends those that were there."""
+    """For more than 0.1 s and with a set-point, at the torque sent; otherwise all slides."""
     parts = Parts()
     parts.way.sigma, parts.way.next, parts.way.rest = -1.0, 1.0, rest
     parts.turn.is_turning = turning
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)
-    assert parts.fronts.resets == 1
-    assert parts.fronts.asked == ([(-1.0, 0.5, 0.26, 45.0)] if begins else [])
+    assert parts.fronts.asked == ([(1.0, 0.0, 0.26, 45.0)] if begins else [])
+    slides = parts.fronts.slides
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)  # no turn
-    assert (parts.fronts.resets, len(parts.fronts.asked)) == (1, begins)
+    assert (parts.fronts.slides, len(parts.fronts.asked)) == (slides, begins)
 
 
 def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn() -> None:
     """Less the stretch, geared; for two memories (10 ms) after a turn it says nothing."""
     parts = Parts(encoder=False, inertia=2e-4)
     parts.ask(1.0)
+    stretch = parts.law._stretch
     parts.way.next, parts.way.age = 1.0, 0.25
     parts.law.observe(math.nan, 0.7, True, 1.5, 2.5)
     ((angle, fresh),) = parts.motion.given
     assert fresh
-    assert angle == pytest.approx(RATIO * (0.7 - 0.8 / 25.0))
+    assert angle == pytest.approx(RATIO * (0.7 - stretch))
     assert (parts.way.asked, parts.turn.asked) == ([(1.5, 2.5)], [(1.0, 0.25)])
     parts.turn.is_turning = True
     parts.law.observe(math.nan, 0.7, False, 1.5, 2.5)

@@ -15,6 +15,7 @@ from scipy.optimize import brentq
 
 from tsa_ctrl.control.front import Front
 from tsa_ctrl.control.slip import FADE, Slip
+from tsa_ctrl.control.turn import Turn
 from tsa_ctrl.model.curvature import NAMED, Points
 
 R_M, R_J, X, T_P = 0.020, 0.025, 0.26, 45.0
@@ -67,6 +68,10 @@ class Held:
         moved = brentq(lambda m: at(m)[1] - (tau_j - 1e-7), 1e-9, most)
         return at(moved)[0]
 
+    def forward(self, tau_j: float) -> float:
+        """tau_M before the reversal."""
+        return float(R_M * (self.ends[1] * math.exp(X) - self.ends[0] * math.exp(-X)))
+
     def slid(self, tau_j: float) -> float:
         """tau_M when all slides the other way."""
         difference = tau_j / R_J
@@ -79,62 +84,75 @@ class Held:
         return float(R_M * (t4 * math.exp(-X) - (t4 - difference) * math.exp(X)))
 
 
-def slip(points: Points) -> Slip:
-    return Slip(Front(points), R_M, R_J, 1e-3)
+STIFFNESS = 40.0  # N*m/rad at the motor
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+class Reversed:
+    """Slip fronts after a stroke in direction 1 to a joint torque, and a turn of the friction term that is over."""
+
+    def __init__(self, points: Points, tau_j: float, sign: float = 1.0) -> None:
+        front = Front(points)
+        self.slip, self.turn = Slip(front, R_M, R_J, STIFFNESS, 1e-3), Turn(front, 8e-3, 1e-3)
+        self.slip.slide(sign)
+        self.turn.reset(-sign)
+        self.slip.turn(self.turn)
+        self.slip.begin(-sign, sign * Held(points, tau_j).forward(tau_j), X, T_P)
+
+    def torque(self, tau_j: float) -> float:
+        self.slip.update(tau_j, X, T_P, self.turn)
+        return self.slip.torque
+
+
+@pytest.mark.parametrize("shape", ["uniform", "motor_end", "S"])
 @pytest.mark.parametrize("tau_j", [-0.8, -0.3, 0.2, 0.5, 0.8])
 @pytest.mark.parametrize("further", [1e-3, 0.02, 0.05])
-def test_shortfall_is_that_of_the_tendons(shape: str, tau_j: float, further: float) -> None:
-    """By how much the sliding inverse lies beyond the fronts, to a twentieth of the whole half loop at most."""
-    held, found = Held(SHAPES[shape], tau_j), slip(SHAPES[shape])
-    found.begin(1.0, tau_j, X, T_P)
-    shortfall = found.shortfall(tau_j - further, X, T_P, moving=False)
-    expected = held.slid(tau_j - further) - held.motor_torque(tau_j - further)
-    assert shortfall == pytest.approx(expected, abs=0.010)
-    if abs(tau_j) >= 0.5 and shape != "motor_end" and further < 0.02:
-        assert abs(expected) > 0.03
+def test_torque_is_that_of_the_tendons(shape: str, tau_j: float, further: float) -> None:
+    """The sliding inverse lies beyond the fronts by as much; to 3 mN*m."""
+    held, found = Held(SHAPES[shape], tau_j), Reversed(SHAPES[shape], tau_j)
+    expected = held.motor_torque(tau_j - further) - held.slid(tau_j - further)
+    assert found.torque(tau_j - further) == pytest.approx(expected, abs=0.003)
 
 
 @pytest.mark.parametrize("shape", ["uniform", "S"])
 def test_mirrored(shape: str) -> None:
-    one, other = slip(SHAPES[shape]), slip(SHAPES[shape])
-    one.begin(1.0, 0.5, X, T_P)
-    other.begin(-1.0, -0.5, X, T_P)
-    assert one.scale == other.scale < 1.0
-    assert one.shortfall(0.47, X, T_P, False) == pytest.approx(-other.shortfall(-0.47, X, T_P, False))
+    one, other = Reversed(SHAPES[shape], 0.5), Reversed(SHAPES[shape], 0.5, -1.0)
+    assert one.torque(0.47) == pytest.approx(-other.torque(-0.47))
 
 
 def test_ends_when_the_other_front_is_through() -> None:
     """From there on all slides, and the inverse is right by itself."""
-    found = slip(SHAPES["uniform"])
-    found.begin(1.0, 0.5, X, T_P)
-    torques = np.arange(0.5, 0.2, -1e-3)
-    shortfalls = [found.shortfall(float(tau), X, T_P, False) for tau in torques]
-    assert not found.active
-    assert shortfalls[-1] == 0.0
-    assert np.abs(np.diff(shortfalls)).max() < 0.01
+    found = Reversed(SHAPES["uniform"], 0.5)
+    torques = [found.torque(float(tau)) for tau in np.arange(0.5, 0.2, -1e-3)]
+    assert torques[-1] == 0.0
+    assert np.abs(np.diff(torques)).max() < 0.01
 
 
 def test_a_joint_that_moves_ends_it_within_its_time() -> None:
-    found = slip(SHAPES["uniform"])
-    found.begin(1.0, 0.5, X, T_P)
-    left = [found.shortfall(0.499, X, T_P, True) for _ in range(round(FADE / 1e-3) + 1)]
+    found, left = Reversed(SHAPES["uniform"], 0.5), []
+    for _ in range(round(FADE / 1e-3) + 1):
+        left.append(found.torque(0.499))
+        found.slip.move()
     assert left[-1] == 0.0
-    assert np.all(np.diff(np.abs(left))[:-1] < 0.0)
+    assert np.all(np.diff(np.abs(left)) < 0.0)
 
 
-def test_at_the_motor_there_is_nothing_to_wait_for() -> None:
-    found = slip(SHAPES["motor_end"])
-    found.begin(1.0, 0.5, X, T_P)
-    assert found.shortfall(0.49, X, T_P, False) == 0.0
-    assert not found.active
+def test_a_closed_inner_stroke_leaves_no_trace() -> None:
+    """Return-point memory: back at the reversal, the large stroke goes on as if the small one had not been."""
+    found, alone = Reversed(SHAPES["uniform"], 0.8), Reversed(SHAPES["uniform"], 0.8)
+    for sign, tau_j in ((1.0, 0.79), (-1.0, 0.792)):
+        t1, t3 = found.slip._ends(tau_j / R_J)
+        found.slip.begin(sign, R_M * (t3 - t1), X, T_P)
+    assert found.torque(0.785) == pytest.approx(alone.torque(0.785), abs=1e-3)
+    assert abs(alone.torque(0.785)) > 0.05
 
 
-@pytest.mark.parametrize(("old", "x", "pretension"), [(0.0, X, T_P), (1.0, 0.0, T_P), (1.0, X, 5.0)])
-def test_what_has_no_fronts_begins_nothing(old: float, x: float, pretension: float) -> None:
-    """No direction before, no friction, or a tendon that is slack."""
-    found = slip(SHAPES["uniform"])
-    found.begin(old, 0.5, x, pretension)
-    assert not found.active
+@pytest.mark.parametrize(("x", "pretension"), [(0.0, T_P), (X, 5.0)])
+def test_what_has_no_fronts_begins_nothing(x: float, pretension: float) -> None:
+    """No friction, or a tendon that is slack."""
+    front = Front(SHAPES["uniform"])
+    found, turn = Slip(front, R_M, R_J, STIFFNESS, 1e-3), Turn(front, 8e-3, 1e-3)
+    found.slide(1.0)
+    turn.reset(-1.0)
+    found.begin(-1.0, 0.4, x, pretension)
+    found.update(0.4, x, pretension, turn)
+    assert found.torque == 0.0

@@ -99,7 +99,7 @@ class Direction:
         """Nothing has moved."""
         self.sigma = 0.0
         self.age = 0.0
-        self.rest = 0.0
+        self.rest = math.inf  # it has never moved
         self._before, self._turned_at = 0.0, math.nan  # the direction before the joint's last turn, and its angle then
         self._follows = False
         self._since = TREMOR  # s since the last turn

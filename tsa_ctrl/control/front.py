@@ -40,7 +40,12 @@ class Front:
         course = start + middle + end
         self.table = tuple(_mean_above(course, i / _STEPS) for i in range(_STEPS + 1))
         self.centre = self.table[-1]  # s_c, 1
-        self.spread = _second_moment(course)  # integral of (1 - b)^2, 1
+
+    def lengths(self, contacts: int) -> tuple[float, ...]:
+        """Return the shares of the length before, between and after so many contacts of equal wrap angle, 1."""
+        each = _STEPS // contacts
+        before = [contacts * (self.table[each * (i + 1)] - self.table[each * i]) for i in range(contacts)]
+        return tuple(after - now for now, after in itertools.pairwise([0.0, *before, 1.0]))
 
     def depth(self, stretch: float) -> float:
         """p in [0, 1] for S(p) = `stretch`."""
@@ -70,10 +75,3 @@ def _mean_above(course: list[tuple[float, float]], p: float) -> float:
             else:
                 total += 0.5 * (v - u) * (p - b) ** 2 / (c - b)
     return total
-
-
-def _second_moment(course: list[tuple[float, float]]) -> float:
-    return sum(
-        (v - u) * ((1.0 - b) ** 2 + (1.0 - b) * (1.0 - c) + (1.0 - c) ** 2) / 3.0
-        for (u, b), (v, c) in itertools.pairwise(course)
-    )

@@ -139,7 +139,7 @@ class Law:
         self.direction = direction
         self._has_encoder = has_encoder
         self._nominal = inverse.pretension
-        self._slip = Slip(plan.front, r_m, r_j, period)
+        self._slip = Slip(plan.front, r_m, r_j, plan.stiffness, period)
         self._settle = settings.settle
         self._ratio = r_m / r_j
         self._period = period
@@ -179,7 +179,8 @@ class Law:
         self._wanted = 1.0  # 0 when the socket's client is gone
         self.beyond = False
         self.direction.forget()
-        self._slip.reset()
+        self._slip.reset(self.direction.sigma)
+        self._peak = 0.0  # N*m, the set-point farthest in the present direction
         self.damping.reset()
         self._inverse.reset()
         self._stretch = 0.0
@@ -207,9 +208,19 @@ class Law:
         rested = direction.rest
         sigma = direction.update(ahead, rate)
         if sigma != old:
-            self._slip.reset()
-            if rested > STOOD and not turn.turning and ahead == ahead:
-                self._slip.begin(old, ahead, self._inverse.friction_angle, self._inverse.pretension)
+            slip, inverse = self._slip, self._inverse
+            slip.turn(turn)
+            if rested > STOOD and ahead == ahead:
+                slip.begin(
+                    sigma, self.friction_term + self._ratio * self._peak, inverse.friction_angle, inverse.pretension
+                )
+            else:
+                slip.slide(sigma)
+            self._peak = ahead if ahead == ahead else 0.0
+        elif ahead * sigma > self._peak * sigma:
+            self._peak = ahead
+        if direction.moving:
+            self._slip.move()
         turn.update(sigma, direction.age)
 
     def pass_over(self, periods: int) -> None:
@@ -237,13 +248,9 @@ class Law:
         acceleration = motion.acceleration
         omega = motion.velocity + plan.delay * acceleration
         full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, t=t)
-        scale = 1.0
         slip = self._slip
-        if slip.active:
-            scale = slip.scale
-            direction = self.direction
-            progress = 0.5 * (1.0 + turn.force * direction.sigma)
-            full -= progress * slip.shortfall(tau_j, inverse.friction_angle, inverse.pretension, direction.moving)
+        slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
+        full += slip.torque
         change = share * (full - ideal) - self.friction_term
         step = self.slew * self._period if back_off == 1.0 else math.inf  # the guard's action is never delayed
         if change > step:
@@ -258,7 +265,7 @@ class Law:
         if self.beyond:
             wanted = low if wanted < low else high if wanted > high else wanted
             self.cut += 1
-        return wanted + self._move(share, scale, ideal, q_m, omega_m, acceleration)
+        return wanted + self._move(share, ideal, q_m, omega_m, acceleration)
 
     def follow(self, rate: float, silent: bool = False) -> None:
         """After the command: what of the term is taken back from the next one on.
@@ -298,14 +305,14 @@ class Law:
         if (term > 0.0 and left < term) or (term < 0.0 and left > term):
             self.friction_term = 0.0 if left * term < 0.0 else left
 
-    def _move(self, share: float, scale: float, ideal: float, q_m: float, omega_m: float, acceleration: float) -> float:
+    def _move(self, share: float, ideal: float, q_m: float, omega_m: float, acceleration: float) -> float:
         """Torque, N*m, that moves the motor as planned and damps what differs from the plan."""
-        plan, turn, motion = self.plan, self.turn, self._motion
-        turned = scale * share * plan.front.centre * self._half_loop * self._give  # rad per unit of sigma
-        self._stretch = ideal * self._give + turned * turn.stretch
+        plan, motion = self.plan, self._motion
+        slip, still = self._slip, ideal * self._give
+        self._stretch = still + share * (slip.stretch - still)
         self.planned = 0.0
         if plan.inertia > 0.0:
-            self.planned = plan.inertia * (turned * turn.bend + acceleration / self._ratio)
+            self.planned = plan.inertia * (share * slip.bend + acceleration / self._ratio)
             if plan.damping > 0.0:
                 self.planned += self.damping.update(self._stretch, q_m, omega_m, motion.angle, motion.velocity)
         return self.planned

@@ -1,104 +1,223 @@
-"""Slip fronts of a joint at rest: by how much a turn falls short of the whole loop, and until when.
+"""Slip fronts of a joint at rest: the exact inverse of two distributed capstans, with return-point memory.
 
-Both tendons share the motor's motion, but the one with the higher tension needs more of it to turn its friction round:
-s = 2 x T l/EA S(1). At a turn under load the front of the slacker tendon is through first; from there on the joint
-feels the motor, while the other tendon's front has come to the share p of its bends,
+The tension along a tendon changes from its motor side only, while the joint rests. A contact at which it slides keeps
+the ratio exp(+-delta), delta = x/CONTACTS; a contact at which it sticks keeps its tensions. So a slip front runs from
+the motor into the sheath, and the joint feels nothing before a front is through. The motor moves both tendons by the
+same way s, one up and one down, and each one needs another way until its front is through:
 
-    T_high e^(+-x (1 - p)) S(p) = T_low S(1) + what the slacker tendon has stretched since / (2 x l/EA),
+    s_through = sum of w_i |T_N exp(+-(N - i) delta) - T_i|,     w_i: share of the length between two contacts
 
-and its motor-side tension has changed by the factor exp(-+2 x p) instead of exp(-+2 x). The inverse of the sliding
-sheath knows the end of this alone, and would push through it: 70 mN*m too much at 0.5 N*m on the shipped actuator. It
-ends when the other front is through, too, or the joint moves, which makes everything slide.
-
-T2 and T4 while all slides: T4 - T2 = tau_J/r_J, and the mean tension of both tendons stays T_p0, so that
-
-    (T2 + T4)/2 = (T_p0 - sigma x s_c (T4 - T2)/2) / (1 + x^2 m/2),     m = integral of (1 - b)^2
-
-to second order in x. Mirrored for the other direction: the tendons change places.
+From the first of them on, the joint torque follows the tendon that slides, while the other one still sticks at the
+joint. From the second on, all slides, as it does at once when the joint moves. The tensions at the last reversal are
+the state. A smaller stroke begins within them, and a larger one wipes it out.
+Source: (3.24)-(3.30) at each contact, (3.31)-(3.41) for the way.
 """
 
 from __future__ import annotations
 
 import math
+from operator import mul
 
 from tsa_ctrl.control.front import Front
+from tsa_ctrl.control.turn import Turn
 
-FADE = 0.004  # s in which the rest of the loop follows when the joint begins to move
-_ROUNDS = 3  # of the fixed point for p
+CONTACTS = 16  # along one sheath, with equal shares of the wrap angle
+_ROUNDS = 16  # of the bisection for the way at a reversal
+FADE = 0.004  # s in which all tendons slide once the joint moves
 
 
 class Slip:
-    """What is left of a turn of a joint at rest; `active` until both fronts are through."""
+    """The tensions along both tendons.
 
-    def __init__(self, front: Front, motor_radius: float, joint_radius: float, period: float) -> None:
-        """Radii in m, `period` in s."""
-        self._front = front
+    `torque` (N*m): motor torque beyond that of sliding tendons; `stretch` (rad): planned angle of the motor beyond that
+    of the joint; `bend` (rad/s^2): its second derivative during a turn of the friction term.
+    """
+
+    def __init__(self, front: Front, motor_radius: float, joint_radius: float, stiffness: float, period: float) -> None:
+        """Radii in m, `stiffness` of the tendons at the motor in N*m/rad, `period` in s."""
+        self._lengths = front.lengths(CONTACTS)
         self._r_m = motor_radius
         self._per_r_j = 1.0 / joint_radius
+        self._angle = 2.0 * motor_radius / stiffness  # rad of the motor per N of `_way`
         self._fade = period / FADE
-        self.reset()
+        self.reset(0.0)
 
-    @property
-    def active(self) -> bool:
-        return self._left > 0.0
+    def reset(self, sigma: float) -> None:
+        """Assume level tensions, as no stroke without torque is known; `sigma` is the present direction."""
+        self._use(0.0, 0.0)
+        self.torque = self.stretch = self.bend = 0.0
+        self._lack = 0.0  # of the stretch, rad
+        self._turned = (sigma, sigma, 0.0, 0.0)
+        self.slide(sigma)
+        self._level = True
 
-    def reset(self) -> None:
-        self._left = 0.0
-        self.scale = 1.0  # of the turn's stretch, 1
-        self._old = 0.0
-        self._low = self._high = 0.0
+    def slide(self, sigma: float) -> None:
+        """Let both tendons slide all along in the direction `sigma`."""
+        self._sigma = sigma
+        self._left = 0.0  # of the difference to sliding tendons, 1
+        self._level = False
 
-    def begin(self, old: float, tau_j: float, x: float, pretension: float) -> None:
-        """The direction turns from `old` (-1 or 1) to the other, at `tau_j` N*m; x in 1, T_p0 in N."""
-        mean, half = self._tensions(old, tau_j, x, pretension)
-        if old == 0.0 or not mean - abs(half) > 0.0 or x <= 0.0:
-            self.reset()
-            return
-        self._old = old
-        half *= old  # mirrored: as if sigma had been 1, tendon b the one that unloads
-        self._high, self._low = mean + half, mean - half  # T4, T2
+    def move(self) -> None:
+        """The joint moves: all slides soon."""
+        self._left -= self._fade
+        if self._left <= 0.0:
+            self.slide(self._sigma)
+
+    def turn(self, turn: Turn) -> None:
+        """Note where the turn of the friction term begins; call it before `slide` or `begin`."""
+        self._turned = (turn.force, turn.stretch, self.torque, self._lack)
+
+    def begin(self, sigma: float, tau_m: float, x: float, pretension: float) -> None:
+        """Reverse the slip at the motor of a joint at rest.
+
+        Args:
+            sigma: new direction, -1 or 1.
+            tau_m: motor torque on the tendons at the reversal, N*m.
+            x: friction angle, 1.
+            pretension: T_p0, N.
+        """
+        force = tau_m / self._r_m
+        if self._left <= 0.0:
+            self._use(x, pretension)
+        if self._level:
+            self._start([pretension] * (CONTACTS + 1), [pretension] * (CONTACTS + 1), self._sigma)
+        a, b = self._tensions(force)
+        self.slide(sigma)
+        self._use(x, pretension)
+        if x > 0.0 and min(a[0], a[-1], b[0], b[-1]) > 0.0:
+            self._start(a, b, sigma)
+
+    def update(self, tau_j: float, x: float, pretension: float, turn: Turn) -> None:
+        """Find torque and stretch at the joint torque `tau_j` in N*m, by friction angle (1) and pretension (N)."""
+        if x != self._x or pretension != self._pretension:
+            self._use(x, pretension)
+        torque = lack = 0.0
+        difference = tau_j * self._per_r_j
+        if self._left > 0.0:
+            t1, t3 = self._ends(difference)
+            if t1 == t1:
+                end_1, end_3, slid = self._sliding(self._sigma, difference)
+                torque = self._left * self._r_m * (t3 - t1 - end_3 + end_1)
+                lack = self._left * self._angle * (self._start_b + self._sigma * self._gone - slid)
+        forward, backward = self._sliding(1.0, difference)[2], self._sliding(-1.0, difference)[2]
+        half = 0.5 * self._angle * (forward - backward)
+        self.bend = half * turn.bend
+        if turn.turning:
+            way = self._sigma - self._turned[1]
+            rise = (lack - self._turned[3]) / way if way != 0.0 else 0.0
+            lack += rise * (turn.stretch - self._sigma)
+            self.bend += rise * turn.bend
+            torque += self._between(torque, difference, turn.force)
+        self.torque, self._lack = torque, lack
+        self.stretch = self._angle * (0.5 * (forward + backward) - pretension) + half * turn.stretch + lack
+
+    def _between(self, torque: float, difference: float, now: float) -> float:
+        """Return what leads a turn from the tensions before it to those after it, N*m at the motor."""
+        then, _, before, _ = self._turned
+        if (before == 0.0 and torque == 0.0) or self._sigma == then:
+            return 0.0
+        progress = (now - then) / (self._sigma - then)
+        ends = [self._sliding(sigma, difference) for sigma in (then, self._sigma, now)]
+        old, new, slid = (self._r_m * (t3 - t1) for t1, t3, _ in ends)
+        return old + before + progress * (new + torque - old - before) - slid - torque
+
+    def _use(self, x: float, pretension: float) -> None:
+        self._x, self._pretension = x, pretension
+        shares = self._shares(1.0)
+        self._elongations = self._way(shares), self._way([1.0 / share for share in shares])
+        self._whole = shares[-1]
+
+    def _start(self, a: list[float], b: list[float], sigma: float) -> None:
+        """Begin a stroke in the direction `sigma` with these tensions of the segments, N, motor side first."""
+        self._a, self._b = a, b
+        self._grown = self._shares(sigma)
+        self._fallen = [1.0 / share for share in self._grown]
+        self._alpha, self._beta = self._way(self._grown), self._way(self._fallen)
+        self._start_a, self._start_b = self._way(a), self._way(b)
+        self._through_a = sigma * (self._start_a - a[-1] * self._fallen[-1] * self._alpha)
+        self._through_b = sigma * (b[-1] * self._grown[-1] * self._beta - self._start_b)
         self._left = 1.0
-        self.scale = (mean - abs(half)) / mean
 
-    def shortfall(self, tau_j: float, x: float, pretension: float, moving: bool) -> float:
-        """N*m at the motor that the turned friction term lies beyond what the fronts have reached, at `tau_j` N*m."""
-        old, front = self._old, self._front
-        if moving:
-            self._left -= self._fade
-        if self._left <= 0.0 or not x > 0.0:
-            self.reset()
-            return 0.0
-        t4, t2 = self._high, self._low
-        difference = old * tau_j * self._per_r_j
-        stretched = math.exp(x * front.centre)
-        grown = math.exp(x)
-        if t2 < t4:  # tendon a is through, b on the way; T4 stands still
-            through = t4 - difference
-            pull = through * stretched - t2 / stretched
-            share = self._share(pull, t4, x)
-            reached = t4 * math.exp(x * (1.0 - 2.0 * share)) - through * grown
-        else:
-            through = t2 + difference
-            pull = t4 * stretched - through / stretched
-            share = self._share(pull, t2, -x)
-            reached = through / grown - t2 * math.exp(-x * (1.0 - 2.0 * share))
-        if share >= 1.0 or not through > 0.0:
-            self.reset()
-            return 0.0
-        mean, half = self._tensions(-old, tau_j, x, pretension)
-        half *= old
-        end = (mean + half) / grown - (mean - half) * grown
-        return self._r_m * old * self._left * (end - reached)
+    def _tensions(self, force: float) -> tuple[list[float], list[float]]:
+        """Return the tensions of the segments of both tendons, N, where T3 - T1 has come to `force`, N."""
+        sigma = self._sigma
+        if self._left > 0.0:
+            least, most = 0.0, max(self._through_a, self._through_b)
+            lower, upper = (sigma * (self._force(gone) - force) for gone in (least, most))
+            if sigma == 0.0 or lower >= 0.0:
+                return self._a, self._b
+            if upper > 0.0:
+                for _ in range(_ROUNDS):
+                    gone = 0.5 * (least + most)
+                    least, most = (gone, most) if sigma * (self._force(gone) - force) < 0.0 else (least, gone)
+                self._force(gone)
+                pairs_a, pairs_b = zip(self._a, self._grown, strict=True), zip(self._b, self._fallen, strict=True)
+                both = [(t, self._t1 * share) for t, share in pairs_a], [(t, self._t3 * share) for t, share in pairs_b]
+                if sigma > 0.0:
+                    return [min(each) for each in both[0]], [max(each) for each in both[1]]
+                return [max(each) for each in both[0]], [min(each) for each in both[1]]
+        grown = self._shares(sigma)
+        fallen = [1.0 / share for share in grown]
+        alpha, beta = self._way(grown), self._way(fallen)
+        t3 = (2.0 * self._pretension + alpha * force) / (alpha + beta)
+        return [(t3 - force) * share for share in grown], [t3 * share for share in fallen]
 
-    def _share(self, pull: float, tension: float, x: float) -> float:
-        """p of the front on its way, by the stretch `pull` (in l/EA, N); x is negative in a tendon that is loaded."""
-        share, depth = 1.0, self._front.depth
-        for _ in range(_ROUNDS):
-            share = depth(pull / (2.0 * abs(x) * tension * math.exp(x * (1.0 - share))))
-        return share
+    def _force(self, gone: float) -> float:
+        """Return T3 - T1, N, after the motor has moved both tendons by `gone` in the present direction."""
+        sigma = self._sigma
+        self._t1 = _pulled(self._a, self._lengths, self._grown, -sigma * gone, -sigma)
+        self._t3 = _pulled(self._b, self._lengths, self._fallen, sigma * gone, sigma)
+        return self._t3 - self._t1
 
-    def _tensions(self, sigma: float, tau_j: float, x: float, pretension: float) -> tuple[float, float]:
-        """Half the sum and half the difference of T4 and T2 while both slide, N."""
-        half = 0.5 * tau_j * self._per_r_j
-        front = self._front
-        return (pretension - sigma * x * front.centre * half) / (1.0 + 0.5 * x * x * front.spread), half
+    def _ends(self, difference: float) -> tuple[float, float]:
+        """Return T1 and T3, N, where T4 - T2 is `difference` (N); nan where both tendons slide."""
+        a, b, sigma = self._a, self._b, self._sigma
+        held = b[-1] - a[-1]
+        if sigma * (difference - held) < 0.0:
+            difference = held
+        if self._through_b <= self._through_a:
+            t3 = (a[-1] + difference) * self._grown[-1]
+            self._gone = gone = sigma * (t3 * self._beta - self._start_b)
+            t1 = _pulled(a, self._lengths, self._grown, -sigma * gone, -sigma) if gone < self._through_a else math.nan
+            return t1, t3
+        t1 = (b[-1] - difference) * self._fallen[-1]
+        self._gone = gone = sigma * (self._start_a - t1 * self._alpha)
+        if gone >= self._through_b:
+            return math.nan, math.nan
+        return t1, _pulled(b, self._lengths, self._fallen, sigma * gone, sigma)
+
+    def _sliding(self, sigma: float, difference: float) -> tuple[float, float, float]:
+        """Return T1, T3 and the elongation of tendon b (l/EA), N, while both tendons slide; their mean stays T_p0."""
+        alpha, beta = self._elongations
+        less = 1.0 / self._whole
+        if sigma == -1.0:
+            alpha, beta, less = beta, alpha, self._whole
+        elif sigma != 1.0:
+            shares = self._shares(sigma)
+            alpha, beta, less = self._way(shares), self._way([1.0 / share for share in shares]), 1.0 / shares[-1]
+        t3 = (2.0 * self._pretension + difference * alpha * less) / (beta + alpha * less * less)
+        return (t3 * less - difference) * less, t3, t3 * beta
+
+    def _shares(self, sigma: float) -> list[float]:
+        """Return the tension of each segment of a sliding tendon a over T1, 1."""
+        step = sigma * self._x / CONTACTS
+        return [math.exp(step * i) for i in range(CONTACTS + 1)]
+
+    def _way(self, tensions: list[float]) -> float:
+        """Return the elongation of a tendon, in l/EA, N."""
+        return math.fsum(map(mul, self._lengths, tensions))
+
+
+def _pulled(old: list[float], lengths: tuple[float, ...], shares: list[float], way: float, sign: float) -> float:
+    """Return the tension at the motor, N, after the motor has pulled by `way` (l/EA, N; `sign` is its sign)."""
+    target, per_tension, tension = way, 0.0, old[0]
+    for i, length in enumerate(lengths):
+        per_tension += length * shares[i]
+        target += length * old[i]
+        if per_tension > 0.0:
+            tension = target / per_tension
+            if i < CONTACTS and sign * (tension * shares[i + 1] - old[i + 1]) <= 0.0:
+                return tension
+        elif i < CONTACTS:
+            tension = old[i + 1] / shares[i + 1]
+    return tension
