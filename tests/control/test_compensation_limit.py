@@ -205,3 +205,13 @@ def test_the_desired_share_is_of_the_measured_friction() -> None:
     chosen = limit(proof)
     chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 0.9)
     assert chosen.share == pytest.approx(0.9 * 0.7)
+
+
+def test_a_credit_that_ends_beside_a_proven_friction_is_no_event() -> None:
+    """The bounds of the elongation are some per cent apart: the credit pays for that for a while."""
+    proof = Proof()
+    proof.low, proof.high = 0.9 * FRICTION, 1.1 * FRICTION
+    chosen = limit(proof)
+    move(chosen, 100.0)
+    assert 0.9 <= chosen.share <= 0.95
+    assert chosen.count == 0

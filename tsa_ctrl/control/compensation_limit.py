@@ -40,6 +40,7 @@ MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person w
 # s without a reading, while the set-point asks for motion, after which the last upper bound is outdated: more friction
 # than was read last may hold the joint, and a smaller term would never show it. A slow reversal takes less.
 OUTDATED = 0.3
+LEFT = 0.5  # of the desired term: a proven friction above this is no withdrawal, it only ends the credit's share
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of the joint for which it must be so: a single stroke's begin is no finding
 
@@ -183,7 +184,7 @@ class CompensationLimit:
         share = (allowed + credit.share * (most - allowed)) / half_loop if half_loop > 0.0 else desired
         rise = self.share + self._step
         self.share = share if share < rise else rise
-        if credit.withdrawn and not before:
+        if credit.withdrawn and not before and low < LEFT * most:
             self._report(
                 "the friction term is withdrawn: the joint moved on it, and no sensor confirms that the friction is "
                 "that large; move the joint by hand, or calibrate the model"

@@ -10,10 +10,12 @@ from tsa_ctrl.observer import tendons
 
 MISFIT = 3.0  # standard deviations of the innovation, beyond which the motor torque or the tendons are others
 SMOOTH = 0.005  # s, low-pass of the innovation
+# s for which it must last: on healthy rigs single samples come there every ten seconds, four in a row at most
+LASTING = 0.01
 
 
 class Confirmation:
-    """`confirmed`: since the last reset, the elongation was always as predicted, within its uncertainty."""
+    """`confirmed`: since the last reset, the elongation was as predicted, but for single samples."""
 
     def __init__(self, model: TendonSheath, noise: float, period: float) -> None:
         """Prepare the test; `noise`: m^2 of one measured elongation; `period`: s."""
@@ -22,12 +24,14 @@ class Confirmation:
         self._noise = float(noise)
         self._least = MISFIT**2 * self._noise  # m^2: the variance is never less than the noise
         self._share = 1.0 - math.exp(-period / SMOOTH)
+        self._most = max(1, round(LASTING / period))  # cycles
         self.reset()
 
     def reset(self) -> None:
         """Begin again."""
         self.confirmed = True
         self._innovation = 0.0  # m
+        self._beyond = 0  # cycles in a row
 
     def update(self, memory: Array) -> None:
         """Compare the last innovation with its standard deviation, and the stiffness with the bounds of the file."""
@@ -37,6 +41,7 @@ class Confirmation:
         squared = self._innovation**2
         stiff = memory.item(tendons.STIFF)
         if squared <= self._least and self._softest <= stiff <= self._stiffest:  # as expected whatever is known
+            self._beyond = 0
             return
         if memory[tendons.SLID] == 0.0:
             return
@@ -44,4 +49,5 @@ class Confirmation:
         x, k, passing, zero = memory[tendons.COVARIANCE :: tendons.STATES + 1].tolist()
         variance = by_x * by_x * (x + passing) + by_k * by_k * k + zero + self._noise
         off = not self._softest <= stiff <= self._stiffest
-        self.confirmed = not (off or squared > MISFIT**2 * variance)
+        self._beyond = self._beyond + 1 if off or squared > MISFIT**2 * variance else 0
+        self.confirmed = self._beyond < self._most
