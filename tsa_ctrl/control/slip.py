@@ -93,13 +93,17 @@ class Slip:
             self._use(x, pretension)
         torque = lack = 0.0
         difference = tau_j * self._per_r_j
+        ahead, back = self._sliding(1.0, difference), self._sliding(-1.0, difference)
         if self._left > 0.0:
             t1, t3 = self._ends(difference)
             if t1 == t1:
-                end_1, end_3, slid = self._sliding(self._sigma, difference)
-                torque = self._left * self._r_m * (t3 - t1 - end_3 + end_1)
+                (end_1, end_3, slid), other = (ahead, back) if self._sigma > 0.0 else (back, ahead)
+                pull, most = t3 - t1 - end_3 + end_1, other[1] - other[0] - end_3 + end_1
+                # Less torque was sent than desired if the tensions differ by more than both ways of sliding do.
+                pull = max(min(0.0, most), min(max(0.0, most), pull))
+                torque = self._left * self._r_m * pull
                 lack = self._left * self._angle * (self._start_b + self._sigma * self._gone - slid)
-        forward, backward = self._sliding(1.0, difference)[2], self._sliding(-1.0, difference)[2]
+        forward, backward = ahead[2], back[2]
         half = 0.5 * self._angle * (forward - backward)
         self.bend = half * turn.bend
         if turn.turning:
