@@ -20,8 +20,8 @@ USAGE = "usage: tools/run NAME [ARGUMENT...]"
 def commands() -> dict[str, str]:
     """First line of the text of each command, by its name; a command's text says how `tools/run` calls it."""
     found = {}
-    for path in sorted(FOLDER.glob("*/*.py")):
-        name = f"{path.parent.name}/{path.stem}"
+    for path in sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*/*.py")]):
+        name = path.relative_to(FOLDER).with_suffix("").as_posix()
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         if f"tools/run {name} " in f"{text} ":
             found[name] = text.splitlines()[0]
@@ -42,7 +42,7 @@ def main(arguments: list[str]) -> int:
         print(listing())
         return 0
     name = arguments[0].removeprefix("tools/").removesuffix(".py")
-    if not (FOLDER / f"{name}.py").is_file() or name.count("/") == 0:
+    if not (FOLDER / f"{name}.py").is_file() or ("/" not in name and name not in commands()):
         near = difflib.get_close_matches(name.replace("_", "/"), commands(), n=1)
         hint = f"did you mean '{near[0]}'?" if near else "tools/run alone lists what there is"
         print(f"tools/run {name}: no such command; {hint}", file=sys.stderr)
