@@ -43,7 +43,7 @@ def test_the_wheel_alone_has_pages_files_and_profiles(wheel: Path, tmp_path: Pat
         [sys.executable, "-c", every], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
     assert told.stdout == "# \n" * len(TOPICS)
-    tsa("init", "rig")
+    tsa("init", "--desk", "rig")  # a rig is refused until its empty values are filled in
     assert sorted(path.name for path in (tmp_path / "rig" / "drives").iterdir()) == sorted(
         path.name for path in (ROOT / "config" / "drives").iterdir()
     )
