@@ -272,7 +272,7 @@ def targets() -> tuple[Target, ...]:
              "tsa_ctrl.bus.live.hearing", "tsa_ctrl.bus.canopen.emcy"),
             (bytes((17, 4, 8, 0x10, 0x23, 1, 0, 0, 0, 0, 0, 17, 6, 1, 5, 18, 19)),),
             (b"\x11", b"\x12\x13", b"\x09\x08"),
-            0.8,
+            0.75,
         ),
         Target(
             "sdo",

@@ -208,7 +208,7 @@ def test_a_velocity_of_another_sign_or_scale_and_one_that_sticks_are_found(
 
 
 def test_a_joint_that_stops_between_two_samples_is_an_encoder_that_sticks() -> None:
-    check = Standstill(COUNT, PERIOD, has_load=True)
+    check = Standstill(COUNT, PERIOD)
     assert not any(check.update(n * PERIOD, moved(n)[0]) for n in range(100))
     when = next(n for n in range(100, 200) if check.update(n * PERIOD, moved(99)[0]))
     assert when < 115
@@ -217,32 +217,14 @@ def test_a_joint_that_stops_between_two_samples_is_an_encoder_that_sticks() -> N
 @pytest.mark.parametrize(("deceleration", "every"), [(50.0, 1), (50.0, 4), (5.0, 1)])
 def test_a_joint_that_friction_stops_and_a_slow_device_accuse_nothing(deceleration: float, every: int) -> None:
     """From 2 rad/s to rest, rad/s^2; a device takes a new position every so many cycles."""
-    check = Standstill(COUNT, PERIOD, has_load=True)
+    check = Standstill(COUNT, PERIOD)
     for n in range(1000):
         t = min(n // every * every * PERIOD, 2.0 / deceleration)
         assert not check.update(n * PERIOD, COUNT * math.floor((2.0 - 0.5 * deceleration * t) * t / COUNT))
 
 
-def test_a_motor_that_rests_while_its_torque_moves_it_has_an_encoder_that_sticks() -> None:
-    """By 4 mrad; friction may stop it between two samples, and a prediction that begins anew says nothing."""
-    check, rest = Standstill(COUNT, PERIOD, has_load=False), moved(99)[0]
-    assert not any(check.update(n * PERIOD, moved(n)[0], moved(n)[0]) for n in range(100))
-    predicted = [rest + 0.003 if n % 20 < 10 else math.nan for n in range(95)]
-    assert not any(check.update((100 + n) * PERIOD, rest, value) for n, value in enumerate(predicted))
-    assert not check.update(0.195, rest, rest - 9.0)
-    assert not any(check.update(0.196 + n * PERIOD, rest, rest - 9.0045) for n in range(9))
-    assert check.update(0.207, rest, rest - 9.0045)
-
-
-def test_a_knock_that_shows_in_the_velocity_first_is_no_motor_that_rests() -> None:
-    """Its inertia takes torque from the prediction before the position has moved by a count."""
-    check = Standstill(COUNT, PERIOD, has_load=False)
-    for n in range(100):
-        assert not check.update(n * PERIOD, 0.0 if n < 55 else COUNT * (n - 55), 0.0 if n < 50 else 0.02)
-
-
 def test_a_reset_forgets_velocity_and_standstill() -> None:
-    velocity, rests = Velocity(COUNT, PERIOD), Standstill(COUNT, PERIOD, has_load=True)
+    velocity, rests = Velocity(COUNT, PERIOD), Standstill(COUNT, PERIOD)
     for n in range(100):
         velocity.update(0.0, 1.0)
         rests.update(n * PERIOD, moved(n)[0])

@@ -69,9 +69,9 @@ def test_a_zero_that_jumps_is_told_and_ends_the_torque(sensors: str, monkeypatch
 
 @pytest.mark.slow
 def test_a_stiffness_that_is_not_the_files_is_told_without_a_torque_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Tendons half as stiff: the friction term is taken back before the joint got 3 mJ."""
+    """Tendons half as stiff: the term is taken back before the joint got the guard's 3 mJ and a period more."""
     name = "k_t half of the file's"
     monkeypatch.setitem(FAULTS, name, dataclasses.replace(FAULTS[name], after=0.3))
     row = trial(name, "weight")
     assert row["told"] is not None
-    assert row["given"] < 3.0
+    assert row["given"] < 3.2

@@ -24,6 +24,11 @@ from tsa_ctrl.plant.faults import FAULTS, parse_fault
 HELD = Draw("held", "uniform", "constant", 1.0, 1.0, 1e-4, 0, True, 1, 0.5, 1)
 LOST = Trial(("TPDOs lost",), "running", 0, 0.0, HELD)
 EMCY = "emergency: drive node 1: EMCY 0x2310"
+# Faults of single signals, judged by the time until they are found: tests/virtual/test_sensor_truth.py.
+SIGNALS = {
+    *("encoder_bit", "encoder_stuck", "forged_tpdo", "motor_encoder_stuck", "position_gain", "position_stuck"),
+    *("reported_gain", "reported_offset", "reported_stuck", "velocity_gain", "velocity_stuck"),
+}
 STALE = "stale PDO: drive node 1: 3 cycles in a row"
 
 
@@ -157,6 +162,7 @@ def test_a_sample_has_every_fault_before_any_comes_again() -> None:
 def test_every_fault_of_the_plant_and_every_act_is_in_the_catalogue() -> None:
     lines = [line for hazard in HAZARDS for line in hazard.lines]
     configured = {"digital_input"}  # [safety] emergency_stop gives it a meaning: tests/virtual/test_emergency_stop.py
+    configured |= SIGNALS
     assert {line.split()[0] for line in lines} >= set(FAULTS) - configured
     for line in lines:
         parse_fault(line)

@@ -209,8 +209,7 @@ class ControlAxis:
             feedback = (image.tau_m, image.q_m, image.omega_m)
             tau_j = instruments.tau_j
             expected = self._expected() if tau_j == tau_j else (0.0, 0.0)
-            way = self.joint_torque.motor_way
-            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected, way)
+            wrong = self.plausibility.update(now, terms.tau_m_cmd, feedback, terms.q_j, tau_j, expected)
             wrong = wrong or self.sense.update(
                 now, image.tau_m, self._stretch(), image.tau_j, terms.sigma, terms.omega_j
             )

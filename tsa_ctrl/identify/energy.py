@@ -181,7 +181,8 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
             f"{found} the model's, {factor * FRICTION_FACTOR / spare:.3g} times what [uncertainty] allows; torques may "
             "be in N*cm or mN*m, or per mille of the rated torque: convert them to N*m, or give this drive's model"
         )
-    if factor + doubt < 1.0 / spare:
+    # A joint that the torque moves shows an eighth of its friction here: only the wrong sign is foreign.
+    if factor + doubt < 0.0:
         return f"{found} the model's: friction does not follow the direction of the motion{other}"
     return ""
 

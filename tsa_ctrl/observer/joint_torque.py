@@ -84,11 +84,6 @@ class JointTorque:
             "by, or more: the motor gives that many times what it reports, or axial_stiffness is that much too high"
         )
 
-    @property
-    def motor_way(self) -> float:
-        """Rad that the motor has made by its torque and the joint's angle, up to a constant; nan while unknown."""
-        return math.nan if self.stretch is None else self.stretch.motor_way
-
     def reset(self) -> None:
         """The encoders begin anew: nothing that was learned of them holds."""
         self.model.reset()

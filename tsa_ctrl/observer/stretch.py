@@ -197,11 +197,6 @@ class StretchObserver:
         return self._origin + float(self._memory[tendons.ZERO])
 
     @property
-    def motor_way(self) -> float:
-        """Return rad that torque and joint moved the motor by, up to a constant; nan while friction may hold it."""
-        return float(self._memory[tendons.WAY]) / self._r_m if self.state is StretchState.TOLD else math.nan
-
-    @property
     def innovation(self) -> float:
         """m by which the last stretch differed from the one foretold."""
         return float(self._memory[tendons.INNOVATION])

@@ -78,8 +78,7 @@ class Plausibility:
         self._has_encoder = has_encoder
         self._elongation = Elongation(give, period)
         self._velocity = Velocity(counts[0], period) if reports_velocity else None
-        self._motor_rests = Standstill(counts[0], period, has_load=False)
-        self._joint_rests = Standstill(counts[1], period, has_load=True) if has_encoder else None
+        self._joint_rests = Standstill(counts[1], period) if has_encoder else None
         self._velocity_wrong = Leaky(VELOCITY_TIME)
         self._torque_wrong = Leaky(settings.duration)
         self._joint_wrong = Leaky(settings.duration)
@@ -91,7 +90,7 @@ class Plausibility:
         self._offset = math.nan
         for clock in (self._torque_wrong, self._joint_wrong, self._slipped, self._velocity_wrong):
             clock.reset()
-        for check in (self._elongation, self._velocity, self._motor_rests, self._joint_rests):
+        for check in (self._elongation, self._velocity, self._joint_rests):
             if check is not None:
                 check.reset()
         self._last: tuple[float, float, float] | None = None
@@ -107,13 +106,11 @@ class Plausibility:
         q_j: float,
         tau_j: float,
         expected: tuple[float, float],
-        motor_way: float = math.nan,
     ) -> str | None:
         """What is wrong, in words; None while everything agrees.
 
         `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
         sensor; `expected`: the joint torques between which it may lie, as the model makes them of the reported torque;
-        `motor_way`: rad that the motor has made by its torque and the joint's angle, up to a constant, nan if unknown.
         """
         tau_m = feedback[0]
         if feedback != self._last:
@@ -135,13 +132,9 @@ class Plausibility:
                 )
         if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        return (
-            self._apart(now, *feedback, q_j)
-            or self._rests(now, feedback, q_j, motor_way)
-            or self._joint(now, tau_j, *expected)
-        )
+        return self._apart(now, *feedback, q_j) or self._rests(now, feedback, q_j) or self._joint(now, tau_j, *expected)
 
-    def _rests(self, now: float, feedback: tuple[float, float, float], q_j: float, motor_way: float) -> str | None:
+    def _rests(self, now: float, feedback: tuple[float, float, float], q_j: float) -> str | None:
         """Compare the positions with velocity, torque and each other's last motion."""
         _, q_m, omega_m = feedback
         velocity, joint = self._velocity, self._joint_rests
@@ -149,11 +142,6 @@ class Plausibility:
             return (
                 f"the drive reports a velocity of {omega_m:.2f} rad/s, its position changes by "
                 f"{velocity.by_position:.2f} rad/s: a signal is stuck, or its scale or sign is wrong"
-            )
-        if self._motor_rests.update(now, q_m, motor_way):
-            return (
-                "the position of the motor rests although the reported torque moves it: its encoder is stuck, or the "
-                "motor gives another torque than it reports"
             )
         if joint is not None and joint.update(now, self._geared * q_j):
             return "the position of the joint stopped between two samples, as no joint can: its encoder is stuck"

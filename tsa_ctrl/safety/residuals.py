@@ -214,53 +214,32 @@ class Velocity:
 
 
 class Standstill:
-    """Find a position that repeats its last count although the axis moves on."""
+    """Find the position of a joint that repeats its last count although the joint moves on.
+
+    A load stops no joint between two samples. Friction alone stops a motor like that, so a motor is not judged.
+    """
 
     SUDDEN = 8.0  # counts per cycle, from which no load stops between two samples
     FAST = 0.5  # rad/s, likewise: the friction of a joint stops 0.02 kg*m^2 within 10 ms
     RESTED = 0.01  # s for which the count must rest then: slow devices take a new position every 4 ms
-    COUNTS = 10.0  # counts by which the prediction must move on
-    LEAST = 4e-3  # rad, likewise: friction and backlash of a gear hold a motor that long
 
-    def __init__(self, count: float, period: float, has_load: bool) -> None:
-        """Prepare the check.
-
-        Args:
-            count: rad of one count.
-            period: s.
-            has_load: the inertia of a load moves with it. Friction alone stops a motor between two samples.
-        """
-        self._sudden = max(self.SUDDEN * count / period, self.FAST) if has_load else math.inf
-        self._least = max(self.COUNTS * count, self.LEAST)
+    def __init__(self, count: float, period: float) -> None:
+        """Prepare the check; `count`: rad of one count, `period`: s."""
+        self._sudden = max(self.SUDDEN * count / period, self.FAST)
         self._rested = max(self.RESTED, 8.0 * period)
         self.reset()
 
     def reset(self) -> None:
         """Forget everything."""
-        self._angle = self._low = self._high = math.nan
-        self._at = self._left = self._rate = 0.0
+        self._angle = math.nan
+        self._at = self._rate = 0.0
 
-    def update(self, now: float, angle: float, predicted: float = math.nan) -> bool:
-        """Return True while `angle` (rad) rests and should not.
-
-        `predicted`: rad, the same angle by other signals up to a constant. Without it the last velocity counts.
-        """
+    def update(self, now: float, angle: float) -> bool:
+        """Return True while `angle` (rad) rests and should not."""
         if angle != self._angle:
             elapsed = now - self._at
             if elapsed > 0.0 and self._angle == self._angle:
                 self._rate += (1.0 - math.exp(-elapsed / SMOOTH)) * ((angle - self._angle) / elapsed - self._rate)
-            self._angle, self._at, self._left = angle, now, now
-            self._low = self._high = predicted
+            self._angle, self._at = angle, now
             return False
-        if predicted != predicted:
-            self._low = self._high = predicted
-            return now - self._at > self._rested and abs(self._rate) > self._sudden
-        if self._low != self._low:
-            self._low = self._high = predicted
-        elif predicted < self._low:
-            self._low = predicted
-        elif predicted > self._high:
-            self._high = predicted
-        if self._high - self._low <= self._least:
-            self._left = now
-        return now - self._left > self._rested
+        return now - self._at > self._rested and abs(self._rate) > self._sudden
