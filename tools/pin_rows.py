@@ -45,8 +45,10 @@ class Job:
     def __call__(self) -> dict[str, Values | None]:
         """Return the values of each row; an error is a value."""
         try:
-            with tempfile.TemporaryDirectory(prefix="pins-") as folder:
-                return dict(zip(self.rows, self.work(Path(folder).resolve()), strict=True))
+            with tempfile.TemporaryDirectory(prefix="pins-") as name:
+                folder = Path(name).resolve()
+                text = json.dumps(self.work(folder)).replace(str(folder), "FOLDER")
+            return dict(zip(self.rows, json.loads(text), strict=True))
         except Exception as error:
             return {row: {"error": f"{type(error).__name__}: {error}"} for row in self.rows}
 
@@ -146,7 +148,7 @@ def _columns(table: Mapping[str, Any]) -> Values:
     for name, column in table.items():
         finite = column[np.isfinite(column)]
         mean, square = (float(np.mean(each)) if finite.size else 0.0 for each in (finite, np.square(finite)))
-        found[name] = [finite.size, mean, square**0.5, *column[::EVERY].tolist()]
+        found[name] = {"finite": finite.size, "mean": mean, "rms": square**0.5, "values": column[::EVERY].tolist()}
     return found
 
 
@@ -187,16 +189,15 @@ def _command(folder: Path, line: str) -> Values:
     fixed = {"PYTHONPATH": str(command.ROOT), "TSA_DATA": "none", "COLUMNS": "200", "LC_ALL": "C.UTF-8"}
     call, environment = [sys.executable, "-m", "tsa_ctrl", *line.split()], {**os.environ, **fixed}
     done = subprocess.run(call, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    output, errors = (text.replace(str(folder), "FOLDER") for text in (done.stdout, done.stderr))
-    printed: Any = json.loads(output) if "--json" in line and output else output.splitlines()
+    printed: Any = json.loads(done.stdout) if "--json" in line and done.stdout else done.stdout.splitlines()
     if line.startswith("doctor"):
         return {"checks": [check for check in printed["checks"] if check["name"] == BUS_LOAD]}
-    notes = [each for each in errors.splitlines() if not each.startswith("tsa: compiling")]
+    notes = [each for each in done.stderr.splitlines() if not each.startswith("tsa: compiling")]
     paths = [path for path in folder.rglob("*.*") if path.is_file() and path.stat().st_mtime_ns != before.get(path)]
     texts = {
         path: path.read_text(encoding="utf-8")
         for path in sorted(paths)
         if path.suffix in READERS and path.name != "verdicts.csv"
     }
-    files = {str(p.relative_to(folder)): READERS[p.suffix](t.replace(str(folder), "FOLDER")) for p, t in texts.items()}
+    files = {str(p.relative_to(folder)): READERS[p.suffix](t) for p, t in texts.items()}
     return {"exit": done.returncode, "printed": printed, "notes": notes, "files": files}

@@ -155,18 +155,20 @@ def run(rows: Mapping[str, Job], processes: int) -> dict[str, Values | None]:
 def reference(revision: str, processes: int, selection: list[str]) -> dict[str, Values | None]:
     """Return the values of the selected rows on the package and configuration of a revision, in a worktree."""
 
-    def git(folder: Path, *arguments: str) -> None:
+    def git(folder: Path, *arguments: str) -> str:
         done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise UsageError(f"--against {revision}: {(done.stderr.strip().splitlines() or ['git failed'])[-1]}")
+        return done.stdout.strip()
 
+    commit = git(command.ROOT, "rev-parse", "--verify", f"{revision}^{{commit}}")  # HEAD is another one in the worktree
     PLACE.parent.mkdir(parents=True, exist_ok=True)
     with PLACE.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         git(command.ROOT, "worktree", "prune")
         if not PLACE.is_dir():
-            git(command.ROOT, "worktree", "add", "--detach", str(PLACE), revision)
-        git(PLACE, "checkout", "--force", "--detach", revision)
+            git(command.ROOT, "worktree", "add", "--detach", str(PLACE), commit)
+        git(PLACE, "checkout", "--force", "--detach", commit)
         for name in ("tools", "tests/blind"):  # this revision's cases
             shutil.rmtree(PLACE / name, ignore_errors=True)
             shutil.copytree(command.ROOT / name, PLACE / name, ignore=shutil.ignore_patterns("__pycache__"))
