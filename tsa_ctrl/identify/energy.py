@@ -207,6 +207,9 @@ def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_]) ->
     sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(measured))
     if sizes[0] == 0.0 or sizes[1] < CHANGES * sizes[0]:
         return math.nan
+    whole, seen = (float(np.std(values[here])) for values in torques)
+    if whole < CHANGES * seen:  # the motor torque only compensates the friction, so the model expects no joint torque
+        return math.nan
     return float(measured @ simulated) / (sizes[0] * sizes[1])
 
 
