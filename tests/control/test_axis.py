@@ -193,7 +193,6 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
             0.41,
             0.34,
             pytest.approx(expected, rel=1e-12),
-            pytest.approx(math.nan, nan_ok=True),
         ),
         ("estimator", (1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32, 21.0, 22.0)),
         ("guard", 0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0, True),
