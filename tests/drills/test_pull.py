@@ -67,7 +67,7 @@ def test_a_motor_that_turns_the_wrong_way_is_found(tmp_path: Path, load: str) ->
 @pytest.mark.slow
 def test_a_healthy_motor_gives_the_sensor_what_the_pulleys_do(tmp_path: Path) -> None:
     found = seen(tmp_path, "free", torque=0.8)
-    assert found.gain == pytest.approx(GEARED, rel=0.06)  # the torque rises in two steps since its limit waits
+    assert found.gain == pytest.approx(GEARED, rel=0.06)  # 1.193 measured; 3 % held before, cause open
     assert found.wrong == ""
 
 
