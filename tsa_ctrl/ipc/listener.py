@@ -47,7 +47,6 @@ def listen(path: str, group: str | None, watch_group: str | None = None) -> sock
             os.chown(path, -1, number if number is not None else watch or 0)
             place.chmod(0o660)
         listener.listen(BACKLOG)
-        listener.setblocking(False)
     except OSError as error:
         listener.close()
         if bound:  # else it is another's

@@ -64,6 +64,7 @@ class Server:
         groups = (("group", description.group), ("watch_group", description.watch_group))
         self._command, self._watch = ({group_number(name, key)} if name else set() for key, name in groups)
         self._clock = clock
+        listener.setblocking(False)  # connections are accepted until none waits
         self._listener = listener
         self._mailbox = mailbox
         self._description = description
