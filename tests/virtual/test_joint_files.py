@@ -33,10 +33,9 @@ def trusted(
     if provenance:
         tuned(folder / "actuator.toml", **provenance)
     run = Run(load_configuration(paths[0]), check(paths[1]), 0.1)
-    assert not run.axes[0].trusted
     try:
         run.play([], [], lambda share: None)
-        return run.axes[0].trusted
+        return run.axes[0].compensation_limit.trusted
     finally:
         run.close()
 

@@ -88,7 +88,6 @@ class ControlAxis:
         self.joint_torque = joint_torque
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
         self.most_age = most_age
-        self.trusted = False  # a tuning of this joint wrote the model file; each bring-up decides, before any enable
         self.request = Request.DISABLE
         self.ramp = 1.0
         self.terms = Terms()
