@@ -4,7 +4,7 @@
     frozen        not one bit of what the drive reports moves, while the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
                   sign, a motor that gives another torque than it reports; by `residuals.Elongation`, or a given angle
-    velocity      the drive's velocity is not the change of its position
+    velocity      the drive's velocity is not the change of its position (loops of 200 Hz and more)
     standstill    the position of motor or joint repeats its last count although the axis moves on
     joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign,
                   or a motor that gives more than it reports
@@ -77,7 +77,7 @@ class Plausibility:
         self._geared = r_j / r_m
         self._has_encoder = has_encoder
         self._elongation = Elongation(give, period)
-        self._velocity = Velocity(counts[0], period) if reports_velocity else None
+        self._velocity = Velocity(counts[0], period) if reports_velocity and period <= Velocity.LONGEST else None
         self._joint_rests = Standstill(counts[1], period) if has_encoder else None
         self._velocity_wrong = Leaky(VELOCITY_TIME)
         self._torque_wrong = Leaky(settings.duration)

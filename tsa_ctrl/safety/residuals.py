@@ -24,6 +24,7 @@ import math
 from dataclasses import dataclass
 
 SMOOTH = 0.005  # s, low-pass of torque and angles: a motor rings on its tendons at 40 Hz and more
+SAMPLES = 5.0  # least number of periods of that low-pass: a slow loop samples the ringing at too few instants
 DOUBT = 0.25  # 1, least uncertainty of the stiffness: a fifth below the file's value
 FRICTION = 0.6  # 1, least uncertainty of friction: the bound to which an estimator may follow it
 LATE = 1e-3  # s, delay of one encoder against the other
@@ -76,7 +77,7 @@ class Elongation:
         self._turn = 1.0 / max(half * (1.0 - give.friction), 1e-9)
         self._slide = 2.0 / ((1.0 + give.friction) * (1.0 + give.doubt) * give.wound + BACKLASH + give.play)
         self._creep = CREEP * period
-        self._smooth = 1.0 - math.exp(-period / SMOOTH)
+        self._smooth = 1.0 - math.exp(-period / max(SMOOTH, SAMPLES * period))
         self.reset()
 
     def reset(self) -> None:
@@ -177,7 +178,13 @@ class Elongation:
 
 
 class Velocity:
-    """Compare the reported velocity of the motor with the change of its position, `by_position` (rad/s)."""
+    """Compare the reported velocity of the motor with the change of its position, `by_position` (rad/s).
+
+    A slow loop samples a motor that rings on its tendons in step with its own commands. The velocity at a sample is
+    then not the mean between two samples, and nothing can be compared.
+    """
+
+    LONGEST = 0.005  # s, of a period: motors ring on their tendons at up to 100 Hz, half of what it samples
 
     MEMORY = 0.1  # s of the comparison
     SHARE = 0.1  # 1, of the path: scale and rounding of a healthy drive
