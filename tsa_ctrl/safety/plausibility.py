@@ -4,7 +4,7 @@
     frozen        not one bit of what the drive reports moves, while the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
                   sign, a motor that gives another torque than it reports; by `residuals.Elongation`, or a given angle
-    velocity      the drive's velocity is not the change of its position (loops of 200 Hz and more)
+    velocity      the drive's velocity is not the change of its position (loops of 400 Hz and more)
     standstill    the position of motor or joint repeats its last count although the axis moves on
     joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign,
                   or a motor that gives more than it reports

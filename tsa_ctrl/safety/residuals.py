@@ -184,7 +184,7 @@ class Velocity:
     then not the mean between two samples, and nothing can be compared.
     """
 
-    LONGEST = 0.005  # s, of a period: motors ring on their tendons at up to 100 Hz, half of what it samples
+    LONGEST = 0.0025  # s, of a period: a quarter of that of a motor that rings on its tendons at 100 Hz
 
     MEMORY = 0.1  # s of the comparison
     SHARE = 0.1  # 1, of the path: scale and rounding of a healthy drive
