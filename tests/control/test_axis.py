@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import astuple
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,7 +32,8 @@ def wanted(axis: ControlAxis) -> Request:
 def test_a_new_axis_wants_nothing_and_did_nothing(axis: ControlAxis) -> None:
     """Its terms are what a descent or a record before the first cycle reads."""
     assert (wanted(axis), axis.ramp) == (Request.DISABLE, 1.0)
-    assert astuple(axis.terms) == (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, Reason.DISABLED, False)
+    terms = axis.terms
+    assert (terms.tau_j_des, terms.tau_m_cmd, terms.reason, terms.permitted) == (0.0, 0.0, Reason.DISABLED, False)
 
 
 @pytest.mark.parametrize("phase", Phase)

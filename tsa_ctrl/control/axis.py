@@ -34,7 +34,7 @@ NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it 
 
 @dataclass(slots=True)
 class Terms:
-    """What the last cycle worked with and did, for the log; N*m, rad, rad/s, 1."""
+    """What the last cycle worked with and did, for the log; N*m, rad, rad/s, 1, s."""
 
     q_j: float = 0.0
     omega_j: float = 0.0
@@ -44,6 +44,11 @@ class Terms:
     theta: float = 0.0
     reason: Reason = Reason.DISABLED
     permitted: bool = False
+    state: float = 0.0  # code of the drive's state
+    t: float = 0.0  # s, planned time of the cycle, and its number
+    cycle: float = 0.0
+    lateness: float = 0.0  # s, from the planned time to SYNC
+    work: float = 0.0  # s, execution time until the commands were sent
 
 
 class ControlAxis:
@@ -112,10 +117,7 @@ class ControlAxis:
     @property
     def reason(self) -> Reason:
         """Return why this cycle's torque is not the desired one; the strongest cause counts."""
-        for reason in (self.terms.reason, self.guard.reason, self.compensation_limit.reason):
-            if reason is not Reason.NONE:
-                return reason
-        return Reason.NONE
+        return self.terms.reason or self.guard.reason or self.compensation_limit.reason
 
     @property
     def at_rest(self) -> bool:
@@ -215,7 +217,7 @@ class ControlAxis:
             self.limiter.ceiling = self.sense.ceiling
             wrong = wrong or self.joint_torque.contradiction
             if wrong is not None:
-                self.joint_torque.faulty = True
+                self.joint_torque.distrust()
                 self.supervisor.trip(wrong, now)
         self.estimator.update(
             Sample(

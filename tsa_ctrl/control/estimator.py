@@ -9,7 +9,7 @@ moves no parameter faster than its rate.
 from __future__ import annotations
 
 import math
-from enum import Enum
+from enum import IntEnum
 from typing import Annotated, Literal, NamedTuple, Protocol
 
 import msgspec
@@ -23,7 +23,7 @@ Seconds = Annotated[float, Meta(gt=0.0, le=3600.0)]
 DOWN = 5.0  # steps at which a parameter falls: what is compensated too much moves the joint in the meantime
 
 
-class EstimateState(Enum):
+class EstimateState(IntEnum):
     """Values are the log's codes."""
 
     FIXED = 0

@@ -15,6 +15,8 @@ class Instruments:
 
     __slots__ = ("_image", "_t1", "_t3", "_tau_j", "_theta", "t1", "t3", "tau_j", "theta")
 
+    temperature = math.nan  # K: no instrument measures it yet
+
     def __init__(self, image: Image) -> None:
         self._image = image
         self._tau_j: Source | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 
 from tsa_ctrl.bus.canopen.cia402 import decode
 from tsa_ctrl.bus.live.rig import Rig
@@ -19,13 +20,53 @@ from tsa_ctrl.daemon.serial_sensors import AxisSensors
 from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters, Reading
 from tsa_ctrl.log.note import Note
 from tsa_ctrl.log.process import LogProcess
-from tsa_ctrl.log.record import Record
+from tsa_ctrl.log.record import FIELD_NAMES
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.system.notify import Notifier
 
+# Where an axis has each signal of the record, of the status, and of a reading.
+_SOURCES = {
+    "t": "terms.t",
+    "tau_m": "image.tau_m",
+    "tau_j": "instruments.tau_j",
+    "omega_j": "terms.omega_j",
+    "q_j": "terms.q_j",
+    "q_m": "image.q_m",
+    "omega_m": "image.omega_m",
+    "theta": "terms.theta",
+    "t1": "instruments.t1",
+    "t3": "instruments.t3",
+    "temperature": "instruments.temperature",
+    "tau_j_des": "terms.tau_j_des",
+    "tau_m_cmd": "terms.tau_m_cmd",
+    "cycle": "terms.cycle",
+    "lateness": "terms.lateness",
+    "work": "terms.work",
+    "pdo_age": "image.pdo_age",
+    "missed": "image.missed",
+    "state": "terms.state",
+    "sigma": "terms.sigma",
+    "friction_term": "law.friction_term",
+    "friction_angle": "estimator.friction_angle",
+    "pretension": "estimator.pretension",
+    "estimate_state": "estimator.state",
+    "limit_reason": "reason",
+    "tau_j_stretch": "joint_torque.torque",
+    "tau_j_stretch_low": "joint_torque.low",
+    "tau_j_stretch_high": "joint_torque.high",
+    "tau_j_model": "joint_torque.model.torque",
+    "tau_j_model_low": "joint_torque.model.low",
+    "tau_j_model_high": "joint_torque.model.high",
+    "guard_latched": "guard.latched",
+    "permitted": "terms.permitted",
+}
+_SHARED = tuple(name for name in AxisStatus._fields if name in _SOURCES and name != "t")  # the others are of the status
+_record = attrgetter(*(_SOURCES[name] for name in FIELD_NAMES))
+_shared = attrgetter(*(_SOURCES[name] for name in _SHARED))
+_reading = attrgetter(*(_SOURCES[name] if name != "limit_reason" else "terms.reason" for name in Reading._fields))
+
 _STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
-_NAN = math.nan
 LEASE_APART = 1.0  # s between two events of it
 
 
@@ -75,49 +116,12 @@ class Telemetry:
     def record(self, t: float, cycle: float, lateness: float, work: float) -> None:
         """One record per axis; `t` is the planned time, SYNC went out `lateness` later (s)."""
         push = self._push
-        if push is None:
-            return
         for index, axis in self._axes:
-            image, terms, estimator, instruments = axis.image, axis.terms, axis.estimator, axis.instruments
-            joint_torque = axis.joint_torque
-            stretch, low, high = joint_torque.torque
-            reason = axis.reason
-            push(
-                index,
-                Record(
-                    t=t,
-                    tau_m=image.tau_m,
-                    tau_j=instruments.tau_j,
-                    omega_j=terms.omega_j,
-                    q_j=terms.q_j,
-                    q_m=image.q_m,
-                    omega_m=image.omega_m,
-                    theta=terms.theta,
-                    t1=instruments.t1,
-                    t3=instruments.t3,
-                    temperature=_NAN,
-                    tau_j_des=terms.tau_j_des,
-                    tau_m_cmd=terms.tau_m_cmd,
-                    cycle=cycle,
-                    lateness=lateness,
-                    work=work,
-                    pdo_age=image.pdo_age,
-                    missed=image.missed,
-                    state=_STATE[image.statusword & 0x7F],
-                    sigma=terms.sigma,
-                    friction_term=axis.law.friction_term,
-                    friction_angle=estimator.friction_angle,
-                    pretension=estimator.pretension,
-                    estimate_state=estimator.state.value,
-                    limit_reason=reason.value,
-                    tau_j_stretch=stretch,
-                    tau_j_stretch_low=low,
-                    tau_j_stretch_high=high,
-                    tau_j_model=joint_torque.model.torque,
-                    tau_j_model_low=joint_torque.model.low,
-                    tau_j_model_high=joint_torque.model.high,
-                ),
-            )
+            terms = axis.terms
+            terms.t, terms.cycle, terms.lateness, terms.work = t, cycle, lateness, work
+            terms.state = _STATE[axis.image.statusword & 0x7F]
+            if push is not None:
+                push(index, _record(axis))
 
     def publish(
         self,
@@ -192,8 +196,7 @@ class Telemetry:
                 self._note(Note(event.t, event.axis, event.text, event.fault).encoded())
 
     def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[AxisStatus, Parameters]:
-        image, terms, estimator, joint_torque = axis.image, axis.terms, axis.estimator, axis.joint_torque
-        stretch, low, high = joint_torque.torque
+        image = axis.image
         heard = self._heard[index]
         ages = {Role.TORQUE_SENSOR: 0.0}
         for place, node in enumerate(image.nodes):
@@ -202,31 +205,10 @@ class Telemetry:
             ages[node.role] = t - heard[place]
         status = AxisStatus(
             t=t,
-            tau_j_des=terms.tau_j_des,
-            tau_m_cmd=terms.tau_m_cmd,
-            tau_m=image.tau_m,
-            tau_j=axis.instruments.tau_j,
-            omega_j=terms.omega_j,
-            q_j=terms.q_j,
-            sigma=terms.sigma,
-            friction_term=axis.law.friction_term,
-            friction_angle=estimator.friction_angle,
-            pretension=estimator.pretension,
-            estimate_state=estimator.state.value,
-            state=_STATE[image.statusword & 0x7F],
-            limit_reason=axis.reason.value,
-            missed=image.missed,
-            pdo_age=image.pdo_age,
+            **dict(zip(_SHARED, _shared(axis), strict=True)),
             late=sum(node.late for node in image.nodes),
-            repeated=sum(node.repeated for node in image.nodes),
+            repeated=image.repeated,
             malformed=sum(node.malformed for node in image.nodes),
-            tau_j_stretch=stretch,
-            tau_j_stretch_low=low,
-            tau_j_stretch_high=high,
-            tau_j_model=joint_torque.model.torque,
-            tau_j_model_low=joint_torque.model.low,
-            tau_j_model_high=joint_torque.model.high,
-            guard_latched=axis.guard.latched,
             drive_age=ages[Role.DRIVE],
             joint_age=ages.get(Role.ENCODER, ages[Role.DRIVE]),
             sensor_age=ages[Role.TORQUE_SENSOR],
@@ -290,21 +272,3 @@ class Telemetry:
             self._log_alive = False
             self._written = health.written + health.lost
             self._events.add(t, "", "log: its process is gone; the loop goes on, records are lost from here")
-
-
-def _reading(axis: ControlAxis) -> Reading:
-    image, terms = axis.image, axis.terms
-    return Reading(
-        tau_j_des=terms.tau_j_des,
-        tau_m_cmd=terms.tau_m_cmd,
-        tau_m=image.tau_m,
-        tau_j=axis.instruments.tau_j,
-        tau_j_stretch=axis.joint_torque.torque[0],
-        tau_j_model=axis.joint_torque.model.torque,
-        q_j=terms.q_j,
-        omega_j=terms.omega_j,
-        q_m=image.q_m,
-        omega_m=image.omega_m,
-        permitted=terms.permitted,
-        limit_reason=terms.reason.value,
-    )

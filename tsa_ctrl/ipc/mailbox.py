@@ -11,6 +11,7 @@ import struct
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import NamedTuple
 
 from tsa_ctrl.system.histogram import BINS
@@ -265,9 +266,9 @@ class Mailbox:
         content = self._told.take()
         return None if content is None else _of_time(content)
 
-    def measure(self, now: float, cycle: int, phase: int, axes: Iterable[Reading]) -> None:
-        """Write what a cycle measured; `now` in s, monotonic."""
-        values = [value for axis in axes for value in axis]
+    def measure(self, now: float, cycle: int, phase: int, axes: Iterable[Iterable[float]]) -> None:
+        """Write the values of the `Reading` of each axis in a cycle; `now` in s, monotonic."""
+        values = chain.from_iterable(axes)
         self._measured.write(self._reading_format.pack(now, cycle, phase, *values))
 
     def publish(self, general: General, axes: Sequence[tuple[AxisStatus, Parameters]]) -> None:

@@ -10,12 +10,13 @@ from __future__ import annotations
 import os
 import struct
 import time
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.log.record import FIELDS, Record
+from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.system.shared_memory import Places, SharedMemory, space
 
 SLOTS = 8192  # records per axis: 8 s at 1 kHz, for a disk that hangs
@@ -102,8 +103,8 @@ class RingWriter(Ring):
             self._words[word] = value
         self._words[_Word.MAGIC] = _MAGIC
 
-    def push(self, axis: int, record: Record) -> None:
-        """Store one record. Never blocks; the oldest is overwritten."""
+    def push(self, axis: int, record: Sequence[float]) -> None:
+        """Store the values of one `Record`. Never blocks; the oldest is overwritten."""
         self._counts[axis] = count = self._counts[axis] + 1
         self._places[axis].write(count, _FORMAT.pack(*record))
         self._words[_Word.COUNT + axis] = count

@@ -35,7 +35,10 @@ class Measured(Protocol):
 
 
 class JointTorque:
-    """`stretch` (None on a rig that cannot have it; `why_not` says it) and `model`, N*m at the joint."""
+    """`torque`, `low`, `high`: N*m at the joint, from the tendon elongation, with its 95 % band; nan without one.
+
+    `model`: the same from the model alone. `stretch`: the observer, None on a rig that cannot have it (`why_not`).
+    """
 
     def __init__(
         self,
@@ -48,7 +51,8 @@ class JointTorque:
         """Combine the estimates; `period` in s; `elongation`: the estimate that does not use the reported torque."""
         self.model = model
         self.elongation = elongation
-        self.faulty = False  # a signal of this axis was found wrong; ends with the next enable
+        self.torque = self.low = self.high = math.nan
+        self._faulty = False
         self._enabled = False
         self._soft = 0.0  # s
         self._period = period
@@ -59,20 +63,26 @@ class JointTorque:
         self._forget = period / MEMORY
         self._outside = 0.0
 
-    @property
-    def torque(self) -> tuple[float, float, float]:
-        """Return the joint torque from the tendon elongation and the ends of its 95 % band, N*m; nan without one.
+    def _combine(self) -> None:
+        """Find the joint torque from the tendon elongation and the ends of its 95 % band; nan without one.
 
         The narrow band of the observer holds while the elongation is as the reported motor torque predicts. Afterwards
         the band without the reported torque is added, as the motor may give another torque than it reports.
         """
         stretch, wide = self.stretch, self.elongation
-        if stretch is None or self.faulty:
-            return math.nan, math.nan, math.nan
+        if stretch is None or self._faulty:
+            self.torque = self.low = self.high = math.nan
+            return
         torque, low, high = stretch.torque, stretch.low, stretch.high
-        if stretch.confirmation.confirmed or wide is None or not wide.low < wide.high or torque != torque:
-            return torque, low, high
-        return min(max(torque, wide.low), wide.high), min(low, wide.low), max(high, wide.high)
+        if not (stretch.confirmation.confirmed or wide is None or not wide.low < wide.high or torque != torque):
+            torque = min(max(torque, wide.low), wide.high)
+            low, high = min(low, wide.low), max(high, wide.high)
+        self.torque, self.low, self.high = torque, low, high
+
+    def distrust(self) -> None:
+        """Report no torque until the next enable: a signal of this axis was found wrong."""
+        self._faulty = True
+        self._combine()
 
     @property
     def contradiction(self) -> str | None:
@@ -92,6 +102,7 @@ class JointTorque:
         if self.elongation is not None:
             self.elongation.reset()
         self._outside = self.difference = 0.0
+        self._combine()
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
         """Use another friction angle (1) and pretension (N); the stretch takes the pretension, and finds its own x."""
@@ -103,6 +114,7 @@ class JointTorque:
         """So many periods had no cycle."""
         if self.stretch is not None:
             self.stretch.pass_over(periods)
+            self._combine()
 
     def update(
         self, image: Measured, omega_j: float, tau_j: float, command: float = math.nan, enabled: bool = True
@@ -117,7 +129,7 @@ class JointTorque:
             enabled: torque is permitted.
         """
         if enabled and not self._enabled:
-            self.faulty = False
+            self._faulty = False
         self._enabled = enabled
         tau_m, omega_m, fresh = image.tau_m, image.omega_m, image.fresh
         self.model.update(tau_m, omega_m, omega_j, fresh)
@@ -129,6 +141,7 @@ class JointTorque:
         self._soft = self._soft + self._period if enabled and soft else 0.0
         if self.elongation is not None and fresh:
             self.elongation.update(image.q_m, image.q_j, command)
+        self._combine()
         if tau_j == tau_j and stretch.state is StretchState.TOLD and fresh:
             forget = self._forget
             self.difference += forget * (tau_j - stretch.torque - self.difference)

@@ -9,7 +9,7 @@ was asked: a lying measurement can only weaken the motor. The absolute limit has
 from __future__ import annotations
 
 import math
-from enum import Enum
+from enum import IntEnum
 from math import isfinite
 from typing import Annotated
 
@@ -20,7 +20,7 @@ Torque = Annotated[float, Meta(gt=0.0, le=1000.0)]  # N*m
 Speed = Annotated[float, Meta(gt=0.0, le=1000.0)]  # rad/s
 
 
-class Reason(Enum):
+class Reason(IntEnum):
     """Why the torque sent is not the torque wanted; the strongest one that acted. Values are the log's codes."""
 
     NONE = 0
