@@ -144,6 +144,7 @@ class Law:
         self._ratio = r_m / r_j
         self._period = period
         self._give = 1.0 / plan.stiffness  # rad per N*m at the motor, joint held
+        self._delay, self._inertia, self._damps = plan.delay, plan.inertia, plan.damping > 0.0
         self._fade_step = period / settings.fade_in if settings.fade_in > 0.0 else 1.0
         self._stretch = self._blind = 0.0
         self.reset()
@@ -236,7 +237,7 @@ class Law:
         `tau_j`: set-point when the command acts, N*m; `q_m`, `omega_m`: of the motor, rad and rad/s; `t` is the time
         since the enable in s, `back_off` in [-1, 1], below 0 against the friction.
         """
-        inverse, motion, turn, plan = self._inverse, self._motion, self.turn, self.plan
+        inverse, motion, turn, slip = self._inverse, self._motion, self.turn, self._slip
         ideal = tau_j * self._ratio
         fade = self._fade
         if fade < 1.0:
@@ -246,26 +247,31 @@ class Law:
             compensation = bound
         share = compensation * fade * back_off * (1.0 - self._settle * self._settled) * self._wanted
         acceleration = motion.acceleration
-        omega = motion.velocity + plan.delay * acceleration
+        omega = motion.velocity + self._delay * acceleration
         full = inverse.update(tau_j, turn.force, omega, motion.angle, q_m, t=t)
-        slip = self._slip
         slip.update(tau_j, inverse.friction_angle, inverse.pretension, turn)
-        full += slip.torque
-        change = share * (full - ideal) - self.friction_term
-        step = self.slew * self._period if back_off == 1.0 else math.inf  # the guard's action is never delayed
-        if change > step:
-            change = step
-        elif change < -step:
-            change = -step
+        term = self.friction_term
+        change = share * (full + slip.torque - ideal) - term
+        if back_off == 1.0:  # the guard's action is never delayed
+            step = self.slew * self._period
+            change = step if change > step else -step if change < -step else change
         self.ideal = ideal
-        self.friction_term += change
-        wanted = ideal + self.friction_term
+        self.friction_term = term = term + change
+        wanted = ideal + term
         low, high = inverse.domain()
         self.beyond = (share > 0.0 and inverse.clipped) or wanted < low or wanted > high
         if self.beyond:
             wanted = low if wanted < low else high if wanted > high else wanted
             self.cut += 1
-        return wanted + self._move(share, ideal, q_m, omega_m, acceleration)
+        still = ideal * self._give
+        self._stretch = stretch = still + share * (slip.stretch - still)
+        planned = 0.0
+        if self._inertia > 0.0:  # the torque that moves the motor as planned, and damps what differs from the plan
+            planned = self._inertia * (share * slip.bend + acceleration / self._ratio)
+            if self._damps:
+                planned += self.damping.update(stretch, q_m, omega_m, motion.angle, motion.velocity)
+        self.planned = planned
+        return wanted + planned
 
     def follow(self, rate: float, silent: bool = False) -> None:
         """After the command: what of the term is taken back from the next one on.
@@ -292,7 +298,7 @@ class Law:
         """J that the motor at `omega_m` rad/s has by its motion against the joint, while the term turns; else 0."""
         if not self.turn.turning or not self._has_encoder:
             return 0.0
-        return 0.5 * self.plan.inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
+        return 0.5 * self._inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
 
     def applied(self, tau_m: float) -> None:
         """Tell the law what was sent; a term that was cut slews on from what was left of it, and so is the stretch."""
@@ -304,15 +310,3 @@ class Law:
             self.damping.replace_plan(self._stretch)
         if (term > 0.0 and left < term) or (term < 0.0 and left > term):
             self.friction_term = 0.0 if left * term < 0.0 else left
-
-    def _move(self, share: float, ideal: float, q_m: float, omega_m: float, acceleration: float) -> float:
-        """Torque, N*m, that moves the motor as planned and damps what differs from the plan."""
-        plan, motion = self.plan, self._motion
-        slip, still = self._slip, ideal * self._give
-        self._stretch = still + share * (slip.stretch - still)
-        self.planned = 0.0
-        if plan.inertia > 0.0:
-            self.planned = plan.inertia * (share * slip.bend + acceleration / self._ratio)
-            if plan.damping > 0.0:
-                self.planned += self.damping.update(self._stretch, q_m, omega_m, motion.angle, motion.velocity)
-        return self.planned

@@ -91,8 +91,15 @@ class Slip:
         """Find torque and stretch at the joint torque `tau_j` in N*m, by friction angle (1) and pretension (N)."""
         if x != self._x or pretension != self._pretension:
             self._use(x, pretension)
-        torque = lack = 0.0
         difference = tau_j * self._per_r_j
+        half = self._half + self._half_slope * difference
+        middle = self._middle + self._middle_slope * difference
+        if self._left <= 0.0 and not turn.turning:
+            self.torque = self._lack = 0.0
+            self.bend = half * turn.bend
+            self.stretch = middle + half * turn.stretch
+            return
+        torque = lack = 0.0
         ahead, back = self._sliding(1.0, difference), self._sliding(-1.0, difference)
         if self._left > 0.0:
             t1, t3 = self._ends(difference)
@@ -103,8 +110,6 @@ class Slip:
                 pull = max(min(0.0, most), min(max(0.0, most), pull))
                 torque = self._left * self._r_m * pull
                 lack = self._left * self._angle * (self._start_b + self._sigma * self._gone - slid)
-        forward, backward = ahead[2], back[2]
-        half = 0.5 * self._angle * (forward - backward)
         self.bend = half * turn.bend
         if turn.turning:
             way = self._sigma - self._turned[1]
@@ -113,7 +118,7 @@ class Slip:
             self.bend += rise * turn.bend
             torque += self._between(torque, difference, turn.force)
         self.torque, self._lack = torque, lack
-        self.stretch = self._angle * (0.5 * (forward + backward) - pretension) + half * turn.stretch + lack
+        self.stretch = middle + half * turn.stretch + lack
 
     def _between(self, torque: float, difference: float, now: float) -> float:
         """Return what leads a turn from the tensions before it to those after it, N*m at the motor."""
@@ -130,6 +135,18 @@ class Slip:
         shares = self._shares(1.0)
         self._elongations = self._way(shares), self._way([1.0 / share for share in shares])
         self._whole = shares[-1]
+        (forward, forward_slope), (backward, backward_slope) = self._line(1.0), self._line(-1.0)
+        angle = 0.5 * self._angle
+        self._half, self._half_slope = angle * (forward - backward), angle * (forward_slope - backward_slope)
+        self._middle = angle * (forward + backward - 2.0 * pretension)
+        self._middle_slope = angle * (forward_slope + backward_slope)
+
+    def _line(self, sigma: float) -> tuple[float, float]:
+        """Return the elongation of tendon b (l/EA, N) at level ends, and its slope by T4 - T2, while both slide."""
+        alpha, beta = self._elongations if sigma > 0.0 else self._elongations[::-1]
+        less = 1.0 / self._whole if sigma > 0.0 else self._whole
+        share = beta / (beta + alpha * less * less)
+        return 2.0 * self._pretension * share, alpha * less * share
 
     def _start(self, a: list[float], b: list[float], sigma: float) -> None:
         """Begin a stroke in the direction `sigma` with these tensions of the segments, N, motor side first."""

@@ -59,7 +59,7 @@ class Feedforward:
         self._presliding: PreslidingState | None = None
         self._by_motor = False
         self._pulling: tuple[float, float] | None = None  # N*m, of tau_M, `limits` at the last update
-        self._line: tuple[float, float, float, float] | None = None  # x, T_p0 and `limits` at the last update
+        self._line: _Line | None = None  # of a model that is one, at the last update
         self.clipped = False  # the last update ended at a bound of the domain
         self._memories.reset()
         self._use_effects()
@@ -84,6 +84,8 @@ class Feedforward:
         while the tendons slide, friction changes the pretension by (3.54) with the torque, and drive friction adds to
         one side. 0 is always inside, so that a bound never moves a torque away from 0.
         """
+        if self._line is not None:
+            return self._line.domain
         if self._pulling is None:
             self._pulling = self._transmission.limits(self._state.sigma, self.friction_angle, self.pretension)
         low, high = self._pulling
@@ -117,6 +119,12 @@ class Feedforward:
         Finite for every finite tau_j_des. Without `acceleration_j` (rad/s^2) it is derived from omega_j by a causal
         filter of `ACCELERATION_TIME`. The pulley's torque is kept inside the domain of the model (`domain`).
         """
+        line = self._line
+        if line is not None and sigma == line.sigma and theta != theta:
+            tau_m = (tau_j_des + line.loss) / line.slope
+            if line.low <= tau_m <= line.high:
+                self.clipped = False
+                return tau_m
         if not math.isfinite(tau_j_des):
             return tau_j_des  # for the limiter to refuse
         if self._line_only and theta != theta:
@@ -160,17 +168,15 @@ class Feedforward:
     def _by_line(self, tau_j_des: float, sigma: float) -> float:
         """`update` of a model whose effects only change the line of tau_J in tau_M: no measurement enters."""
         sigma = -1.0 if sigma < -1.0 else 1.0 if sigma > 1.0 else sigma if sigma == sigma else self._state.sigma
-        line = self._line
-        if line is None or sigma != self._state.sigma:
-            state, model = self._state, self._model
-            state.sigma = sigma
-            angle, pretension = bending_and_pretension(SCALARS, model, self._stack, state)
-            x = min(friction_angle(SCALARS, model, self._stack, state, angle), LARGEST_ANGLE)
-            self.friction_angle, self.pretension = x, pretension
-            self._pulling = self._transmission.limits(sigma, x, pretension)
-            self._line = line = (x, pretension, *self._pulling)
-        x, pretension, low, high = line
-        tau_m = self._transmission.motor_torque(tau_j_des, sigma, x, pretension)
+        state, model = self._state, self._model
+        state.sigma = sigma
+        angle, pretension = bending_and_pretension(SCALARS, model, self._stack, state)
+        x = min(friction_angle(SCALARS, model, self._stack, state, angle), LARGEST_ANGLE)
+        self.friction_angle, self.pretension = x, pretension
+        slope, loss = self._transmission.tangent(sigma, x, pretension)
+        self._pulling = low, high = self._transmission.limits(sigma, x, pretension)
+        self._line = _Line(sigma, slope, loss, low, high)
+        tau_m = (tau_j_des + loss) / slope
         self.clipped = not low <= tau_m <= high
         if self.clipped:
             tau_m = low if tau_m < low else high if tau_m > high else tau_m
@@ -250,6 +256,20 @@ class Feedforward:
         if presliding is not None and self._presliding is None:  # kept when another measurement comes later
             self._presliding = PreslidingState(presliding)
             self._by_motor = presliding.displacement != "joint" and "q_m" in here
+
+
+class _Line:
+    """tau_M = (tau_J* + loss) / slope in the direction `sigma`, between `low` and `high`, N*m."""
+
+    __slots__ = ("domain", "high", "loss", "low", "sigma", "slope")
+
+    def __init__(self, sigma: float, slope: float, loss: float, low: float, high: float) -> None:
+        self.sigma = sigma
+        self.slope = slope
+        self.loss = loss
+        self.low = low
+        self.high = high
+        self.domain = min(low, high, 0.0), max(low, high, 0.0)
 
 
 def _lacking(model: TendonSheath, effect: str, here: Collection[str]) -> tuple[str, ...]:
