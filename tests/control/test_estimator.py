@@ -145,18 +145,31 @@ def test_reset_returns_to_nominal_at_once() -> None:
 
 
 def test_map_follows_bending_by_its_equations() -> None:
-    """x = mu Theta, and T_p moves by EA/l_us (p + d/2) per radian, no faster than the rate."""
-    estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map", rate=10.0), PERIOD)
+    """x = mu Theta, and T_p moves by EA/l_us (p + d/2) per radian, as fast as the joint moves."""
+    estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map"), PERIOD)
     theta = MODEL.bending_angle + 0.02
-    for _ in range(2000):
-        estimator.update(Sample(0.0, 0.0, theta, 0.0, 0.0, True))
+    for part in (0.0, 0.5, 1.0):
+        estimator.update(Sample(0.0, 0.0, MODEL.bending_angle + 0.02 * part, 0.0, 0.0, True))
     slope = MODEL.axial_stiffness / MODEL.unstrained_length * (MODEL.contact_offset + MODEL.diameter / 2.0)
     assert estimator.friction_angle == pytest.approx(MODEL.friction_coefficient * theta)
     assert estimator.pretension == pytest.approx(PRETENSION + slope * 0.02)
     assert estimator.state is EstimateState.ESTIMATED
 
 
-@pytest.mark.parametrize("theta", [1.7, 10.0, 1e6, math.inf])
+def test_map_approaches_a_jump_at_its_rate_and_follows_the_motion_meanwhile() -> None:
+    """A client's command, or the first value after a gap: 0.2 of the nominal value per second."""
+    estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map", rate=0.2), PERIOD)
+    theta, step = MODEL.bending_angle, 0.2 * MODEL.bending_angle * PERIOD
+    for value, behind in ((theta, 0.0), (theta + 0.5, 0.5 - step), (theta + 0.53, 0.5 - 2.0 * step)):
+        estimator.update(Sample(0.0, 0.0, value, 0.0, 0.0, True))
+        assert estimator.friction_angle == pytest.approx(MODEL.friction_coefficient * (value - behind))
+    for value in (math.nan, theta + 0.53):
+        before = estimator.friction_angle
+        estimator.update(Sample(0.0, 0.0, value, 0.0, 0.0, True))
+        assert abs(estimator.friction_angle - before) < 1.01 * MODEL.friction_coefficient * step
+
+
+@pytest.mark.parametrize("theta", [1.7, 10.0, 1e6])
 def test_map_stops_at_its_bounds_and_says_so(theta: float) -> None:
     """`theta` times the model file's bending; x and T_p are those of the most that is allowed."""
     settings = EstimatorSettings(kind="map", rate=10.0, bounds=0.6)
@@ -171,10 +184,10 @@ def test_map_stops_at_its_bounds_and_says_so(theta: float) -> None:
     assert estimator.state is EstimateState.ESTIMATED
 
 
-def test_map_without_bending_angle_is_invalid_and_frozen() -> None:
-    """A missing angle freezes the map and says so."""
+@pytest.mark.parametrize("theta", [math.nan, math.inf, -math.inf])
+def test_map_without_bending_angle_is_invalid_and_frozen(theta: float) -> None:
     estimator = ConfigurationMap(MODEL, EstimatorSettings(kind="map"), PERIOD)
-    estimator.update(Sample(0.0, 0.0, math.nan, 0.0, 0.0, True))
+    estimator.update(Sample(0.0, 0.0, theta, 0.0, 0.0, True))
     assert estimator.state is EstimateState.INVALID
     assert (estimator.friction_angle, estimator.pretension) == (X, PRETENSION)
 

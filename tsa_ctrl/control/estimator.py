@@ -20,6 +20,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 
 Seconds = Annotated[float, Meta(gt=0.0, le=3600.0)]
 
+JUMP = 0.1  # rad of the bending angle between two values: 2 rad/s of a sensor that sends 20 values a second
 DOWN = 5.0  # steps at which a parameter falls: what is compensated too much moves the joint in the meantime
 
 
@@ -43,7 +44,7 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     bounds: Annotated[float, Meta(gt=0.0, le=3.0)] = 0.6  # 1, of what is taken to change: factor either way, minus 1;
     # of kind "map": how much more the sheath may be bent than in the model file
     rate: Annotated[float, Meta(gt=0.0, le=10.0)] = (
-        0.2  # 1/s of nominal: fastest change of either parameter (kind "stretch": rise)
+        0.2  # 1/s of nominal: fastest change of either parameter (kind "stretch": rise; "map": after a jump)
     )
     memory: Seconds = 4.0  # s of admitted motion after which old data count little
     least_speed: Annotated[float, Meta(gt=0.0, le=100.0)] = 0.1  # rad/s of the joint; slower is not admitted
@@ -106,10 +107,12 @@ class Fixed:
 
 
 class ConfigurationMap:
-    """x and T_p from the bending angle Theta.
+    """x and T_p from the bending angle Theta, which is a measurement: its motion is followed at once.
 
-    Invalid, and frozen, while Theta is missing; invalid, and held there, while it is beyond 1 + bounds times the model
-    file's. A sheath may be as straight as it likes: less friction than there is must not be kept up.
+    A jump is no motion. It is a client's command, or the first value after a gap, and is approached at the rate. The
+    map is invalid and frozen while Theta is missing. It is invalid and held at its bound while Theta exceeds 1 + bounds
+    times the model file's value. A straight sheath is valid, as less friction must not be compensated as if it were
+    more.
     """
 
     use = True
@@ -117,13 +120,13 @@ class ConfigurationMap:
     found = math.nan
 
     def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
+        """Prepare the map; `period` in s."""
         self._mu = model.friction_coefficient
         self._theta = model.bending_angle
         self._most_theta = (1.0 + settings.bounds) * model.bending_angle
         self._pretension = model.pretension
         self._slope = model.pretension_slope
-        self._angle_step = settings.rate * model.friction_angle * period
-        self._pretension_step = settings.rate * model.pretension * period
+        self._step = settings.rate * model.bending_angle * period
         self._nominal = model.friction_angle
         self.reset()
 
@@ -131,19 +134,26 @@ class ConfigurationMap:
         self.friction_angle = self._nominal
         self.pretension = self._pretension
         self.state = EstimateState.UNESTIMATED
+        self._gap = 0.0  # rad by which the angle in use is behind the measured one
+        self._last = math.nan  # rad
 
     def update(self, seen: Sample) -> None:
-        """Follow the bending angle at no more than the rate."""
-        theta = seen.theta
-        if theta != theta:
+        """Follow the bending angle."""
+        theta, last = seen.theta, self._last
+        if not math.isfinite(theta):
             self.state = EstimateState.INVALID
             return
         self.state = EstimateState.ESTIMATED
         if theta > self._most_theta:
             theta, self.state = self._most_theta, EstimateState.INVALID
+        if abs(theta - last) > JUMP:
+            self._gap += last - theta
+        self._last = theta
+        self._gap = toward(self._gap, 0.0, self._step)
+        theta += self._gap
         pretension = self._pretension + self._slope * (theta - self._theta)
-        self.friction_angle = toward(self.friction_angle, self._mu * theta, self._angle_step)
-        self.pretension = toward(self.pretension, pretension if pretension > 0.0 else 0.0, self._pretension_step)
+        self.friction_angle = self._mu * theta
+        self.pretension = pretension if pretension > 0.0 else 0.0
 
 
 def toward(value: float, target: float, step: float) -> float:
