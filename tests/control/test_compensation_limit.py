@@ -55,15 +55,6 @@ def test_an_unproven_term_gives_no_more_than_the_credit(capacity: float) -> None
     assert "no sensor confirms" in chosen.words
 
 
-def test_a_file_of_an_unknown_joint_has_the_credit_of_a_wearer() -> None:
-    """The file was not tuned on this joint: 0.1 J, also on a bench; after a tuning of this joint 0.4 J."""
-    chosen = limit(Proof(), 0.4)
-    for trusted, most in ((False, 0.1), (True, 0.4)):
-        chosen.trust(trusted)
-        given = sum(move(chosen, way) for way in (0.3, -0.5, 0.2, -0.4, 0.4))
-        assert 0.9 * most < given < 1.01 * most
-
-
 def test_random_motions_never_get_more_than_their_fills() -> None:
     """Whatever the joint does: one credit, and another for each motion without the term after a rest."""
     random = np.random.default_rng(5)

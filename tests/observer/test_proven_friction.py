@@ -36,7 +36,7 @@ class Joint:
     ) -> None:
         observer = StretchObserver(model, PERIOD, (1e-4, 1e-6))
         self.proven = ProvenFriction(model, PERIOD, 0.0, sensor, None if sensor else observer)
-        self.friction = FRICTION
+        self.friction = self.modelled = FRICTION
         self.zero, self.radius, self.sensor = zero, radius, sensor
         self.random = np.random.default_rng(seed)
         self.q = 0.0
@@ -53,7 +53,7 @@ class Joint:
             elongation += 2e-6 * self.random.standard_normal()
             q_m = (elongation + 0.025 * self.radius * self.q) / 0.020
             tau_j = load if self.sensor else math.nan
-            self.proven.update(tau_m, speed * sigma / 0.8, q_m, self.q, tau_j, sigma * speed, turning)
+            self.proven.update(tau_m, speed * sigma / 0.8, q_m, self.q, tau_j, sigma * speed, turning, self.modelled)
             bounds.append((self.proven.low, self.proven.high))
         return bounds
 
@@ -111,12 +111,26 @@ def test_a_reversal_and_a_turning_term_are_no_reading() -> None:
     assert joint.move(-0.1)[-1] != before
 
 
+@pytest.mark.parametrize("more", [0.7, 1.4])
+def test_a_reading_holds_at_another_wrap_angle(more: float) -> None:
+    """Another joint bends the sheath: friction and model change alike, and the bounds follow."""
+    joint = Joint(sensor=True)
+    joint.move(0.3)
+    before = joint.proven.low, joint.proven.high
+    joint.friction = joint.modelled = more * FRICTION
+    after = joint.move(-0.01)[-1]
+    assert not joint.proven.reads
+    assert after == pytest.approx((more * before[0], more * before[1]))
+    joint.friction = 0.5 * FRICTION  # and friction that is lost is seen as before
+    assert joint.move(-0.2)[-1][1] < 0.6 * FRICTION
+
+
 def test_a_joint_that_rests_shows_nothing_and_forgets_nothing() -> None:
     joint = Joint(sensor=True)
     joint.move(0.3)
     before = joint.proven.low
     for _ in range(1000):
-        joint.proven.update(0.0, 0.0, 0.0, joint.q, 0.0, 0.0, False)
+        joint.proven.update(0.0, 0.0, 0.0, joint.q, 0.0, 0.0, False, FRICTION)
     assert joint.proven.low == before
     assert not joint.proven.reads
 
@@ -146,5 +160,5 @@ def test_a_tendon_that_slips_on_its_pulley_makes_it_begin_again() -> None:
 
 def test_without_a_sensor_at_the_joint_nothing_is_proven() -> None:
     proven = ProvenFriction(MODEL, PERIOD, 0.0, False, None)
-    proven.update(0.5, 1.0, 1.0, 1.0, math.nan, 1.0, False)
+    proven.update(0.5, 1.0, 1.0, 1.0, math.nan, 1.0, False, FRICTION)
     assert (proven.usable, proven.low, proven.high) == (False, 0.0, math.inf)

@@ -12,7 +12,7 @@ from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.compensation_limit import CompensationLimit
 from tsa_ctrl.control.delivered import delivered_of
-from tsa_ctrl.control.estimator import Estimator, Fixed, Sample
+from tsa_ctrl.control.estimator import ConfigurationMap, Estimator, Fixed, Sample
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
@@ -93,6 +93,7 @@ class ControlAxis:
         self.joint_torque = joint_torque
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
         self.most_age = most_age
+        self.trusted = False  # a tuning of this joint wrote the model file; each bring-up decides, before any enable
         self.request = Request.DISABLE
         self.ramp = 1.0
         self.terms = Terms()
@@ -110,6 +111,7 @@ class ControlAxis:
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
         self._nominal_half_loop = abs(sliding(model).motor_half_loop)
+        self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
         self.delivered = delivered_of(self.instruments, joint_torque.stretch, has_torque_sensor)
         law.bound = compensation_limit.share
@@ -196,6 +198,7 @@ class ControlAxis:
                 instruments.tau_j,
                 law.velocity,
                 law.turn.turning,
+                law.half_loop if self._measures_wrap_angle else self._nominal_half_loop,
             )
         if not terms.permitted:
             self.release()

@@ -41,7 +41,6 @@ MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person w
 # than was read last may hold the joint, and a smaller term would never show it. A slow reversal takes less.
 OUTDATED = 0.3
 LEFT = 0.5  # of the desired term: a proven friction above this is no withdrawal, it only ends the credit's share
-UNTRUSTED = 0.1  # J of a file that was not tuned on this joint: what a wearer may get, whatever the class of use
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
 SURELY_LESS = 0.1  # rad of the joint for which it must be so: a single stroke's begin is no finding
 
@@ -137,8 +136,6 @@ class CompensationLimit:
         """
         self.bound = bound
         self.proven = proven
-        self.trusted = True  # False: this joint was not tuned with the model file
-        self._capacity = capacity
         self.credit = EnergyCredit(capacity, period)
         self.ceiling = bound.seen if proven.usable else bound.unseen
         self._gearing = gearing
@@ -146,12 +143,6 @@ class CompensationLimit:
         self._step = RISE * period
         self.count = 0
         self.words = ""
-        self.reset()
-
-    def trust(self, trusted: bool) -> None:
-        """Set whether this joint was tuned with the model file; each bring-up decides, before any enable."""
-        self.trusted = trusted
-        self.credit = EnergyCredit(self._capacity if trusted else min(self._capacity, UNTRUSTED), self._period)
         self.reset()
 
     def reset(self) -> None:

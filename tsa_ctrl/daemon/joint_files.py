@@ -1,8 +1,9 @@
 """Model files belong to joints: compare the nodes on the bus with those that each file was tuned on.
 
 A file of another joint is rejected before anything is written to a node. A file is trusted if a tuning of this very
-joint wrote it: the serial numbers of drive and encoder match, and the numbers were measured. The control law may use
-a trusted file at its full bound at once. Any other file has to be confirmed by motion first.
+joint wrote it: the serial numbers of drive and encoder match, and the numbers were measured. A file that is not trusted
+is reported at startup. Until motion confirms the friction of any file, the energy credit of
+`control.compensation_limit` bounds what its compensation can do.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ class JointFiles:
     def notes(self) -> list[str]:
         """Return one line for each file that is not trusted."""
         return [
-            f"axis '{name}': {model.source} is not trusted: {doubt}; compensation grows as motion confirms its friction"
+            f"axis '{name}': {model.source} is not trusted: {doubt}; run tsa tune on this joint"
             for name, model in self._models.items()
             if (doubt := self.doubt(name))
         ]

@@ -122,7 +122,7 @@ class Operation:
             self._admit(self._joint_files.nodes, any(node.digital_inputs for node in report.nodes))
             self._rig.look_after(report, stop_bit(file.safety))
         for axis in self._axes:
-            axis.compensation_limit.trust(self._joint_files.trusted(axis.name))
+            axis.trusted = self._joint_files.trusted(axis.name)
         self._rig.start()
 
     def _prove(self, period: float) -> None:

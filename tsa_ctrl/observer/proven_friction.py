@@ -14,6 +14,8 @@ gamma and the mean friction g follow from least squares over the strokes so far,
 sigma g. One direction alone leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite.
 The numbers of a fit change between two strokes only, so that friction that is lost within a stroke is seen within it.
 
+A reading is kept as a share of the model's friction torque at that moment, so that it holds at another wrap angle.
+
 Samples count by the way of the joint, not by time: the work of a wrong torque grows with the way, and so does what a
 stroke shows. After a reversal the friction front has to run through the whole sheath first; until then, at rest, and
 while the law turns its friction term, the last values of both directions hold.
@@ -49,6 +51,7 @@ UNLIKE = 2.0  # times the variance of a sample: a stroke that adds more than thi
 MOST_SKIPPED = 4  # strokes in a row without a fit, after which the zero must have moved: a tendon or an encoder slipped
 FIT_EVERY = 32  # cycles between two fits before that
 ALIKE = 1.25  # of one direction's friction, at most in the other: the same sheaths; more is a zero that is wrong
+LEAST = 0.05  # of the friction torque at the nominal wrap angle: a straight sheath is no scale for a reading
 SENSOR_GAIN, SENSOR_ZERO = 0.03, 0.01  # 1: of the joint torque, and of the friction torque, from a data sheet
 
 
@@ -82,6 +85,8 @@ class ProvenFriction:
         r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
         self._r_m, self._r_j = r_m, r_j
         self._expected = abs(sliding(model).motor_half_loop)
+        self._least = LEAST * self._expected + 1e-9
+        self._modelled = max(self._expected, self._least)
         self._per_torque = tuple(1.0 / sliding(model, sigma).slope for sigma in (-1.0, 1.0))
         self._gate = GATE * wound_by_friction(model) * r_m / r_j
         self._ratio = r_j / r_m
@@ -112,7 +117,7 @@ class ProvenFriction:
         self._fit = (0.0, 0.0, 0.0)
         self._covariance: tuple[float, ...] = ()  # of the fit, its upper triangle; empty before the first one
         self._settled = False
-        self._read = [math.nan, math.nan]  # N*m, by direction
+        self._read = [math.nan, math.nan]  # 1, of the model's friction torque, by direction
         self._spread = [math.inf, math.inf]
         self.low, self.high, self.reads = 0.0, math.inf, False
         self._direction = 0
@@ -136,7 +141,15 @@ class ProvenFriction:
             self.reset()
 
     def update(
-        self, tau_m: float, omega_m: float, q_m: float, q_j: float, tau_j: float, velocity: float, turning: bool
+        self,
+        tau_m: float,
+        omega_m: float,
+        q_m: float,
+        q_j: float,
+        tau_j: float,
+        velocity: float,
+        turning: bool,
+        modelled: float,
     ) -> None:
         """Take the measurements of one cycle.
 
@@ -145,9 +158,11 @@ class ProvenFriction:
             q_j, velocity: rad, rad/s of the joint.
             tau_j: N*m of the joint torque sensor, nan without.
             turning: True while the law turns its friction term.
+            modelled: N*m, the friction torque of the model at the present wrap angle.
         """
         if not self.usable:
             return
+        self._modelled = modelled if modelled > self._least else self._least
         self.reads = False
         self._gap = 0.0
         last, self._omega = self._omega, omega_m
@@ -211,22 +226,23 @@ class ProvenFriction:
         if not math.isfinite(friction):
             return
         side = 1 if direction > 0 else 0
-        value = self._read[side]
+        value, found = self._read[side], friction / self._modelled
         share = way / (SMOOTH + way)
-        value = friction if value != value else value + share * (friction - value)
+        value = found if value != value else value + share * (found - value)
         if deviation < 0.0:
             deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
-        self._read[side], self._spread[side] = value, deviation
+        self._read[side], self._spread[side] = value, deviation / self._modelled
         self.reads = True
-        self._bound(value, deviation)
+        self._bound(value, self._spread[side])
 
-    def _bound(self, friction: float, deviation: float) -> None:
-        doubt = SURE * math.hypot(deviation, self._shape * friction)
-        low, high = friction - doubt, friction + doubt
+    def _bound(self, share: float, deviation: float) -> None:
+        modelled = self._modelled
+        doubt = SURE * math.hypot(deviation, self._shape * share)
+        low, high = share - doubt, share + doubt
         if low > 0.0:  # nan while a direction has no reading
             low = min(low, ALIKE * self._read[0], ALIKE * self._read[1])
-        self.low = low if low > 0.0 else 0.0
-        self.high = high if high > 0.0 else 0.0
+        self.low = low * modelled if low > 0.0 else 0.0
+        self.high = high * modelled if high > 0.0 else 0.0
 
     def _begin_stroke(self) -> None:
         self._sums = [0.0] * 10
@@ -286,8 +302,8 @@ class ProvenFriction:
         deviation = scale * math.sqrt(max(0.0, float(covariance[3, 3])))
         if deviation < CERTAIN * self._expected:
             self._settled = whole
-            self._read = [scale * float(found[3])] * 2
-            self._spread = [deviation] * 2
+            self._read = [scale * float(found[3]) / self._expected] * 2
+            self._spread = [deviation / self._expected] * 2
 
     def _learned(self, kappa: float, deviation: float, mean: Array, prior: Array) -> bool:
         """Take the stiffness of the observer as the prior of gamma, unless wrong radii may have misled it."""
