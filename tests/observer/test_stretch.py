@@ -300,9 +300,8 @@ def test_a_tendon_that_the_filter_leaves_without_tension_is_slack(monkeypatch: p
     seen = observer()
     feed(seen, 0.1)
 
-    def corrected(pairs: np.ndarray, *_: object) -> tuple[float, float, int]:
-        pairs[0, 1, tendons.TENSION, -1] = -0.1
-        return 0.0, 1.0, tendons.OK
+    def corrected(*_: object) -> tuple[int, float, float, float, float, float, float, bool]:
+        return tendons.OK, 0.0, 1.0, 45.0, -0.1, 0.0, 1.0, True
 
     with monkeypatch.context() as patch:
         patch.setattr(tendons, "observe", corrected)

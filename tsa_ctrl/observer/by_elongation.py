@@ -69,23 +69,24 @@ class ElongationTorque:
         step, went = smooth * (motor - self._motor), smooth * (joint - self._joint)
         self._motor += step
         self._joint += went
-        size = abs(command)
-        self._command = size if size > self._fade * self._command else self._fade * self._command
-        slid = self._slid
-        if slid >= 0.0 and step > -0.1 * count and went > -0.1 * count:
-            slid += min(step, went) if step > 0.0 and went > 0.0 else 0.0
-        elif slid <= 0.0 and step < 0.1 * count and went < 0.1 * count:
-            slid += max(step, went) if step < 0.0 and went < 0.0 else 0.0
+        size, recent = abs(command), self._fade * self._command
+        self._command = size if size > recent else recent
+        slid, jitter = self._slid, 0.1 * count
+        if slid >= 0.0 and step > -jitter and went > -jitter:
+            if step > 0.0 and went > 0.0:
+                slid += step if step < went else went
+        elif slid <= 0.0 and step < jitter and went < jitter:
+            if step < 0.0 and went < 0.0:
+                slid += step if step > went else went
         else:
             slid = 0.0
         self._slid = slid
         # Bounds of z times the friction over the file's value.
+        forward, backward = self._most_friction, -self._most_friction
         if slid > self._way:
-            forward, backward = self._most_friction, self._least_friction
+            backward = self._least_friction
         elif slid < -self._way:
-            forward, backward = -self._least_friction, -self._most_friction
-        else:
-            forward, backward = self._most_friction, -self._most_friction
+            forward = -self._least_friction
         stretch = self._motor - self._joint
         drift = self._creep + GEARING * abs(went)
         self._zero_low -= drift

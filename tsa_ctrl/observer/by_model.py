@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import Sliding, sliding_by
+from tsa_ctrl.model.sliding import sliding_by
 
 STILL = 0.02  # rad/s of the joint below which it may stand still: what a motor's ringing leaves on a still joint
 
@@ -35,8 +35,10 @@ class ModelTorque:
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
         """Use another friction angle (1) and pretension (N) from now on."""
-        self._forward: Sliding = self._sliding(1.0, friction_angle, pretension)
-        self._backward: Sliding = self._sliding(-1.0, friction_angle, pretension)
+        forward, backward = (self._sliding(sigma, friction_angle, pretension) for sigma in (1.0, -1.0))
+        self._slopes = forward.slope, backward.slope
+        self._half_loops = forward.half_loop, backward.half_loop
+        self._doubts = self._share * abs(forward.half_loop), self._share * abs(backward.half_loop)
 
     def update(self, tau_m: float, omega_m: float, omega_j: float, fresh: bool = True) -> None:
         """One cycle's measurements, N*m, rad/s and rad/s; the last estimate stays while they are not `fresh`."""
@@ -46,14 +48,14 @@ class ModelTorque:
         if self._omega == self._omega:
             tau_m -= self._inertia * (omega_m - self._omega) / self._period
         self._omega = omega_m
-        forward, backward = self._forward, self._backward
-        low = forward.slope * tau_m - forward.half_loop
-        high = backward.slope * tau_m + backward.half_loop
+        forward, backward = self._slopes
+        least, most = self._half_loops
+        low, high = forward * tau_m - least, backward * tau_m + most
         if omega_j > self._still:
-            self.torque, half = low, self._share * abs(forward.half_loop)
+            torque, half = low, self._doubts[0]
         elif omega_j < -self._still:
-            self.torque, half = high, self._share * abs(backward.half_loop)
+            torque, half = high, self._doubts[1]
         else:
-            self.torque = 0.5 * (low + high)
+            torque = 0.5 * (low + high)
             half = 0.5 * abs(high - low) * (1.0 + self._share)
-        self.low, self.high = self.torque - half, self.torque + half
+        self.torque, self.low, self.high = torque, torque - half, torque + half

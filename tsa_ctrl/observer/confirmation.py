@@ -33,17 +33,21 @@ class Confirmation:
         self._innovation = 0.0  # m
         self._beyond = 0  # cycles in a row
 
-    def update(self, memory: Array) -> None:
-        """Compare the last innovation with its standard deviation, and the stiffness with the bounds of the file."""
-        self._innovation += self._share * (memory.item(tendons.INNOVATION) - self._innovation)
+    def update(self, innovation: float, stiff: float, slid: bool, memory: Array) -> None:
+        """Compare the innovation (m) with its standard deviation, and the stiffness (1) with the bounds of the file.
+
+        Args:
+            innovation, stiff, slid: of `tendons.observe`.
+            memory: of `tendons`, with the uncertainty of its states.
+        """
+        self._innovation += self._share * (innovation - self._innovation)
         if not self.confirmed:
             return
         squared = self._innovation**2
-        stiff = memory.item(tendons.STIFF)
         if squared <= self._least and self._softest <= stiff <= self._stiffest:  # as expected whatever is known
             self._beyond = 0
             return
-        if memory[tendons.SLID] == 0.0:
+        if not slid:
             return
         by_x, by_k = float(memory[tendons.GAIN_S]), float(memory[tendons.GAIN_S + 1])
         x, k, passing, zero = memory[tendons.COVARIANCE :: tendons.STATES + 1].tolist()

@@ -81,7 +81,12 @@ class StretchState(Enum):
 
 
 class StretchObserver:
-    """`torque`, `low`, `high`: N*m at the joint, nan while nothing can be told; a few microseconds a cycle."""
+    """Estimate the joint torque; a few microseconds a cycle.
+
+    Attributes: `torque`, `low`, `high`: N*m at the joint, nan while nothing can be told. `stiffness`: 1, of the tendons
+    (and of a series spring) over the model file's. `innovation`: m by which the last stretch differed from the one
+    foretold.
+    """
 
     def __init__(
         self, model: TendonSheath, period: float, counts: tuple[float, float], motor_inertia: float = 0.0
@@ -103,7 +108,6 @@ class StretchObserver:
         self._r_m, self._r_j = r_m, r_j
         self._first = pairs_of(model)
         self._pairs = self._first.copy()
-        self._ends = self._pairs[0, 1, tendons.TENSION]
         self._memory = np.zeros(tendons.MEMORY)
         self._settings = _settings(model, period, (r_m * counts[0], r_j * counts[1]), self._line.centre)
         self._friction = 2.0 * r_j * model.pretension * model.friction_angle  # N*m, the half loop
@@ -112,7 +116,7 @@ class StretchObserver:
         self._bent = (model.bending_centre_uncertainty / BAND / (1.0 - self._line.centre)) ** 2
         self._per_torque = per_torque
         known = "elongation_coupling" in model.effects or model.bending_course is not None
-        self._course = (TOLD if known else COURSE) * self._friction
+        self._turn_variance = ((TOLD if known else COURSE) * self._friction) ** 2
         hidden = _hidden(model, self._line.centre)
         self._turn_noise = (TURN_DOUBT * hidden) ** 2
         self._misled = MISLED * hidden + 2.0 * math.sqrt(self._settings[tendons.NOISE] / ALIKE)
@@ -130,7 +134,8 @@ class StretchObserver:
         self._memory[:] = 0.0
         settings, memory = self._settings, self._memory
         memory[tendons.ANGLE] = self._model.friction_angle * self._model.pretension / self.pretension
-        memory[tendons.STIFF] = 1.0
+        memory[tendons.STIFF] = self.stiffness = 1.0
+        self.innovation = 0.0
         for state in range(tendons.STATES):
             memory[tendons.COVARIANCE + (tendons.STATES + 1) * state] = settings[tendons.PRIOR + state]
         self._lose()
@@ -173,11 +178,6 @@ class StretchObserver:
         return math.sqrt(max(0.0, float(self._memory[tendons.COVARIANCE])))
 
     @property
-    def stiffness(self) -> float:
-        """1, of the tendons (and of a series spring) over the model file's."""
-        return float(self._memory[tendons.STIFF])
-
-    @property
     def stiffness_deviation(self) -> float:
         """Standard deviation of its logarithm."""
         place = tendons.COVARIANCE + (tendons.STATES + 1) * tendons.K
@@ -195,11 +195,6 @@ class StretchObserver:
     def zero(self) -> float:
         """m of stretch that the encoders show where there is none."""
         return self._origin + float(self._memory[tendons.ZERO])
-
-    @property
-    def innovation(self) -> float:
-        """m by which the last stretch differed from the one foretold."""
-        return float(self._memory[tendons.INNOVATION])
 
     def set_pretension(self, value: float) -> None:
         """Go on at another T_p0 (N), and the friction angle that has the same product with it."""
@@ -241,51 +236,47 @@ class StretchObserver:
             self._begin(stretch)
             return
         taken = self._inertia * (omega_m - self._omega) / elapsed
-        difference = (tau_m - taken) / self._r_m
-        memory = self._memory
-        tensions, deviation, code = tendons.observe(
+        code, tensions, deviation, near, far, innovation, stiffness, slid = tendons.observe(
             self._pairs,
-            memory,
+            self._memory,
             self._settings,
-            difference,
+            (tau_m - taken) / self._r_m,
             stretch - self._origin,
             way - self._last,
             (TIME_DOUBT * (stretch - self._stretch) / elapsed) ** 2 + self._misled_by,
         )
         self._last, self._omega, self._stretch = way, omega_m, stretch
-        near, far = self._ends.item(0), self._ends.item(-1)
+        self.innovation, self.stiffness = innovation, stiffness
         if code != tendons.OK or not (near > 0.0 and far > 0.0):  # what was learned may leave no tension
             self._lose()
             self.state = StretchState.SLACK
             return
-        self.confirmation.update(memory)
+        self.confirmation.update(innovation, stiffness, slid, self._memory)
+        # 0 while all of a tendon slides one way, 1 in the middle of a turn: 1 - z^2 of the friction's state z
+        z = math.log(far / near) / self._memory.item(tendons.ANGLE)
+        turning = 1.0 - z * z
+        if turning < 0.0:
+            turning = 0.0
         torque = self._r_j * tensions
+        difference = torque - self._per_torque * tau_m
         variance = OF_TENDONS * (self._r_j * deviation) ** 2 + self._noise
-        tau = self._per_torque * tau_m
-        turning = self._turning(near, far)
-        self._misled_by = self._misleads(turning)
-        variance += self._bent * (torque - tau) ** 2 + self._course**2 * turning
-        self.state = StretchState.TOLD
-        if memory[tendons.SLID] == 0.0:
+        variance += self._bent * difference * difference + self._turn_variance * turning
+        self._misled_by = 0.0
+        if slid:
+            self.state = StretchState.TOLD
+            self._misled_by = turning * self._misleads(innovation)
+        else:
             self.state = StretchState.UNSLID
             variance += (0.5 * self._friction) ** 2
         half = BAND * math.sqrt(variance)
         self.torque, self.low, self.high = torque, torque - half, torque + half
 
-    def _turning(self, near: float, far: float) -> float:
-        """1: 0 while all of a tendon slides one way, 1 in the middle of a turn, 1 - z^2 of the friction's state z.
-
-        `near`, `far`: N, of the tendon at the motor and at the joint.
-        """
-        z = math.log(far / near) / float(self._memory[tendons.ANGLE])
-        return max(0.0, 1.0 - z * z)
-
-    def _misleads(self, turning: float) -> float:
+    def _misleads(self, innovation: float) -> float:
         """m^2 of the next stretch: by how much a course of the bends that is off may foretell it wrongly in a turn."""
-        if self._memory[tendons.SLID] == 0.0:
-            return 0.0
-        self._misfit = max(abs(self.innovation), self._keep_misfit * self._misfit)
-        return turning * self._turn_noise / (1.0 + (self._misfit / self._misled) ** 4)
+        misfit = self._keep_misfit * self._misfit
+        self._misfit = misfit = max(abs(innovation), misfit)
+        share = (misfit / self._misled) ** 2
+        return self._turn_noise / (1.0 + share * share)
 
 
 def pairs_of(model: TendonSheath) -> Array:

@@ -272,12 +272,15 @@ def spread(pairs: Array, x: float, stiffer: float) -> None:
 @njit(cache=True, error_model="numpy")
 def observe(
     pairs: Array, memory: Array, settings: Array, difference: float, stretch: float, joint: float, doubt: float = 0.0
-) -> tuple[float, float, int]:
+) -> tuple[int, float, float, float, float, float, float, bool]:
     """One cycle of all pairs, which differ by `MORE`: predict the stretch, learn from the one measured.
 
     `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
     has turned since; `doubt`: m^2, of what is foretold, beside NOISE. Nothing is learned before SLID, as nothing says
-    how the tendons lay. Returns T4 - T2 (N), its standard deviation as far as the tendons decide it (N), and a code.
+    how the tendons lay.
+
+    Returns: a code, T4 - T2 (N), its standard deviation as far as the tendons decide it (N), the tensions of tendon b
+        at motor and joint (N), the innovation (m), the stiffness over the model's (1), and whether it is SLID.
     """
     n = pairs.shape[3] - 1
     w = memory
@@ -291,7 +294,8 @@ def observe(
             gone += abs(way)
     least = min(pairs[0, 0, TENSION].min(), pairs[0, 1, TENSION].min())
     if not (all_settled and least > settings[LEAST]):
-        return math.nan, math.nan, UNSETTLED if least > settings[LEAST] else SLACK
+        code = UNSETTLED if least > settings[LEAST] else SLACK
+        return code, math.nan, math.nan, math.nan, math.nan, w[INNOVATION], w[STIFF], w[SLID] == 1.0
     w[JOINT_WAY] += joint
     end = pairs[0, 1, TENSION, n] - pairs[0, 0, TENSION, n]
     for which in range(2):
@@ -316,7 +320,8 @@ def observe(
         spread(pairs, x, math.exp(by_k))
     variance = _variance(w) + w[KNOWN] * w[HELD_V]
     end += w[GAIN_T] * (by_x + w[FAST]) + w[GAIN_T + 1] * by_k
-    return end, math.sqrt(max(0.0, variance)), OK
+    near, far = pairs[0, 1, TENSION, 0], pairs[0, 1, TENSION, n]
+    return OK, end, math.sqrt(max(0.0, variance)), near, far, error, w[STIFF], w[SLID] == 1.0
 
 
 @njit(cache=True, error_model="numpy")
