@@ -55,6 +55,17 @@ def test_an_unproven_term_gives_no_more_than_the_credit(capacity: float) -> None
     assert "no sensor confirms" in chosen.words
 
 
+@pytest.mark.parametrize("sigma", [1.0, -1.0])
+def test_a_joint_torque_sensor_measures_what_the_term_gives(sigma: float) -> None:
+    """More friction than the file has: the joint moves slowly, receives less than the set-point, and owes nothing."""
+    chosen = limit(Proof(), 0.1)
+    for tau_j, withdrawn in ((0.4, False), (0.8, True)):
+        for _ in range(3000):
+            term = sigma * chosen.share * FRICTION
+            chosen.update(FRICTION, term, 0.3 * sigma, 0.5 * sigma, 0.0, 1.0, tau_j * sigma)
+        assert chosen.credit.withdrawn is withdrawn
+
+
 def test_random_motions_never_get_more_than_their_fills() -> None:
     """Whatever the joint does: one credit, and another for each motion without the term after a rest."""
     random = np.random.default_rng(5)

@@ -304,7 +304,13 @@ class ControlAxis:
         law.damping.share = guard.damping
         limit, moving = self.compensation_limit, velocity if abs(velocity) > self.direction.zone else 0.0
         law.bound = limit.update(
-            law.half_loop, law.friction_term, moving, terms.tau_j_des, self.set_point.rate, law.compensation
+            law.half_loop,
+            law.friction_term,
+            moving,
+            terms.tau_j_des,
+            self.set_point.rate,
+            law.compensation,
+            self.instruments.tau_j,
         )
 
     def adapt(self) -> None:

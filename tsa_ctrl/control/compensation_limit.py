@@ -9,7 +9,8 @@ credit:
 
 h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while
 nothing is proven: at most its capacity, whatever the friction, the load and the set-point. It is spent by way, so a
-held joint keeps its full compensation. Where friction is proven, low is near high, and the credit has no say.
+held joint keeps its full compensation. A joint torque sensor measures that work: the joint receives no more than its
+torque beyond the set-point. Where friction is proven, low is near high, and the credit has no say.
 
 An empty credit takes the term to 0. A term that came back while the joint rests would start it again. So the credit is
 filled again only if the joint is moved without the term: after a rest, or for so long that it is not the joint's own
@@ -153,7 +154,14 @@ class CompensationLimit:
         self.share = self._desired = self.ceiling
 
     def update(
-        self, half_loop: float, term: float, omega_j: float, tau_j_des: float, rate: float, compensation: float
+        self,
+        half_loop: float,
+        term: float,
+        omega_j: float,
+        tau_j_des: float,
+        rate: float,
+        compensation: float,
+        tau_j: float = math.nan,
     ) -> float:
         """Return the share for the next cycle.
 
@@ -163,6 +171,7 @@ class CompensationLimit:
             omega_j: rad/s of the joint, 0 within its noise.
             tau_j_des, rate: N*m, N*m/s of the set-point.
             compensation: the desired share of the friction.
+            tau_j: N*m of a joint torque sensor, nan without.
         """
         proven, credit = self.proven, self.credit
         low, high = proven.low, proven.high
@@ -177,7 +186,11 @@ class CompensationLimit:
         suspended = asked and not proven.usable
         before = credit.withdrawn
         request = REQUEST * self._gearing * half_loop
-        credit.update(self._gearing * (along - low), omega_j, tau_j_des, request, suspended)
+        unproven = self._gearing * (along - low)
+        excess = tau_j - tau_j_des if omega_j >= 0.0 else tau_j_des - tau_j
+        if unproven > 0.0 and excess < unproven:  # nan without a sensor
+            unproven = excess if excess > 0.0 else 0.0
+        credit.update(unproven, omega_j, tau_j_des, request, suspended)
         self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
         most = desired * min(half_loop, 0.5 * (low + high))
         allowed = low if low < most else most
