@@ -63,12 +63,7 @@ class Turned(Turn):
 
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.01, PERIOD)
-        self.is_turning = False
         self.asked: list[tuple[float, float]] = []
-
-    @property
-    def turning(self) -> bool:
-        return self.is_turning
 
     def update(self, sigma: float, age: float = 0.0) -> None:
         self.asked.append((sigma, age))
@@ -429,13 +424,13 @@ def test_a_motor_swings_against_its_joint_while_the_term_turns() -> None:
     parts = Parts(inertia=2e-4)
     parts.motion.velocity = 0.8
     assert parts.law.swing(3.0) == 0.0
-    parts.turn.is_turning = True
+    parts.turn.turning = True
     assert parts.law.swing(3.0) == pytest.approx(0.5 * 2e-4 * 4.0)
     without = Parts(encoder=False, inertia=2e-4)
-    without.turn.is_turning = True
+    without.turn.turning = True
     assert without.law.swing(3.0) == 0.0
     default = Parts(encoder=None, inertia=2e-4)
-    default.turn.is_turning = True
+    default.turn.turning = True
     assert default.law.swing(3.0) > 0.0
 
 
@@ -503,7 +498,7 @@ def test_fronts_begin_with_the_turn_of_a_joint_that_rested(
     """For more than 0.1 s and with a set-point, at the torque sent; otherwise all slides."""
     parts = Parts()
     parts.way.sigma, parts.way.next, parts.way.rest = -1.0, 1.0, rest
-    parts.turn.is_turning = turning
+    parts.turn.turning = turning
     parts.law.observe(0.3, 0.7, True, ahead, 0.0)
     assert parts.fronts.asked == ([(1.0, 0.0, 0.26, 45.0)] if begins else [])
     slides = parts.fronts.slides
@@ -522,10 +517,10 @@ def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn
     assert fresh
     assert angle == pytest.approx(RATIO * (0.7 - stretch))
     assert (parts.way.asked, parts.turn.asked) == ([(1.5, 2.5)], [(1.0, 0.25)])
-    parts.turn.is_turning = True
+    parts.turn.turning = True
     parts.law.observe(math.nan, 0.7, False, 1.5, 2.5)
     assert parts.motion.given[1][1] is False
-    parts.turn.is_turning = False
+    parts.turn.turning = False
     parts.way.next = -1.0
     asked = []
     for _ in range(12):
@@ -538,9 +533,9 @@ def test_the_motor_stands_in_for_a_joint_without_an_encoder_but_for_its_own_turn
 def test_a_motor_without_a_joint_encoder_says_something_again_when_its_time_is_just_over() -> None:
     parts = Parts(encoder=False)
     parts.motion.memory = PERIOD
-    parts.turn.is_turning = True
+    parts.turn.turning = True
     parts.law.observe(math.nan, 0.7, True, 0.5, 0.0)
-    parts.turn.is_turning = False
+    parts.turn.turning = False
     asked = []
     for _ in range(3):
         parts.law.observe(math.nan, 0.7, True, 0.5, 0.0)

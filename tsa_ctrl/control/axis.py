@@ -11,7 +11,6 @@ from tsa_ctrl.bus.live.axis import Axis as BusAxis
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.compensation_limit import CompensationLimit
-from tsa_ctrl.control.delivered import delivered_of
 from tsa_ctrl.control.estimator import ConfigurationMap, Estimator, Fixed, Sample
 from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
@@ -19,6 +18,7 @@ from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
+from tsa_ctrl.observer.stretch import StretchState
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -113,7 +113,8 @@ class ControlAxis:
         self._nominal_half_loop = abs(sliding(model).motor_half_loop)
         self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
-        self.delivered = delivered_of(self.instruments, joint_torque.stretch, has_torque_sensor)
+        self._has_torque_sensor = has_torque_sensor
+        self._sample = Sample(0.0, 0.0, math.nan, math.nan, math.nan, False)
         law.bound = compensation_limit.share
 
     @property
@@ -222,20 +223,11 @@ class ControlAxis:
             if wrong is not None:
                 self.joint_torque.distrust()
                 self.supervisor.trip(wrong, now)
-        self.estimator.update(
-            Sample(
-                terms.sigma,
-                terms.omega_j,
-                theta,
-                image.tau_m,
-                instruments.tau_j,
-                image.fresh,
-                terms.q_j,
-                image.q_m,
-                instruments.t1,
-                instruments.t3,
-            )
-        )
+        sample = self._sample
+        sample.sigma, sample.omega_j, sample.theta = terms.sigma, terms.omega_j, theta
+        sample.tau_m, sample.tau_j, sample.admit = image.tau_m, instruments.tau_j, image.fresh
+        sample.q_j, sample.q_m, sample.t1, sample.t3 = terms.q_j, image.q_m, instruments.t1, instruments.t3
+        self.estimator.update(sample)
         self.adapt()
         self._watch()
         self.law.follow(self.set_point.rate, self.set_point.silent)
@@ -285,12 +277,21 @@ class ControlAxis:
         self.terms.tau_j_des = 0.0
         self._take_over(self._nominal)
 
+    def _delivered(self) -> float:
+        """Return the joint torque by its sensor, else by the tendons' stretch, N*m; nan while it is not known."""
+        if not self.image.fresh:
+            return math.nan
+        if self._has_torque_sensor:
+            return self.instruments.tau_j
+        stretch = self.joint_torque.stretch
+        return stretch.torque if stretch is not None and stretch.state is StretchState.TOLD else math.nan
+
     def _watch(self) -> None:
         """Let the guard see what the compensation does, and follow what it asks for."""
         law, terms, guard, image, gearing = self.law, self.terms, self.guard, self.image, self._gearing
         velocity = law.velocity
         guard.update(
-            self.delivered.torque if image.fresh else math.nan,
+            self._delivered(),
             self.ramp * terms.tau_j_des,
             self.set_point.rate,
             velocity,
@@ -319,8 +320,11 @@ class ControlAxis:
         angle, pretension = self._nominal
         if estimator.use:
             angle, pretension = estimator.friction_angle, estimator.pretension
-        used = self._used
-        if abs(angle - used[0]) > NOTICEABLE * used[0] or abs(pretension - used[1]) > NOTICEABLE * used[1]:
+        used_angle, used_pretension = self._used
+        if (
+            abs(angle - used_angle) > NOTICEABLE * used_angle
+            or abs(pretension - used_pretension) > NOTICEABLE * used_pretension
+        ):
             self._take_over((angle, pretension))
 
     def _take_over(self, parameters: tuple[float, float]) -> None:

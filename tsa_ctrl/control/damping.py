@@ -58,13 +58,13 @@ class Damping:
         `planned`: the stretch as an angle of the motor (rad) that is to be there in T_d; the rest is measured now, rad
         and rad/s.
         """
-        plan, back, part = self._planned, self._back, self._part
+        plan, part = self._planned, self._part
         plan.append(planned)
-        if len(plan) < back + 3:
+        if len(plan) < self._back + 3:
             return 0.0
-        last = len(plan) - 1 - back
-        stretch = plan[last] + part * (plan[last - 1] - plan[last])
-        before = plan[last - 1] + part * (plan[last - 2] - plan[last - 1])
+        first, second, third = plan[:3]  # the oldest ones, a period between two
+        stretch = third + part * (second - third)
+        before = second + part * (first - second)
         del plan[0]
         angle = q_m - self._gearing * q_j - stretch
         speed = omega_m - self._gearing * omega_j - (stretch - before) / self._period

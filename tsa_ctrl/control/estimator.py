@@ -9,8 +9,9 @@ moves no parameter faster than its rate.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Literal, NamedTuple, Protocol
+from typing import Annotated, Literal, Protocol
 
 import msgspec
 from msgspec import Meta
@@ -54,8 +55,9 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
     most_acceleration: Annotated[float, Meta(gt=0.0, le=1e6)] = 10.0  # rad/s^2, kind "motor": above is not admitted
 
 
-class Sample(NamedTuple):
-    """What one cycle tells an estimator; nan where it is not measured."""
+@dataclass(slots=True)
+class Sample:
+    """What one cycle tells an estimator; nan where it is not measured. An axis fills the same one in each cycle."""
 
     sigma: float  # 1, direction of the tendon
     omega_j: float  # rad/s

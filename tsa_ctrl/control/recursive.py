@@ -79,16 +79,16 @@ class Recursive:
 
     def update(self, seen: Sample) -> None:
         """One cycle's data."""
-        sigma, omega_j, _, tau_m, tau_j, admit, q_j, q_m, *_ = seen
+        sigma, omega_j, tau_m, tau_j = seen.sigma, seen.omega_j, seen.tau_m, seen.tau_j
         bare = self._bare
         if bare is not None:
-            bare.measure(sigma, omega_j, q_j, q_m)
+            bare.measure(sigma, omega_j, seen.q_j, seen.q_m)
             if bare.remembers:
                 bare.joint(self._load if self._motor else tau_j)
         direction = 1 if sigma > SLIDING and omega_j > self._least_speed else 0
         if sigma < -SLIDING and omega_j < -self._least_speed:
             direction = -1
-        if direction != self._direction or not admit:
+        if direction != self._direction or not seen.admit:
             self._direction, self._since, self._count = direction, 0.0, 0
         elif direction:
             self._since += self._period

@@ -89,6 +89,7 @@ class SetPoint:
         self._delay, self._delay_part = _place(delay, period)
         self._lead = _place(lead, period)[0]
         self._ahead, self._ahead_part = _place(max(delay, lead, horizon), period)
+        self._count = self._ahead + 2
         self.reset()
 
     def receive(self, value: float, t: float) -> None:
@@ -105,7 +106,7 @@ class SetPoint:
         self.silent = False  # nobody says over the socket what is wanted
         self._received = 0.0
         self._received_at = -math.inf
-        self._known: list[float] = []  # from now on, a period between two
+        self._known: list[float] = []  # from now on, a period between two, and how many there are at most
         self._last = 0.0  # the newest of them
         self._at = 0.0  # s, of the first
 
@@ -114,12 +115,12 @@ class SetPoint:
         if self._source is None:
             self.silent = t - self._received_at > self._timeout
             before = self._last
-            self.value = self.acting = self.ahead = self._limited(self._target(t))
+            self.value = self.acting = self.ahead = self._next(t)
             self.rate = (self.value - before) / self._period
             return self.value
         known, period = self._known, self._period
         passed = t - self._at
-        if passed > (self._ahead + 2) * period:
+        if passed > self._count * period:
             known.clear()
         while known and passed > 0.5 * period:
             del known[0]
@@ -127,8 +128,8 @@ class SetPoint:
             passed -= period
         if not known:
             self._at = t
-        while len(known) < self._ahead + 2:
-            known.append(self._limited(self._target(self._at + len(known) * period)))
+        while len(known) < self._count:
+            known.append(self._next(self._at + len(known) * period))
         self.value = known[0]
         i, part = self._delay, self._delay_part
         self.acting = known[i] + part * (known[i + 1] - known[i])
@@ -137,17 +138,19 @@ class SetPoint:
         self.rate = (known[self._lead + 1] - known[self._lead]) / period
         return self.value
 
-    def _target(self, t: float) -> float:
+    def _next(self, t: float) -> float:
+        """Return the set-point at `t`, N*m, within its limit and as near as its rate permits."""
         if self._source is not None:
             target = self.gain * self._source(t)
         elif t - self._received_at <= self._timeout:
             target = self.gain * self._received
         else:
-            return 0.0
+            target = 0.0
         limit = self._limit
-        return limit if target > limit else -limit if target < -limit else target
-
-    def _limited(self, target: float) -> float:
+        if target > limit:
+            target = limit
+        elif target < -limit:
+            target = -limit
         change, step = target - self._last, self._step
         self._last += step if change > step else -step if change < -step else change
         return self._last

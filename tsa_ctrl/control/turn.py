@@ -23,7 +23,11 @@ _SOFT = 0.02  # of s_c: no part of the torque turns without any stretch, where a
 
 
 class Turn:
-    """`force` and `stretch` in [-1, 1]: how far torque and stretch have turned; `bend`: d^2 stretch / dt^2, 1/s^2."""
+    """A turn of the friction term.
+
+    Attributes: `force` and `stretch`: in [-1, 1], how far torque and stretch have turned. `bend`: d^2 stretch / dt^2,
+    1/s^2. `turning`: False once the turn is over.
+    """
 
     def __init__(self, front: Front, duration: float, period: float) -> None:
         """`duration` of a whole turn and `period` in s."""
@@ -33,14 +37,11 @@ class Turn:
         self._ramps: list[list[float]] = []
         self.reset()
 
-    @property
-    def turning(self) -> bool:
-        return bool(self._ramps)
-
     def reset(self, sigma: float = 0.0) -> None:
         """Be turned to `sigma` without having moved."""
         self.force = self.stretch = self._end = self._base = sigma
         self.bend = 0.0
+        self.turning = False
         self._ramps.clear()
 
     def update(self, sigma: float, age: float = 0.0) -> None:
@@ -69,6 +70,7 @@ class Turn:
         self.bend = two_pi * bend / (self.duration * self.duration)
         while ramps and ramps[0][1] >= 1.0:
             self._base += ramps.pop(0)[0]
+        self.turning = bool(ramps)
 
     def steepest(self) -> float:
         """Largest change of `force` within a period, for a turn from 0 to 1."""

@@ -277,10 +277,8 @@ def observe(
 
     `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
     has turned since; `doubt`: m^2, of what is foretold, beside NOISE. Nothing is learned before SLID, as nothing says
-    how the tendons lay.
-
-    Returns: a code, T4 - T2 (N), its standard deviation as far as the tendons decide it (N), the tensions of tendon b
-        at motor and joint (N), the innovation (m), the stiffness over the model's (1), and whether it is SLID.
+    how the tendons lay. Returns a code, T4 - T2 (N), its standard deviation as far as the tendons decide it (N), the
+    tensions of tendon b at motor and joint (N), the innovation (m), STIFF, and whether SLID is 1.
     """
     n = pairs.shape[3] - 1
     w = memory

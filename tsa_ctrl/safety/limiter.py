@@ -108,7 +108,7 @@ class Limiter:
             return self._zero(Reason.DISABLED)
         if not fresh:
             return self._zero(Reason.STALE)
-        if not (isfinite(wanted) and isfinite(tau_m) and isfinite(omega_m) and isfinite(q_j) and isfinite(omega_j)):
+        if not isfinite(wanted + tau_m + omega_m + q_j + omega_j):  # no sum of finite values is that large
             return self._zero(Reason.NOT_FINITE)
         if self.over_speed or abs(omega_j) >= self._over_speed_j or abs(omega_m) >= self._over_speed_m:
             self.over_speed = True
