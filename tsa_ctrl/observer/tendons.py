@@ -280,8 +280,7 @@ def observe(
     how the tendons lay. Returns a code, T4 - T2 (N), its standard deviation as far as the tendons decide it (N), the
     tensions of tendon b at motor and joint (N), the innovation (m), STIFF, and whether SLID is 1.
     """
-    n = pairs.shape[3] - 1
-    w = memory
+    n, w = pairs.shape[3] - 1, memory
     all_settled = True
     gone = abs(joint)
     for number in range(PAIRS):
