@@ -65,11 +65,11 @@ class Loose(NamedTuple):
 
 
 def loose_bounds(sections: Mapping[str, msgspec.Struct | None], shipped: Shipped) -> Iterator[Loose]:
-    """Yield every bound of some sections that is looser than shipped.
+    """Yield every bound that is looser than shipped.
 
     Args:
         sections: settings by the names of their tables; an absent one is None.
-        shipped: defaults that are not those of the settings classes.
+        shipped: defaults that differ from the defaults of the settings classes.
     """
     for name, section in sections.items():
         if section is None:

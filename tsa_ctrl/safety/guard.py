@@ -30,18 +30,24 @@ CLEAR = 0.9  # of the model's half loop: with more than that, friction is not wh
 
 
 class Guard:
-    """`back_off` multiplies the compensation, `damping` the damping of the motor; 1 until something is wrong.
+    """Withdraw compensation and damping when they feed energy into the motion.
 
-    `count` of what happened, `words` of the last, `reason` while less than all is compensated. A `back_off` that is
-    set from outside can only lower the compensation, and latches it there; `release` alone restores it.
+    `back_off` multiplies the compensation, `damping` the damping of the motor; both are 1 until a detection. `count` is
+    the number of detections, `words` describes the last one, and `reason` is set while the compensation is reduced.
+
+    A client can only lower `back_off`, and the guard latches it there. Only `release` restores it.
     """
 
     def __init__(
         self, settings: PassivitySettings, period: float, by_stretch: bool = False, compliance: float = 0.0
     ) -> None:
-        """`by_stretch`: the delivered torque comes from the tendons' stretch, which is less certain; `period` in s.
+        """Prepare the guard.
 
-        `compliance`: rad/(N*m) of the joint with the motor held.
+        Args:
+            settings: [axis.passivity].
+            period: s.
+            by_stretch: True if the delivered torque is estimated from the tendon elongation, which is less certain.
+            compliance: of the joint with the motor locked, rad/(N*m).
         """
         self._passivity = Passivity(settings.energy, STRETCH if by_stretch else SENSOR, period, compliance)
         self._buzz = Buzz(settings.buzz, period)

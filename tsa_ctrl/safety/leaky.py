@@ -106,7 +106,10 @@ class Sender:
         self._missed = self._repeated = self._owed = 0
 
     def repeats(self, node: NodeHealth, now: float) -> bool:
-        """Return True when the node repeated PDOs in too many cycles; an answer late by a period is no repetition."""
+        """Return True when the node repeated PDOs in too many cycles.
+
+        An answer that is late by one period is not a repetition.
+        """
         self._owed = min(self._owed + node.missed - self._missed, self._most)
         self._missed = node.missed
         if node.repeated == self._repeated:

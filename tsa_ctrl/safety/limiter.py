@@ -41,7 +41,7 @@ class Reason(IntEnum):
 
 
 class LimiterSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """[axis.limits]: the bounds of one axis' motor torque; `torque` alone has no default of its own."""
+    """[axis.limits]: the bounds of one axis' motor torque; only `torque` has no default."""
 
     torque: Torque  # N*m at the motor, absolute
     torque_share: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None  # 1, of the rated torque, in place of torque

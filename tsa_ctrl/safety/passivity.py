@@ -1,30 +1,42 @@
-"""Energy that the compensation puts into the joint beyond what was wanted: a time-domain passivity observer.
+"""Time-domain passivity observer: measure the energy that the compensation adds to the joint beyond the set-point's.
 
-Compensation feeds motion where it is more than the friction that is there, c h_model > h_true. Then the transmission is
-no longer passive, and that shows at the joint, at any frequency and in a motion to one side alone:
+If the compensation exceeds the actual friction, c h_model > h_true, it feeds the motion. The transmission is then no
+longer passive. The joint shows this at any frequency, also in a motion to one side:
 
     E = integral of |omega_J| min(e - m h, term),     e = (tau_J - tau_J*) sgn omega_J
-    added beyond doubt:  E - g |integral of tau_J* omega_J| - L |integral of dtau_J*/dt omega_J| - z h |q_J - q_0|
+    excess energy:  E - g |integral of tau_J* omega_J| - L |integral of dtau_J*/dt omega_J| - z h |q_J - q_0|
 
-tau_J is what arrives (joint torque sensor, or the tendons' stretch), tau_J* what was wanted, h the model's half loop at
-the joint, `term` the friction term there in the direction of the motion, all N*m. A torque that is wrong by the share g
-of what is wanted, comes late by L, or has its zero wrong by z h, adds no more than the last three, which grow with the
-work, the way and the course and not with the path: a load that gives back what it took leaves little of them. m is as
-near as a half loop is ever known. Nothing counts that the term itself did not give: a torque that a limit cut, a weight
-that falls and a hand that pulls are no fault of the compensation. E forgets, and never falls below 0, where its window
-begins anew, so it is the most that was added within any window. With the friction that is there it stays at 0 while the
-joint moves, and a reversal leaves 0.3 mJ. What passes until a back-off arrives at the joint is foreseen by `REACTION`,
-no more than was there already: half a swing of the motor on its tendons is no motion. Nor is what such a swing gives
-the joint while it dies out, J_M/2 (omega_M - r_J/r_M omega_J)^2 at its fastest: a turn that is planned for another
-shape of the sheath leaves a motor of 6e-4 kg*m^2 4 mJ of it. It is left out, but for what was not counted as more than
-the term; one that feeds itself goes on beyond that. Energy that the tendons return is left out, too: an excess e in
-the new direction at a reversal was there before the term turned, as after a limit, a fade-in or a small compensation,
-and it gives e^2/(2 K_J) while it unwinds. Once it was seen, half of all this is enough for the next minute
-(`wary`): a joint that is fast by then gets by that half of what else passes as a doubt.
+    tau_J    delivered torque, from the joint torque sensor or the tendon elongation, N*m
+    tau_J*   set-point, N*m
+    h        friction torque of the model at the joint, N*m
+    term     friction term at the joint in the direction of the motion, N*m
+    m        uncertainty of the model's friction torque, 1
+
+The last three terms bound the error of a healthy sensor: a gain error g, a delay L, and a zero error z h. They grow
+with work, distance and set-point change, not with the path. A load that returns its energy leaves little of them.
+
+`min(..., term)` limits the count to the friction term. A torque that a limit cuts, a falling weight and a pulling hand
+are therefore not attributed to the compensation.
+
+E decays with `MEMORY` and restarts at 0, so it is the largest energy of any window. With the correct friction it stays
+at 0 while the joint moves, and a reversal leaves 0.3 mJ. The energy that still passes during `REACTION`, until a
+back-off reaches the joint, is predicted. The prediction is at most the energy already counted: half a swing of the
+motor on its tendons is no sustained motion.
+
+Two kinds of energy are excluded:
+
+* The swing of the motor against the joint, J_M/2 (omega_M - r_J/r_M omega_J)^2 at its maximum. A reversal planned for
+  another sheath shape gives a motor of 6e-4 kg*m^2 about 4 mJ, which decay. Only the part within the friction term is
+  excluded, so a swing that sustains itself is still detected.
+* The energy that the tendons return, e^2/(2 K_J), for an excess e in the new direction at a reversal. This excess
+  existed before the term reversed, for example after a limit, a fade-in or a small compensation.
+
+After a detection, half of the threshold and of the uncertainties apply for the next minute (`wary`). A joint that is
+already fast then receives less before the next detection.
 
 Source: B. Hannaford, J.-H. Ryu, Time-domain passivity control of haptic interfaces, IEEE Trans. Robotics and Automation
-18 (2002). The controller that belongs to it takes the compensation back at once (`back_off`), which damps by all of the
-friction that is there.
+18 (2002). Their controller adds damping. Here `back_off` withdraws the compensation at once, which damps the joint by
+its whole friction.
 """
 
 from __future__ import annotations
@@ -40,11 +52,11 @@ SENSOR = (0.03, 0.03, 0.01)  # g, z, m with a joint torque sensor: what its data
 STRETCH = (0.2, 0.12, 0.1)  # with the stretch: 10 % of the tendons' stiffness are 20 % of the torque and 10 % of h
 LATE = 3e-3  # s, L: drive, motor and the model's own delay
 REACTION = 5e-3  # s from a back-off to its torque at the joint: command, torque loop, fronts through the sheath
-SWUNG = 0.03  # s in which the fastest of a swing is forgotten: half a period of 16 Hz, before the joint gets it
+SWUNG = 0.03  # s in which the peak of a swing decays: half a period of 16 Hz, before it reaches the joint
 SWING = 2.0  # of the allowed energy that a swing excuses at most: 6 mJ and those 3, at 1 rad/s the joint has 10
-WARY = 0.5  # of energy and doubts, where it was seen lately: no healthy rig comes there
+WARY = 0.5  # of threshold and uncertainties after a recent detection: no healthy rig reaches it
 FEWEST = 2  # cycles that must agree: one wrong value of a sensor is no motion
-_WILD = 1e6  # N*m: no torque; not finite ones are beyond it, too
+_WILD = 1e6  # N*m: no real torque; values that are not finite also exceed it
 
 
 class PassivitySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -63,12 +75,19 @@ class OscillationSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=Tru
 
 
 class Passivity:
-    """`energy` (J) that was added; `ratio`: true half loop over the model's, as this energy shows it (1)."""
+    """Observe the added `energy` (J) and the `ratio` of the true to the model's friction torque that it implies (1)."""
 
     def __init__(
         self, threshold: float, doubts: tuple[float, float, float], period: float, compliance: float = 0.0
     ) -> None:
-        """`threshold` in J, `doubts`: g, z and m above, `period` in s; `compliance`: 1/K_J, rad/(N*m) of the joint."""
+        """Prepare the observer.
+
+        Args:
+            threshold: allowed energy, J.
+            doubts: the uncertainties g, z and m of the module docstring, 1.
+            period: s.
+            compliance: 1/K_J of the joint, rad/(N*m).
+        """
         self._threshold = threshold
         self._half_compliance = 0.5 * compliance
         self._gain, self._zero, self._model = doubts
@@ -84,7 +103,7 @@ class Passivity:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing was added yet."""
+        """Forget all energy."""
         self.energy = 0.0
         self.cycles = 0  # for which there was some
         self._work = self._late = self._way = 0.0  # J, J/s, rad since it began
@@ -92,7 +111,7 @@ class Passivity:
         self._swung = self._cut = 0.0  # J, fastest since then, and beyond the term
 
     def pass_over(self, periods: int) -> None:
-        """So many periods had no cycle: what is measured next stands for them, too."""
+        """Count periods without a cycle: the next measurement also covers them."""
         self._periods += periods
 
     @property
@@ -109,11 +128,16 @@ class Passivity:
         half_loop: float,
         swing: float = 0.0,
     ) -> bool:
-        """Whether more was added than is allowed, after this cycle.
+        """Return True if the added energy exceeds the threshold after this cycle.
 
-        `tau_j`: delivered, nan where it is not known; `wanted`: set-point, `rate`: its slope, `term`: the friction term
-        as sent, at the joint, `half_loop`: the model's, at the joint; N*m, N*m/s, rad/s. `swing`: J that the motor has
-        by its motion against the joint while the term turns, 0 or nan where that is not known.
+        Args:
+            tau_j: delivered torque, N*m; nan where it is not known.
+            wanted: set-point, N*m.
+            rate: slope of the set-point, N*m/s.
+            omega_j: joint velocity, rad/s.
+            term: friction term as sent, at the joint, N*m.
+            half_loop: friction torque of the model at the joint, N*m.
+            swing: kinetic energy of the motor relative to the joint while the term reverses, J; 0 or nan if not known.
         """
         periods, self._periods = self._periods, 1
         self._swing *= self._calm

@@ -1,16 +1,16 @@
-"""Whether measurements agree with each other and with the command: what lies, or came loose, is found by contradiction.
+"""Detect faulty sensors and loose parts by contradictions between the measurements and the command.
 
-    torque        the drive reports another torque than was commanded
-    frozen        not one bit of what the drive reports moves, while the command does
+    torque        the reported motor torque differs from the commanded one
+    frozen        no bit of the drive's feedback changes while the command does
     slip          motor and joint moved apart: a torn or loose tendon, a slipped or stuck encoder, a wrong count or
-                  sign, a motor that gives another torque than it reports; by `residuals.Elongation`, or a given angle
-    velocity      the drive's velocity is not the change of its position (loops of 400 Hz and more)
+                  sign, or a motor whose torque differs from the reported one (`residuals.Elongation`, or a given angle)
+    velocity      the drive's velocity is not the derivative of its position (loops of 400 Hz and more)
     standstill    the position of motor or joint repeats its last count although the axis moves on
-    joint_torque  the joint torque sensor, where there is one, says another torque than the model: a reversed sign,
-                  or a motor that gives more than it reports
+    joint_torque  the joint torque sensor, if there is one, contradicts the model: a reversed sign,
+                  or a motor that gives more torque than it reports
 
-Contradictions must last before they count, and a sample that agrees does not clear them: see `safety.leaky`. Like the
-limiter it imports nothing of the control law.
+A contradiction counts only after it has lasted. A single sample that agrees does not clear it (`safety.leaky`). Like
+the limiter, this module imports nothing of the control law.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
 Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
 
 DEFAULT_TORQUE = 0.25  # of the limiter's absolute limit
-DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: a person is not thrown by it
-PREDICTION_SHARE = 0.4  # of what the model says without friction: calibration may be so far off
-FROZEN_SHARE = 0.05  # of rated torque that the command moves while nothing of the feedback does
-BEGUN = 0.5  # of that, from which on a drive owes something: a command that rests trembles by less
-FROZEN_TIME = 0.03  # s that a drive may take to show it, from then on
+DEFAULT_JOINT_TORQUE = 0.15  # of that limit, at the joint: too little to throw a person
+PREDICTION_SHARE = 0.4  # of the model's torque without friction: the largest error of a calibration
+FROZEN_SHARE = 0.05  # of rated torque: change of the command while the feedback does not change
+BEGUN = 0.5  # of that, from which on the drive must respond: the noise of a constant command is smaller
+FROZEN_TIME = 0.03  # s from then on, in which the drive must respond
 SLIP_TIME = 0.01  # s beyond a given angle
 VELOCITY_TIME = 0.02  # s that velocity and position must contradict each other
 
@@ -61,10 +61,18 @@ class Plausibility:
         counts: tuple[float, float] = (0.0, 0.0),
         reports_velocity: bool = False,
     ) -> None:
-        """`limit`: of the limiter, N*m; `rated`: torque at the motor pulley, N*m; `radii`: r_M, r_J in m.
+        """Prepare the checks of one axis.
 
-        `give`: what the tendons between motor and joint give; `period`: s; `counts`: rad at the motor, of one count of
-        the motor's and the joint's encoder; `reports_velocity`: the drive sends a velocity of its own.
+        Args:
+            settings: [axis.plausibility].
+            limit: torque limit of the limiter, N*m.
+            rated: rated torque at the motor pulley, N*m.
+            radii: r_M and r_J, m.
+            has_encoder: True with a joint encoder.
+            give: compliance between motor and joint.
+            period: s.
+            counts: one count of the motor's and the joint's encoder, rad at the motor.
+            reports_velocity: True if the drive sends a measured velocity.
         """
         r_m, r_j = radii
         self._torque = DEFAULT_TORQUE * limit if settings.torque is None else settings.torque
@@ -86,7 +94,7 @@ class Plausibility:
         self.reset()
 
     def reset(self) -> None:
-        """Torque is not permitted: the next enable starts afresh."""
+        """Clear all checks while torque is not permitted."""
         self._offset = math.nan
         for clock in (self._torque_wrong, self._joint_wrong, self._slipped, self._velocity_wrong):
             clock.reset()
@@ -107,10 +115,15 @@ class Plausibility:
         tau_j: float,
         expected: tuple[float, float],
     ) -> str | None:
-        """What is wrong, in words; None while everything agrees.
+        """Return a description of the contradiction, or None while everything agrees.
 
-        `command`: N*m as sent; `feedback`: torque, angle and speed that the drive reports; `tau_j`: nan without a
-        sensor; `expected`: the joint torques between which it may lie, as the model makes them of the reported torque;
+        Args:
+            now: s.
+            command: motor torque as sent, N*m.
+            feedback: motor torque (N*m), angle (rad) and speed (rad/s) that the drive reports.
+            q_j: joint angle, rad.
+            tau_j: joint torque sensor, N*m; nan without one.
+            expected: lower and upper joint torque by the model for the reported motor torque, N*m.
         """
         tau_m = feedback[0]
         if feedback != self._last:
@@ -123,7 +136,7 @@ class Plausibility:
             moved = self._high - self._low
             if moved <= BEGUN * self._frozen:
                 self._moved_at = math.inf
-            elif self._moved_at == math.inf:  # what stood still before that had nothing to show
+            elif self._moved_at == math.inf:  # no response was due before
                 self._moved_at = now
             if moved > self._frozen and now - self._moved_at > FROZEN_TIME:
                 return (

@@ -9,8 +9,8 @@ Two rules follow. Neither needs the load, a speed or a joint torque sensor:
 
     response   f changes only with the torque or with the motion of the joint, and in their direction. If
                the motor moves by itself, its torque is not the reported one.
-    friction   f is bounded, so all zeros that were seen must fit into the bound. How far f lies from its bounds is
-               followed from the same two causes.
+    friction   f is bounded, so all observed zeros must fit into the bound. The distance of f from its bounds is
+               tracked by the same two causes.
 
 `Velocity` compares the reported velocity with the change of the position. `Standstill` finds a position that rests
 although it cannot.
@@ -180,11 +180,11 @@ class Elongation:
 class Velocity:
     """Compare the reported velocity of the motor with the change of its position, `by_position` (rad/s).
 
-    A slow loop samples a motor that rings on its tendons in step with its own commands. The velocity at a sample is
-    then not the mean between two samples, and nothing can be compared.
+    A motor may oscillate on its tendons in step with the samples of a slow loop. The velocity at a sample then differs
+    from the mean between two samples, so the comparison is not possible.
     """
 
-    LONGEST = 0.0025  # s, of a period: a quarter of that of a motor that rings on its tendons at 100 Hz
+    LONGEST = 0.0025  # s, longest period: a quarter of the cycle of a motor that oscillates on its tendons at 100 Hz
 
     MEMORY = 0.1  # s of the comparison
     SHARE = 0.1  # 1, of the path: scale and rounding of a healthy drive

@@ -1,32 +1,36 @@
-"""Whether the motor pulls the way it says, and as much: its torque against what the torque does.
+"""Check sign and gain of the motor torque by the tendon elongation and the joint torque sensor.
 
-A torque stretches the tendons, and motor and joint move apart by it: q_m - (r_J/r_M) q_j follows tau_M with the sign of
-the stiffness, held or moving, whatever the load. Where there is a joint torque sensor, its torque follows, too, and on
-a joint that is held by r_J/r_M at most: friction only takes away there. On one that is moved the friction turns with
-the motion, not with the torque, and what it gives back after a reversal may follow the torque by more: nothing is said
-of it there. All are filtered to a band in which neither the motor's ringing on its tendons nor the drift of the
-friction counts, and correlated over the last fifth of a second, but for what came before the tendon turned last: on a
-joint that is moved, friction stretches the tendon against the torque that begins, until it slides all along: that takes
-a way of the joint, and where something moves it slowly more than a second. Before that friction may hold the motor fast
-as its torque turns, most of all in a sheath that bends there, until the torque has changed by twice the half loop: what
-motor and joint then move apart by is the way of a joint that something else moves, and says nothing of the motor. One
-that pulls the wrong way goes that way itself. While friction holds the motor, the limit does not grow. The motion of
-the joint frees the motor after a short way, and the limit is small again. If the motor is not free within `FREES`, the
-limit grows (`HELD`): a motor that is held cannot show its sense, so a limit below the half loop would stay for ever.
+A torque stretches the tendons, so motor and joint move apart: q_m - (r_J/r_M) q_j follows tau_M with the sign of the
+stiffness. This holds for a locked and for a moving joint and for every load. A joint torque sensor also follows tau_M.
+On a locked joint its gain is at most r_J/r_M, because friction only reduces it there. On a moving joint friction
+reverses with the motion, not with the torque, and the gain may be larger after a reversal. The sensor is therefore used
+on a locked joint only.
 
-The stretch of a joint that is held cannot be more than the torque's, tau_M/K: friction only takes away there. Where it
-follows the torque by half as much again, the motor gives more than it reports, a tendon hangs, or the file's stiffness
-is too high. Where the joint moves friction turns with it, and stretches the tendons beside the torque: on healthy rigs
-bent at the motor by 1.7 times as much.
+All signals are filtered to a band without the motor's oscillation on its tendons and without the drift of the friction.
+They are correlated over the last fifth of a second. Samples before the last friction reversal are excluded:
 
-On the simulated rig, each kind of joint, the correlation with the stretch is mostly above 0.8, with the motor reversed
-below -0.6 from 0.05 s after the enable on; the joint's torque follows by 0.98 r_J/r_M at most, and by 1.3 to 2 when the
-motor gives twice what it reports.
+* While a joint moves slowly, friction stretches the tendon against the new torque until the whole tendon slides. That
+  takes some joint travel, and at slow motion more than a second.
+* In a sheath that bends at the motor, friction may lock the motor until the torque has changed by twice the friction
+  torque. The elongation is then the motion of a joint that something else moves, and contains no information on the
+  motor. A reversed motor, however, moves in the wrong direction.
 
-After every enable the torque stays small until the sense is shown, or until it could have been: a rig that is too stiff
-for its encoders shows nothing, and is not held up by that. A set-point that rests shows nothing either: its torque is
-let through slowly, and shows it on the way. Encoders whose counts are coarser than the stretch show nothing by it:
-the count of one that happens to change would be taken for the answer.
+While friction locks the motor, the torque limit does not grow. A short joint motion releases the motor, and the limit
+is small again. If the motor is not released within `FREES`, the limit grows (`HELD`). Otherwise a limit below the
+friction torque would never end.
+
+On a locked joint the elongation is at most tau_M/K, because friction only reduces it. If it exceeds this by a half, the
+motor gives more torque than it reports, a tendon is slack, or the file's stiffness is too high. On a moving joint
+friction adds to the elongation: on healthy rigs with bends at the motor up to 1.7 times tau_M/K.
+
+Measured on the simulated rig with each kind of joint: the correlation with the elongation is mostly above 0.8. With a
+reversed motor it is below -0.6 from 0.05 s after the enable on. The gain of the joint torque sensor is at most 0.98
+r_J/r_M, and 1.3 to 2 times r_J/r_M if the motor gives twice the reported torque.
+
+After every enable the torque stays small until the sign is shown, or until it should have been visible. A rig that is
+too stiff for its encoders shows nothing and is not delayed. A constant set-point shows nothing either: its torque is
+released slowly, and the sign becomes visible on the way. If one count of an encoder is larger than the elongation, the
+encoder is not used: a random change of a count would look like a response.
 """
 
 from __future__ import annotations
@@ -36,7 +40,7 @@ import math
 from tsa_ctrl.safety.leaky import Leaky
 
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
-GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.apart`
+GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.residuals`
 COUNTED = 1.5  # counts of both encoders, from which the stretch counts: one of each may change by chance
 RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
@@ -251,7 +255,7 @@ class Sense:
         return None
 
     def _by_stretch(self) -> float:
-        """Return the correlation of torque and stretch, without what a wrong ratio of the radii adds to the stretch."""
+        """Return the correlation of torque and elongation, corrected for an error of the radii."""
         share = self._ay / self._yy if self._yy > 0.0 else 0.0
         share = min(max(share, -GEARING), GEARING)
         product = self._ta - share * self._ty

@@ -40,7 +40,7 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
     emergency_stop: Annotated[int, Meta(ge=0, le=31)] | None = None  # bit of 0x60FD (digital inputs)
     emergency_stop_level: Literal[0, 1] = 1  # of that bit while the stop is pressed
     zero_torque_within: Annotated[float, Meta(ge=0.005, le=20.0)] | None = (
-        None  # s; default: longest of what a fault takes + 0.05
+        None  # s; default: the longest reaction to a fault + 0.05
     )
     torque: Annotated[float, Meta(gt=0.0, le=1000.0)] | None = None  # N*m at the motor; default: 0.1 of rated torque
 
@@ -55,7 +55,7 @@ class SafetySettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw
 
 
 def on_bench(safety: SafetySettings) -> SafetySettings:
-    """Return the settings of a run that commissions a rig which nobody wears; all limits stay."""
+    """Return the settings of a commissioning run, in which no person wears the joint; all limits stay."""
     return msgspec.structs.replace(safety, use_class="bench")
 
 
