@@ -1,20 +1,22 @@
-"""What every command below this folder needs: its name, its parser, a vcan, processes beside it."""
+"""What the commands share: name, parser, tables, rows that a long run keeps, a vcan, a pool of processes."""
 
 from __future__ import annotations
 
 import argparse
 import concurrent.futures
+import json
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config"
 MOST_PROCESSES = 2
 
+Row = dict[str, Any]
 Item = TypeVar("Item")
 Done = TypeVar("Done")
 
@@ -67,3 +69,59 @@ def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int
         with concurrent.futures.ProcessPoolExecutor(processes, context) as pool:
             for done in concurrent.futures.as_completed([pool.submit(work, item) for item in rest]):
                 yield done.result()
+
+
+def read_rows(path: Path | None) -> list[Row]:
+    """The rows of a results file; none without it. The last line of a run that was killed may be torn: it is none."""
+    text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
+    return [json.loads(line) for line in text.splitlines() if line.endswith("}")]
+
+
+class Results:
+    """Rows by `key`; with a path each is on the disk before the next is made. What `counts` denies is left out."""
+
+    def __init__(
+        self, path: Path | None, key: Callable[[Row], Hashable], counts: Callable[[Row], bool] = lambda row: True
+    ) -> None:
+        self._path = path
+        self._key = key
+        self._rows: dict[Hashable, Row] = {}
+        for row in read_rows(path):
+            if counts(row):
+                self._rows[key(row)] = row
+
+    def __contains__(self, key: Hashable) -> bool:
+        return key in self._rows
+
+    def __getitem__(self, key: Hashable) -> Row:
+        return self._rows[key]
+
+    def add(self, row: Row) -> None:
+        """Keep a row."""
+        self._rows[self._key(row)] = row
+        if self._path is not None:
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(row) + "\n")
+
+
+def print_table(head: Sequence[str], lines: Sequence[Sequence[object]], title: str | None = None) -> None:
+    """Print a table; without a terminal it is as wide as its cells need, up to 250 characters."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*head, title=title, title_justify="left")
+    for line in lines:
+        table.add_row(*map(_cell, line))
+    Console(width=None if sys.stdout.isatty() else 250).print(table)
+
+
+def show(rows: Sequence[Row], keys: Sequence[str], as_json: bool) -> None:
+    """Print one JSON object a line, or a table of these keys."""
+    if as_json:
+        print("\n".join(map(json.dumps, rows)), flush=True)
+    else:
+        print_table([key.replace("_", " ") for key in keys], [[row.get(key) for key in keys] for row in rows])
+
+
+def _cell(value: object) -> str:
+    return "-" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -86,14 +86,6 @@ def test_a_table_that_a_benchmark_printed_is_taken(printed: str) -> None:
     assert row["commit"]
 
 
-def test_modules_that_did_not_run_again_keep_their_row_and_each_says_its_commit() -> None:
-    first = {"head": ["module", "killed"], "rows": [["a.py", "1"], ["b.py", "2"], ["all", "3"]], "commit": "aaa"}
-    again = {"head": ["module", "killed"], "rows": [["b.py", "4"], ["c.py", "5"]], "commit": "bbb"}
-    row = tables.joined(again, tables.joined(first, None))
-    assert row["head"] == ["module", "killed", "at"]
-    assert row["rows"] == [["a.py", "1", "aaa"], ["b.py", "4", "bbb"], ["c.py", "5", "bbb"]]
-
-
 def test_a_run_that_printed_no_table_is_refused() -> None:
     with pytest.raises(UsageError, match="no table in what was read for 'circle'; give what tools/vcan tools/run"):
         tables.taken("circle", "interrupted\n")

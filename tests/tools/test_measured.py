@@ -9,7 +9,7 @@ import pytest
 
 from tools import command
 from tools.bench import hidden_effects, measured, untouched
-from tools.bench.results import Row
+from tools.command import Row
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import RigidDrive
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tools.bench import otherwise, regressions
-from tools.bench.results import Row
+from tools.command import Row
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.prepare import prepare
 from tsa_ctrl.identify.diagnosis.data.split import split

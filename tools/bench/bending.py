@@ -26,8 +26,8 @@ from tests.virtual.joints import GAIT, play, rms
 from tests.virtual.rigs import draw
 from tools import command
 from tools.bench.checks import CALIBRATED
-from tools.bench.results import Results, Row
 from tools.bench.stretch import shape
+from tools.command import Results, Row
 from tsa_ctrl.demo.motion import PERIOD
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.virtual.result import AxisResult

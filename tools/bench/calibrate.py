@@ -19,7 +19,7 @@ from scipy.stats import beta
 
 from tests.blind import tendon_logs
 from tools import command
-from tools.bench.results import Results, Row
+from tools.command import Results, Row
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import calibrate
 from tsa_ctrl.identify.dataset import Dataset, load_log

@@ -35,10 +35,10 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results, Row
 from tools.campaign.passive.cases import Ended
 from tools.campaign.passive.experiment import SENSORS, Experiment
 from tools.campaign.passive.judge import peak_speed, reactions, windows
+from tools.command import Results, Row
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath

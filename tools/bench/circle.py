@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 from tools import command
-from tools.bench.results import Results, Row
+from tools.command import Results, Row
 from tsa_ctrl.system.processes import tsa
 
 CASES = (

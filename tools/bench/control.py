@@ -32,8 +32,8 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results, Row
 from tools.bench.torque_error import Measures, measure
+from tools.command import Results, Row
 from tsa_ctrl.control.margin import LAG
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.bus_choice import VIRTUAL

@@ -1,6 +1,6 @@
 """How long one control cycle takes, and how late it wakes up, beside what the bus itself costs.
 
-Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [--by axes,effects,...] [--json]
+Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [--json]
 
 One run, one bus, one process that answers each SYNC (that of `tsa bench`); the ways take turns in blocks:
 
@@ -10,8 +10,6 @@ One run, one bus, one process that answers each SYNC (that of `tsa bench`); the 
   ours, flooded     "ours, all" while clients flood the local socket and hang on it
   python-can        ours through python-can's Bus
   canopen           input and output alone through canopen's own PDO objects (notifier thread, condition)
-
---by adds tables in the same run: by the number of axes, by estimator, by effect of the model, and the parts of a cycle.
 
 Needs a vcan: is run under tools/vcan where there is none. --rate 0: 1000 Hz, or less where the bit rate carries less.
 """
@@ -24,14 +22,12 @@ from pathlib import Path
 from typing import Any
 
 from tools import command
-from tools.bench.loop import sweeps, ways
+from tools.bench.loop import ways
 from tools.bench.loop.blocks import measure, nodes
 from tools.bench.loop.rig import RATES, controller_text
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.system import realtime
 from tsa_ctrl.system.realtime import RealtimeSettings
-
-TABLES = ("axes", "estimators", "effects", "stages")
 
 
 def main() -> int:
@@ -40,12 +36,8 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=0.0, help="Hz; 0: as much of 1000 as the bit rate carries")
     parser.add_argument("--rounds", type=int, default=6)
     parser.add_argument("--cycles", type=int, default=250, help="in one block")
-    parser.add_argument("--by", default="", help=f"tables besides, of {', '.join(TABLES)}; comma between them, or all")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    wanted = TABLES if options.by == "all" else tuple(filter(None, options.by.split(",")))
-    if unknown := set(wanted) - set(TABLES):
-        parser.error(f"--by {', '.join(sorted(unknown))}: no such table, there are {', '.join(TABLES)}")
     interface = command.vcan(__name__)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "controller.toml"
@@ -63,36 +55,12 @@ def main() -> int:
                 "canopen": lambda: ways.canopen_pdo(configuration),
             }
             found = measure(table, configuration.file.controller.rate, options.rounds, options.cycles)
-    more = {name: sweep(name, interface, options.rounds, options.cycles) for name in wanted}
     if options.json:
         rate = configuration.file.controller.rate
-        print(json.dumps({"schema": 1, "axes": options.axes, "rate": rate, "unit": "us", "ways": found, **more}))
+        print(json.dumps({"schema": 1, "axes": options.axes, "rate": rate, "unit": "us", "ways": found}))
         return 0
     report(found, configuration, rights, options.axes)
-    for name, rows in more.items():
-        print(f"\nby {name}, us" if name != "stages" else "\nthe parts of a cycle, us")
-        print_table(rows)
     return 0
-
-
-def sweep(name: str, interface: str, rounds: int, cycles: int) -> sweeps.Table:
-    if name == "axes":
-        return sweeps.by_axes(interface, rounds, cycles)
-    if name == "estimators":
-        return sweeps.by_estimator(interface, rounds, cycles)
-    if name == "effects":
-        return sweeps.by_effect(interface, rounds, cycles)
-    return sweeps.stages(interface, rounds * cycles)
-
-
-def print_table(rows: sweeps.Table) -> None:
-    titles = list(dict.fromkeys(title for row in rows for title in row))
-    first = max(len(str(row[titles[0]])) for row in rows) + 2
-    print(f"{titles[0]:{first}}" + "".join(f"{title:>{len(title) + 3}}" for title in titles[1:]))
-    for row in rows:
-        cells = (f"{row[title]:.4g}" if title in row else "-" for title in titles[1:])
-        line = "".join(f"{cell:>{len(title) + 3}}" for cell, title in zip(cells, titles[1:], strict=True))
-        print(f"{row[titles[0]]!s:{first}}{line}")
 
 
 def report(figures: dict[str, dict[str, float]], configuration: Any, rights: str, axes: int) -> None:

@@ -31,7 +31,7 @@ from tests.blind.naive import name_effects
 from tests.blind.score import mark
 from tests.blind.table import failed, print_table
 from tools import command
-from tools.bench.results import Results, Row
+from tools.command import Results, Row
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import model_from

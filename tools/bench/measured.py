@@ -27,8 +27,8 @@ from rich.table import Table
 
 from tools import command
 from tools.bench.hidden_effects import HIDDEN, recorded, with_hidden
-from tools.bench.results import Results, Row, read_rows
 from tools.bench.untouched import MOVING, own
+from tools.command import Results, Row, read_rows
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset, load_logs
 from tsa_ctrl.model.parameters import RigidDrive, load_model

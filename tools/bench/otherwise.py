@@ -30,7 +30,7 @@ from rich.table import Table
 from tools import command
 from tools.bench import regressions
 from tools.bench.regressions import Array, Predict
-from tools.bench.results import Results, Row, read_rows
+from tools.command import Results, Row, read_rows
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.identify.diagnosis.data.prepare import prepare

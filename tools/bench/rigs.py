@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results, Row
+from tools.command import Results, Row
 from tsa_ctrl.demo import rig as demo
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for

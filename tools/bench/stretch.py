@@ -30,7 +30,7 @@ from rich.table import Table
 from tests.virtual.joints import GAIT, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
-from tools.bench.results import Results
+from tools.command import Results
 from tools.manual.measure import note
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.identify.calibrate.stretch import StretchFit, fit_stretch

@@ -23,7 +23,7 @@ from rich.table import Table
 from tests.blind.two_encoders import NOTHING, SHAPES, names, two_encoder_case, without_motor_angle
 from tools import command
 from tools.bench.diagnose import ask
-from tools.bench.results import Results, Row
+from tools.command import Results, Row
 from tsa_ctrl.errors import UsageError
 
 KINDS = ("found alone", "in a group", "not named", "wrong")

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from tools.bench.results import read_rows
+from tools.command import read_rows
 from tools.manual import drives, hazards, measure, tables
 from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
@@ -162,13 +162,6 @@ def held_in_measured() -> str:
     return table(*measured.intervals(read_rows(measured.FILE)))
 
 
-def constants_table() -> str:
-    """What half and double of the diagnosis' thresholds do to hidden logs."""
-    from tools.bench import constants  # the diagnosis with it: slow to import
-
-    return table(*constants.table(read_rows(constants.FILE)))
-
-
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -186,5 +179,4 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "folds": folds_table,
     "hidden-in-measured": hidden_in_measured,
     "held-in-measured": held_in_measured,
-    "constants": constants_table,
 }

@@ -4,7 +4,6 @@ Usage: tools/run manual/tables NAME [FILE]      (tools/run manual/tables alone l
 
 Reads the table from FILE, or from standard input, as the command prints it: lines with `|`, or the lines of a drawn
 table, or columns apart by two blanks. Writes `tools/manual/tables.json`; the pages follow by `tools/run manual/write`.
-Of `mutation`, which runs a module at a time, the rows of other modules stay; each says the commit at which it ran.
 """
 
 from __future__ import annotations
@@ -39,11 +38,9 @@ COMMANDS: Mapping[str, str] = {
     "checks-sensor": "tools/run bench/checks --sensors sensor --set-points sine",
     "bending": "tools/run bench/bending",
     "trend": "tools/run bench/trend",
-    "mutation": "tools/run campaign/mutate MODULE",
     "client": "tools/run bench/client --seconds 15",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",
 }
-PIECEMEAL = frozenset({"mutation"})  # each row is a run of its own; a last row "all" is only their sum
 Row = dict[str, Any]
 
 
@@ -77,13 +74,6 @@ def taken(name: str, text: str) -> Row:
     return {"head": rows[0], "rows": rows[1:], "command": COMMANDS[name], **measure.here()}
 
 
-def joined(new: Row, before: Row | None) -> Row:
-    """A table whose rows are runs of their own: those of `before` stay unless they ran again; each says its commit."""
-    rows = {} if before is None else {row[0]: row for row in before["rows"]}
-    rows |= {row[0]: [*row, new["commit"]] for row in new["rows"] if row[0] != "all"}
-    return {**new, "head": [*new["head"], "at"], "rows": list(rows.values())}
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("name", nargs="?", help="of the table")
@@ -97,8 +87,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise UsageError(f"no table '{asked.name}'; known are {', '.join(COMMANDS)}")
     text = asked.file.read_text(encoding="utf-8") if asked.file else sys.stdin.read()
     found, row = load(), taken(asked.name, text)
-    if asked.name in PIECEMEAL:
-        row = joined(row, found.get(asked.name))
     settings.write_text(FILE, json.dumps({**found, asked.name: row}, indent=1, ensure_ascii=False) + "\n")
     return 0
 

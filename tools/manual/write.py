@@ -24,7 +24,6 @@ PAGES = (
     "tsa_ctrl/CHANGES.md",
     "tsa_ctrl/model/README.md",
     "tsa_ctrl/identify/README.md",
-    "tsa_ctrl/identify/diagnosis/README.md",
     "tsa_ctrl/safety/README.md",
     "tsa_ctrl/bus/drive/README.md",
 )

@@ -24,7 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results, Row
+from tools.command import Results, Row
 from tools.figures.look import BACKWARD, FORWARD, GUIDE, NEUTRAL, grid, save
 from tools.manual.measure import here
 from tsa_ctrl.identify import diagnose

@@ -135,13 +135,6 @@ def ours(
 
 
 @contextlib.contextmanager
-def parts_of_ours(configuration: Configuration, flooded: bool = False) -> Iterator[tuple[Any, Any, Telemetry]]:
-    """Rig, axes and telemetry, with the processes of log writer and socket server; started."""
-    with _with_children(configuration, flooded) as (rig, axes, _, _, telemetry):
-        yield rig, axes, telemetry
-
-
-@contextlib.contextmanager
 def ours_all(configuration: Configuration, flooded: bool = False) -> Iterator[Way]:
     """With the record, the log writer's process, the socket server's process, and a command per cycle at most."""
     collect = configuration.file.controller.collect * configuration.period

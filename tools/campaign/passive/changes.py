@@ -39,9 +39,9 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results
 from tools.campaign.passive.cases import AT, CONFIRMED, Case, judge
 from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS
+from tools.command import Results
 from tsa_ctrl.errors import UsageError
 
 CHANGES = {

@@ -24,9 +24,9 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results
 from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import GUARD
+from tools.command import Results
 
 LOADS = ("imposed", *INERTIA)
 SLICE = 60.0  # s: a log of an hour does not fit into memory

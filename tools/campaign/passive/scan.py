@@ -40,9 +40,9 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results
 from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import most_work, peak_speed, reactions, speed
+from tools.command import Results
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault

@@ -39,8 +39,8 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.results import Results
 from tools.campaign.passive.experiment import SENSORS, Experiment
+from tools.command import Results
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult
