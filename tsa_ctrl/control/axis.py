@@ -34,7 +34,7 @@ NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it 
 
 @dataclass(slots=True)
 class Terms:
-    """What the last cycle worked with and did, for the log; N*m, rad, rad/s, 1, s."""
+    """Hold the inputs and results of the last cycle for the log; N*m, rad, rad/s, 1, s."""
 
     q_j: float = 0.0
     omega_j: float = 0.0

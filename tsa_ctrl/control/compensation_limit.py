@@ -1,24 +1,23 @@
-"""The share of the friction that may be compensated now: the proven friction, and a limited energy beyond it.
+"""Limit the compensated share of the friction to the proven friction and a limited energy beyond it.
 
-Compensation drives a joint wherever it exceeds the friction that is really there (`law`). So the friction term never
-exceeds the friction torque that the sensors prove at this moment (`observer.proven_friction`), but for an energy
-credit:
+Compensation drives a joint wherever it exceeds the actual friction (`law`). The friction term therefore never exceeds
+the friction torque that the sensors prove at this moment (`observer.proven_friction`), except for an energy credit:
 
     limit h = low + k (most - low),    most = c min(h, (low + high)/2)      low <= friction torque <= high
     dE/dt = (low - term) |omega_J|                  E <= capacity,  k = min(1, E / (KNEE capacity))
 
-h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while
-nothing is proven: at most its capacity, whatever the friction, the load and the set-point. It is spent by way, so a
-held joint keeps its full compensation. A joint torque sensor measures that work: the joint receives no more than its
-torque beyond the set-point. Where friction is proven, low is near high, and the credit has no say.
+h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while the
+friction is not proven. It is at most its capacity, for any friction, load and set-point. Only motion spends it, so a
+locked joint keeps its full compensation. A joint torque sensor measures that work: the joint receives at most the
+sensor's excess over the set-point. Where friction is proven, low is close to high, and the credit has no effect.
 
-An empty credit takes the term to 0. A term that came back while the joint rests would start it again. So the credit is
-filled again only if the joint is moved without the term: after a rest, or for so long that it is not the joint's own
-motion. Motion in the direction of the set-point's torque proves nothing, as that torque may have caused it. A set-point
-that has changed since fills it as well, once the joint rests: each request has one credit.
+An empty credit reduces the term to 0. If the term returned while the joint rests, it would start the motion again. The
+credit is therefore filled again only if the joint is moved without the term: after a rest, or for longer than the joint
+can move on its momentum. Motion in the direction of the set-point's torque does not count, because that torque may have
+caused it. A changed set-point also fills the credit once the joint rests: each request has one credit.
 
-Without a sensor at the joint nothing is ever proven. A set-point that changes then suspends the account: a person asks
-for motion.
+Without a sensor at the joint nothing is ever proven. There a changing set-point suspends the account, because a person
+requests motion.
 """
 
 from __future__ import annotations
@@ -29,9 +28,9 @@ from tsa_ctrl.control.bound import Bound
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.safety.limiter import Reason
 
-KNEE = 0.4  # of the capacity, below which the share falls with what is left: no step that a person feels
+KNEE = 0.4  # of the capacity, below which the share falls with the remaining energy: a person feels no step
 EMPTY = 0.02  # of the capacity, below which the term is withdrawn
-STANDS = 0.02  # N*m/s: a set-point that changes more slowly stands
+STANDS = 0.02  # N*m/s: a set-point that changes more slowly is constant
 RISE = 10.0  # 1/s at which the limit rises; it falls at once
 RESTED = 0.5  # s of rest after which a new motion is not the old one: a leg that swings turns within 0.2 s
 MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill the credit
@@ -41,9 +40,9 @@ MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person w
 # s without a reading, while the set-point asks for motion, after which the last upper bound is outdated: more friction
 # than was read last may hold the joint, and a smaller term would never show it. A slow reversal takes less.
 OUTDATED = 0.3
-LEFT = 0.5  # of the desired term: a proven friction above this is no withdrawal, it only ends the credit's share
+LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
-SURELY_LESS = 0.1  # rad of the joint for which it must be so: a single stroke's begin is no finding
+SURELY_LESS = 0.1  # rad of joint motion that must confirm it: the begin of one stroke is not enough
 
 
 class EnergyCredit:
@@ -123,7 +122,7 @@ class EnergyCredit:
 
 
 class CompensationLimit:
-    """The share of the model's friction term that the law may use; `count` and `words` of what was reported."""
+    """Limit the law's share of the model's friction term; `count` and `words` describe what was reported."""
 
     def __init__(self, bound: Bound, proven: ProvenFriction, capacity: float, gearing: float, period: float) -> None:
         """Start at the bound of the files.
@@ -147,7 +146,7 @@ class CompensationLimit:
         self.reset()
 
     def reset(self) -> None:
-        """Begin again at an enable; what is proven stays."""
+        """Restart at an enable; the proven friction is kept."""
         self.credit.reset()
         self._noted = False
         self._less = self._unread = 0.0  # rad, s

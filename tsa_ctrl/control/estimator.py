@@ -109,12 +109,12 @@ class Fixed:
 
 
 class ConfigurationMap:
-    """x and T_p from the bending angle Theta, which is a measurement: its motion is followed at once.
+    """Derive x and T_p from the measured bending angle Theta, whose motion is followed at once.
 
-    A jump is no motion. It is a client's command, or the first value after a gap, and is approached at the rate. The
-    map is invalid and frozen while Theta is missing. It is invalid and held at its bound while Theta exceeds 1 + bounds
-    times the model file's value. A straight sheath is valid, as less friction must not be compensated as if it were
-    more.
+    A jump is not motion. It is a client's command or the first value after a gap, and is approached at the rate.
+
+    The map is invalid and frozen while Theta is missing. It is invalid and held at its bound while Theta exceeds 1 +
+    bounds times the model file's value. A straight sheath is valid, because less friction must be compensated less.
     """
 
     use = True

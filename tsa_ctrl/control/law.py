@@ -1,29 +1,31 @@
-"""The feedforward law: ideal torque, the compensated share of the friction term, the motor's own motion, its damping.
+"""The feedforward law: ideal torque, the compensated share of the friction term, the motor's inertia, its damping.
 
     tau_M = tau_J* r_M/r_J  +  c f b (1 - e) (tau_ff(sigma) - tau_J* r_M/r_J)  +  J_M theta''  +  damping
 
-tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects, at the torque tau_J* that is wanted when the
-command acts, and in the direction sigma of the tendon (`direction`), which turns as the motor can follow (`turn`); a
-turn of a joint at rest stops where the slip fronts do (`slip`). c is the compensation factor, f the fade-in after every
-enable, b the back-off of whatever watches for too much compensation.
+tau_ff is the model's exact inverse, (3.55) or (3.53) with its effects, at the set-point tau_J* of the moment when the
+command acts, and for the direction sigma of the tendon (`direction`). sigma reverses as fast as the motor can follow
+(`turn`). At a joint at rest the reversal stops where the slip fronts do (`slip`). c is the compensation factor, f the
+fade-in after every enable, b the back-off of the guards against excessive compensation.
 
-Never more than the friction that is there. Term and friction together give the joint the power
+The term must not exceed the actual friction. Term and friction together give the joint the power
 
     P = (r_J/r_M) (c b h_model sigma_term - h_true sigma) omega_J,     h = 2 T_p0 r_M f(x) at the motor
 
-with f = tanh, x, sinh by where the sheath bends. The condition of passivity, on any load and at any speed, is P <= 0:
+where f is tanh, x or sinh depending on where the sheath bends. The condition of passivity, for any load and speed, is P
+<= 0:
 
     c b h_model <= h_true
 
-whether the term turns early, in time or late. Beyond it a joint of damping d runs by itself, up to
-(r_J/r_M) (c b h_model - h_true)/d. c is bounded by the proven h (`compensation_limit`), b is the guard's, which
-watches the integral of P (`safety.passivity`). With the true parameters and c = 1 nothing but the joint's own damping
-ends a swing; there the share e (`settle`) is taken back while the set-point stands and the joint hardly moves.
+whether the term reverses early, in time or late. Beyond it a joint of damping d accelerates to (r_J/r_M) (c b h_model -
+h_true)/d. c is limited by the proven h (`compensation_limit`), b is set by the guard, which observes the integral of P
+(`safety.passivity`). With the true parameters and c = 1 only the joint's damping ends an oscillation. The share e
+(`settle`) is therefore removed while the set-point is constant and the joint hardly moves.
 
-theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the stretch between motor and joint as an angle of
-the motor; J_M theta'' of a turn is planned with it, J_M r_J/r_M alpha_J carries the motor with the joint. The sum of
-ideal and friction term stays between the two bounds of tau_M at which both tendons pull in the present direction, T_p
-by (3.54), unless the model has slack. `beyond` is True while the sum or its exact inverse is clipped there.
+theta = C/r_M (tau_J*/r_J + s_c (friction term)/r_M), C = r_M^2/K, is the elongation between motor and joint as an angle
+of the motor. It gives the planned J_M theta'' of a reversal; J_M r_J/r_M alpha_J moves the motor with the joint. The
+sum of ideal and friction term stays between the two bounds of tau_M at which both tendons pull in the present
+direction, T_p by (3.54), unless the model has slack. `beyond` is True while the sum or its exact inverse is clipped
+there.
 """
 
 from __future__ import annotations
@@ -124,7 +126,7 @@ class Law:
         r_m, r_j = radii
         self.compensation = settings.compensation
         self.bound = math.inf  # 1, of it: as well as the friction is known, see `bound`
-        self.confirmed = 1.0  # 1, of the half loop in use that the file has: what a client set beyond it is not proven
+        self.confirmed = 1.0  # 1, of the friction torque in use, covered by the file; a client's excess is not proven
         self.slew = settings.slew
         self.plan = plan
         self.ideal = self.friction_term = self.planned = 0.0

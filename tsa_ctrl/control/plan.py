@@ -1,14 +1,14 @@
-"""What follows for an axis' law from its model, its settings and the delay: times, gains, and what cannot be had.
+"""Derive the times and gains of an axis' law from its model, its settings and the delay.
 
-Everything that [axis.law] leaves open is derived here, once, before the loop starts:
+Everything that [axis.law] leaves open is derived here once, before the loop starts:
 
-* the delay from a measurement to the torque that acts: what the settings say, or transport (a period with
-  rpdo = "sync"), half a period of hold, and the torque loop of a drive;
-* the duration of a turn, `TURN` periods with all bends before the middle of the sheath, less towards the joint (there
-  nothing is hidden behind a front); `BLIND` s where the motor's inertia is not known, so that no swing is planned for:
-  slow enough for a light motor on stiff tendons; longer where a limit of [axis.limits] or of the drive requires it. The
-  limits of speed latch a fault, so they lengthen every turn, also the one of [axis.law];
-* the damping that keeps a gain margin of 2 (`margin`), none where there is no such damping.
+* the delay from a measurement to the torque that acts: the setting, or else the sum of transport (a period with
+  rpdo = "sync"), half a period of hold, and the torque loop of the drive;
+* the duration of a friction reversal: `TURN` periods with all bends before the middle of the sheath, less towards the
+  joint, where no front hides it. Without a known motor inertia no swing is planned, and it takes `BLIND` s, slow enough
+  for a light motor on stiff tendons. A limit of [axis.limits] or of the drive can lengthen it. The speed limits latch a
+  fault, so they lengthen every reversal, also the one of [axis.law];
+* the damping that keeps a gain margin of 2 (`margin`); 0 if no damping does.
 """
 
 from __future__ import annotations
@@ -103,12 +103,16 @@ def plan_of(
     filtered: float = 0.0,
     where: str = "",
 ) -> Plan:
-    """Derive what is left out (None) of [axis.law]; `ringing` in Hz.
+    """Derive the values that [axis.law] leaves out (None).
 
-    `transport`: s until a command is taken; `late`: s by which the motor's velocity is late; `filtered`: s by which the
-    loop's own filter makes the joint velocity of a log late, which is part of a model's velocity_lag, but not of the
-    motion that the law follows. Raises UsageError for a damping without margin, and for a speed limit that no turn
-    respects.
+    Args:
+        transport: s until the drive applies a command.
+        late: s, delay of the motor's velocity.
+        filtered: s, delay of the joint velocity in a log by the loop's filter; a model's velocity_lag contains it.
+        ringing: Hz, of the motor on its tendons.
+
+    Raises:
+        UsageError: a damping has no margin, or no reversal respects a speed limit.
     """
     front = front_of(model)
     total = transport + 0.5 * period + LAG if delay is None else delay

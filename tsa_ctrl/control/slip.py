@@ -29,8 +29,8 @@ FADE = 0.004  # s in which all tendons slide once the joint moves
 class Slip:
     """The tensions along both tendons.
 
-    `torque` (N*m): motor torque beyond that of sliding tendons; `stretch` (rad): planned angle of the motor beyond that
-    of the joint; `bend` (rad/s^2): its second derivative during a turn of the friction term.
+    `torque` (N*m): motor torque beyond the torque of sliding tendons; `stretch` (rad): planned angle of the motor
+    beyond the joint's; `bend` (rad/s^2): its second derivative during a turn of the friction term.
     """
 
     def __init__(self, front: Front, motor_radius: float, joint_radius: float, stiffness: float, period: float) -> None:

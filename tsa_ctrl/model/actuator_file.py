@@ -75,7 +75,7 @@ class TendonSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     unstrained_length: Length  # l_us, m
     diameter: Diameter  # d, m
     series_stiffness: SeriesStiffness | None = None  # k_s, N/m, per tendon
-    series_position: Literal["motor", "joint"] | None = None  # the end at which it stands; "motor"
+    series_position: Literal["motor", "joint"] | None = None  # the end of the tendon with the spring; "motor"
 
 
 class SheathSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):

@@ -94,9 +94,9 @@ class TendonSheath:
         return 0.0 if self.series_stiffness is None else self.axial_stiffness / self.series_stiffness
 
     def recalibrated(self, friction_angle: float | None = None, pretension: float | None = None) -> TendonSheath:
-        """The same actuator with another x and T_p0.
+        """Return the same actuator with another x and T_p0.
 
-        Theta stays and mu follows x. Beyond the greatest mu that there is, Theta follows x: it is what was wrong.
+        Theta stays and mu follows x. Beyond the largest possible mu, Theta follows x, because then Theta was wrong.
         """
         theta = self.bending_angle
         if friction_angle is None:

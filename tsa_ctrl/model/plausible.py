@@ -1,6 +1,6 @@
 """Physical consistency of a model: each number may be possible while two of them contradict each other.
 
-A wrong unit is wrong by a factor of 10 to 1000. The limits below are those of matter, so that they need no tuning:
+A wrong unit is wrong by a factor of 10 to 1000. The limits below are limits of materials, so they need no tuning:
 
     E = EA / (pi d^2 / 4)       modulus of the tendon: soft polymer to carbon fibre
     sigma = T_p0 / (pi d^2 / 4) stress at the pretension: the strongest wire

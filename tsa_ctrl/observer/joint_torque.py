@@ -90,8 +90,8 @@ class JointTorque:
         if self._soft < SOFT or self.stretch is None:
             return None
         return (
-            f"the tendons give {1.0 / self.stretch.stiffness:.1f} times what the reported motor torque stretches them "
-            "by, or more: the motor gives that many times what it reports, or axial_stiffness is that much too high"
+            f"the tendons give {1.0 / self.stretch.stiffness:.1f} times as much as the reported motor torque explains, "
+            "or more: the motor torque exceeds the reported one by this factor, or axial_stiffness is too high by it"
         )
 
     def reset(self) -> None:

@@ -1,7 +1,7 @@
-"""Friction torque that the sensors of an axis prove at this moment, at the motor, with its 95 % bounds.
+"""Measure the friction torque at the motor that the sensors of an axis prove now, with its 95 % bounds.
 
-While the tendons slide in the direction sigma, the friction torque h (half the hysteresis width) is what the motor
-gives and the joint does not receive:
+While the tendons slide in the direction sigma, the friction torque h (half the hysteresis width) is the part of the
+motor torque that does not reach the joint:
 
     h = sigma (tau_M - J_M alpha_M - tau_J / a)                        joint torque sensor, a the slope of the model
     h = sigma (s_0 + kappa q_J + gamma tau - y) P_t / R                elongation, R = r_J/r_M
@@ -9,15 +9,15 @@ gives and the joint does not receive:
     y = s - (R + Q)/P tau,    s = r_M q_M - r_J q_J,    tau = tau_M - J_M alpha_M
     P_t = (R + Q) / ((R + Q)/P + gamma)
 
-P and Q are those of `tsa_ctrl.model.stretch`. The zero s_0, the error of the radii kappa, the error of the compliance
+`tsa_ctrl.model.stretch` defines P and Q. The zero s_0, the error of the radii kappa, the error of the compliance
 gamma and the mean friction g follow from least squares over the strokes so far, y = s_0 + kappa q_J + gamma tau -
 sigma g. One direction alone leaves s_0 - g: the covariance then makes the lower bound 0 and the upper one infinite.
 The numbers of a fit change between two strokes only, so that friction that is lost within a stroke is seen within it.
 
 A reading is kept as a share of the model's friction torque at that moment, so that it holds at another wrap angle.
 
-Samples count by the way of the joint, not by time: the work of a wrong torque grows with the way, and so does what a
-stroke shows. After a reversal the friction front has to run through the whole sheath first; until then, at rest, and
+Samples count by joint travel, not by time: the work of a wrong torque grows with the travel, as does the evidence of
+a stroke. After a reversal the friction front has to run through the whole sheath first; until then, at rest, and
 while the law turns its friction term, the last values of both directions hold.
 """
 
@@ -51,14 +51,14 @@ UNLIKE = 2.0  # times the variance of a sample: a stroke that adds more than thi
 MOST_SKIPPED = 4  # strokes in a row without a fit, after which the zero must have moved: a tendon or an encoder slipped
 FIT_EVERY = 32  # cycles between two fits before that
 ALIKE = 1.25  # of one direction's friction, at most in the other: the same sheaths; more is a zero that is wrong
-LEAST = 0.05  # of the friction torque at the nominal wrap angle: a straight sheath is no scale for a reading
+LEAST = 0.05  # of the friction torque at the nominal wrap angle: a straight sheath gives no scale for a reading
 SENSOR_GAIN, SENSOR_ZERO = 0.03, 0.01  # 1: of the joint torque, and of the friction torque, from a data sheet
 
 
 class ProvenFriction:
     """Measure the friction torque from a joint torque sensor, else from the elongation, while the tendons slide.
 
-    Attributes: `low`, `high`: N*m at the motor, bounds of the friction torque; 0 and inf while nothing is proven.
+    Attributes: `low`, `high`: bounds of the friction torque at the motor, N*m; 0 and inf while unproven.
     `reads`: True if this cycle has a reading, False if the bounds are those of earlier ones.
     """
 
@@ -249,7 +249,7 @@ class ProvenFriction:
         self._until = FIT_EVERY
 
     def _end_stroke(self) -> None:
-        """Keep what the stroke shows of zero, radii and compliance, unless friction changed within it."""
+        """Keep the stroke's evidence on zero, radii and compliance, unless friction changed within it."""
         stroke, n = self._stroke(), self._sums[0]
         self._begin_stroke()
         if not n > 0.0:

@@ -81,11 +81,11 @@ class StretchState(Enum):
 
 
 class StretchObserver:
-    """Estimate the joint torque; a few microseconds a cycle.
+    """Estimate the joint torque; takes a few microseconds a cycle.
 
-    Attributes: `torque`, `low`, `high`: N*m at the joint, nan while nothing can be told. `stiffness`: 1, of the tendons
-    (and of a series spring) over the model file's. `innovation`: m by which the last stretch differed from the one
-    foretold.
+    Attributes: `torque`, `low`, `high`: N*m at the joint, nan while it cannot be estimated. `stiffness`: 1, stiffness
+    of the tendons (and of a series spring) over the model file's. `innovation`: m, measured minus predicted elongation
+    of the last cycle.
     """
 
     def __init__(
@@ -247,7 +247,7 @@ class StretchObserver:
         )
         self._last, self._omega, self._stretch = way, omega_m, stretch
         self.innovation, self.stiffness = innovation, stiffness
-        if code != tendons.OK or not (near > 0.0 and far > 0.0):  # what was learned may leave no tension
+        if code != tendons.OK or not (near > 0.0 and far > 0.0):  # the corrected state may have no tension
             self._lose()
             self.state = StretchState.SLACK
             return

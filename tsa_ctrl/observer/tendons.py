@@ -273,12 +273,12 @@ def spread(pairs: Array, x: float, stiffer: float) -> None:
 def observe(
     pairs: Array, memory: Array, settings: Array, difference: float, stretch: float, joint: float, doubt: float = 0.0
 ) -> tuple[int, float, float, float, float, float, float, bool]:
-    """One cycle of all pairs, which differ by `MORE`: predict the stretch, learn from the one measured.
+    """Advance all pairs, which differ by `MORE`, by a cycle: predict the elongation and correct it by the measured one.
 
-    `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m by which the joint's pulley
-    has turned since; `doubt`: m^2, of what is foretold, beside NOISE. Nothing is learned before SLID, as nothing says
-    how the tendons lay. Returns a code, T4 - T2 (N), its standard deviation as far as the tendons decide it (N), the
-    tensions of tendon b at motor and joint (N), the innovation (m), STIFF, and whether SLID is 1.
+    `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m, motion of the joint's pulley
+    since the last cycle; `doubt`: m^2, variance of the prediction in addition to NOISE. There is no correction before
+    SLID, because the state of the tendons is unknown. Returns a code, T4 - T2 (N), its standard deviation by the
+    tendons (N), the tensions of tendon b at motor and joint (N), the innovation (m), STIFF, and True if SLID is 1.
     """
     n, w = pairs.shape[3] - 1, memory
     all_settled = True

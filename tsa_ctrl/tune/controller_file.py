@@ -54,7 +54,7 @@ def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
 
 
 def moved(text: str, axis: str, model: str, folder: Path) -> str:
-    """Return the file for another folder: this axis' model is `model`, other relative paths are those of `folder`."""
+    """Return the file for another folder: this axis' model is `model`, and other relative paths start at `folder`."""
     document: Any = tomlkit.parse(text)
     for table in document["axis"]:
         table["model"] = model if table["name"] == axis else str((folder / table["model"]).resolve())

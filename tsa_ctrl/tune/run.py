@@ -71,10 +71,11 @@ class RigRunner:
         run: Play = daemon,
         by_stretch: bool = False,
     ) -> None:
-        """`run` is what runs `controller-NAME.toml` of a folder: the daemon on the rig, or a simulation.
+        """Prepare the runs of one axis.
 
-        `by_stretch`: the joint torque is that of the tendons' stretch, as there is no sensor. Attribute `origin`: the
-        nodes that the last run found, and whether they were simulated; empty before the first run.
+        `run` plays `controller-NAME.toml` of a folder, on the rig or in a simulation. `by_stretch`: the joint torque is
+        estimated from the tendon elongation, because there is no sensor. Attribute `origin`: the nodes that the last
+        run found, and whether they were simulated; empty before the first run.
         """
         self.origin = Origin()
         self._run = run
@@ -134,12 +135,12 @@ class RigRunner:
         data["axis"] = [axis for axis in data["axis"] if axis["name"] in keep]
         data["log"] = {"folder": "."}
         data["controller"] = {**data.get("controller", {}), "name": f"tune-{name}"[:32], "after_fault": "exit"}
-        if "safety" in data:  # nobody wears a joint that is being tuned; its limits stay
+        if "safety" in data:  # no person wears a joint during tuning; its limits stay
             data["safety"].pop("class", None)
         for axis in data["axis"]:
             self._confine(axis)
             if axis["name"] == self._axis.name:
-                axis["model"] = model.name  # both lie beside this file, also when the folder is renamed
+                axis["model"] = model.name  # both are in the folder of this file, also after the folder is renamed
                 axis["setpoint"] = {"kind": "file", "file": setpoint.name}
                 if rate is not None:
                     axis["setpoint"]["rate"] = rate

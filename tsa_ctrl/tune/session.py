@@ -274,7 +274,7 @@ class Session:
         self.page = self._final / "report.html"
 
     def targets(self, outcome: Outcome) -> list[Path]:
-        """The files that `write` writes: the rig's own, or new ones beside the page when the plant was simulated."""
+        """Return the files that `write` writes: the rig's files, or new ones next to the page of a simulated plant."""
         return list(self.changes(outcome)) if self._plant is None else list(self._simulated(outcome))
 
     def write(self, outcome: Outcome) -> dict[Path, Path | None]:
@@ -287,7 +287,7 @@ class Session:
         return dict.fromkeys(texts)
 
     def _simulated(self, outcome: Outcome) -> dict[Path, str]:
-        """What a simulated plant taught goes beside the page, never into the rig's files."""
+        """Return the files with results of a simulated plant, next to the page, never the rig's files."""
         assert self._final is not None
         configuration, name = self._configuration, self.path.name
         text = self.changes(outcome).get(configuration.path, configuration.text)
