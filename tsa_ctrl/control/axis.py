@@ -146,7 +146,7 @@ class ControlAxis:
             self.request = Request.DISABLE
 
     def connect(self, register: Callable[[], tuple[float, float] | None]) -> None:
-        """Where the newest set-point (N*m) that came over the socket lies, with its time (s, monotonic); once each."""
+        """Take the newest set-point (N*m) over the socket, and its time (s, monotonic), from there; once each."""
         self._register = register
 
     def joint(self) -> tuple[float, float]:
@@ -290,6 +290,7 @@ class ControlAxis:
         """Let the guard see what the compensation does, and follow what it asks for."""
         law, terms, guard, image, gearing = self.law, self.terms, self.guard, self.image, self._gearing
         velocity = law.velocity
+        swing = law.swing(image.omega_m) if law.turn.turning else 0.0
         guard.update(
             self._delivered(),
             self.ramp * terms.tau_j_des,
@@ -299,7 +300,7 @@ class ControlAxis:
             gearing * law.half_loop,
             terms.tau_m_cmd - law.ideal,
             law.ideal,
-            law.swing(image.omega_m),
+            swing,
             self.direction.follows,
         )
         law.damping.share = guard.damping

@@ -191,9 +191,12 @@ class CompensationLimit:
             unproven = excess if excess > 0.0 else 0.0
         credit.update(unproven, omega_j, tau_j_des, request, suspended)
         self._desired = desired = compensation if compensation < self.ceiling else self.ceiling
-        most = desired * min(half_loop, 0.5 * (low + high))
+        middle = 0.5 * (low + high)
+        most = desired * (half_loop if half_loop < middle else middle)
         allowed = low if low < most else most
-        share = (allowed + credit.share * (most - allowed)) / half_loop if half_loop > 0.0 else desired
+        if allowed < most:
+            allowed += credit.share * (most - allowed)
+        share = allowed / half_loop if half_loop > 0.0 else desired
         rise = self.share + self._step
         self.share = share if share < rise else rise
         if credit.withdrawn and not before and low < LEFT * most:

@@ -27,7 +27,8 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
         wanted = 0.0
         if permitted:
             t = axis.since_enable(now)
-            axis.listen(now, t)
+            if set_point.is_received:
+                axis.listen(now, t)
             terms.tau_j_des = set_point.update(t)
             law.observe(q_j, image.q_m, image.fresh, set_point.ahead, set_point.rate)
             wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.guard.share)

@@ -106,7 +106,10 @@ class Inverse(Protocol):
 
 
 class Law:
-    """One axis' law; `ideal`, `friction_term` and `planned` are its output's parts, N*m at the motor.
+    """One axis' law.
+
+    Attributes: `ideal`, `friction_term` and `planned`: parts of its output, N*m at the motor. `half_loop`: friction
+    torque of the model as of late, N*m at the motor.
 
     `observe` belongs to every cycle, `update` to those with torque.
     """
@@ -157,11 +160,6 @@ class Law:
         return self.turn.force
 
     @property
-    def half_loop(self) -> float:
-        """N*m at the motor, the model's, as of late."""
-        return self._half_loop
-
-    @property
     def velocity(self) -> float:
         """rad/s of the joint."""
         return self._motion.velocity
@@ -187,13 +185,13 @@ class Law:
         self.damping.reset()
         self._inverse.reset()
         self._stretch = 0.0
-        self._half_loop = self._inverse.half_loop()
+        self.half_loop = self._inverse.half_loop()
         self._until_refresh = _REFRESH
 
     def set_parameters(self, friction_angle: float, pretension: float) -> None:
         """Use another friction angle (1) and pretension (N) from now on."""
         self._inverse.set(friction_angle, pretension)
-        self._half_loop = self._inverse.half_loop()
+        self.half_loop = self._inverse.half_loop()
 
     def observe(self, q_j: float, q_m: float, fresh: bool, ahead: float, rate: float) -> None:
         """This cycle's angles of joint and motor (rad), and the set-point when a turn from now would be over and how
@@ -222,7 +220,7 @@ class Law:
             self._peak = ahead if ahead == ahead else 0.0
         elif ahead * sigma > self._peak * sigma:
             self._peak = ahead
-        if direction.moving:
+        if direction.rest == 0.0:  # the joint moves
             self._slip.move()
         turn.update(sigma, direction.age)
 
@@ -293,7 +291,7 @@ class Law:
         self._until_refresh -= 1
         if self._until_refresh <= 0:
             self._until_refresh = _REFRESH
-            self._half_loop = self._inverse.half_loop()
+            self.half_loop = self._inverse.half_loop()
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
     def swing(self, omega_m: float) -> float:

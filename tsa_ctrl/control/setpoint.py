@@ -81,6 +81,7 @@ class SetPoint:
         `limit`, N*m: no gain takes the set-point beyond it.
         """
         self.gain = 1.0
+        self.is_received = settings.kind == "socket"
         self._limit = limit
         self._source = None if settings.kind == "socket" else waveform(settings, folder)
         self._period = period

@@ -59,9 +59,9 @@ class Slip:
 
     def move(self) -> None:
         """The joint moves: all slides soon."""
-        self._left -= self._fade
-        if self._left <= 0.0:
-            self.slide(self._sigma)
+        self._level = False
+        if self._left > 0.0:
+            self._left = max(0.0, self._left - self._fade)
 
     def turn(self, turn: Turn) -> None:
         """Note where the turn of the friction term begins; call it before `slide` or `begin`."""

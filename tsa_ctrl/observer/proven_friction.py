@@ -114,15 +114,15 @@ class ProvenFriction:
         self._kept = _Sums(np.zeros((4, 4)), np.zeros(4), 0.0)
         self._variance = 0.0  # m^2 of a sample, as the last fit left it
         self._skipped = 0  # strokes in a row that no fit explains
-        self._fit = (0.0, 0.0, 0.0)
+        self._fit, self._scale = (0.0, 0.0, 0.0), 0.0
         self._covariance: tuple[float, ...] = ()  # of the fit, its upper triangle; empty before the first one
         self._settled = False
         self._read = [math.nan, math.nan]  # 1, of the model's friction torque, by direction
         self._spread = [math.inf, math.inf]
+        self._held = math.nan  # N*m, `_modelled` by which earlier readings are the bounds; nan after a new reading
         self.low, self.high, self.reads = 0.0, math.inf, False
-        self._direction = 0
-        self._gap = 0.0
-        self._until = FIT_EVERY
+        self._direction, self._gap, self._until = 0, 0.0, FIT_EVERY
+        self._sums: tuple[float, ...] = ()
         self._begin_stroke()
         self.pause()
 
@@ -183,9 +183,11 @@ class ProvenFriction:
                 return
         else:
             self._way = 0.0
-        reads = [each for each in self._read if each == each]
-        if reads:
-            self._bound(min(reads), max(self._spread[k] for k in (0, 1) if self._read[k] == self._read[k]))
+        if self._held != self._modelled:
+            self._held = self._modelled
+            reads = [each for each in self._read if each == each]
+            if reads:
+                self._bound(min(reads), max(self._spread[k] for k in (0, 1) if self._read[k] == self._read[k]))
 
     def _take_elongation(self, direction: int, elongation: float, q_j: float, tau: float, way: float) -> None:
         if self._origin != self._origin:
@@ -193,19 +195,14 @@ class ProvenFriction:
         y = elongation - self._origin - self._compliance * tau
         q = q_j - self._angle
         weight = way / SAMPLE
-        sums = self._sums
         wq, wt, wy = weight * q, weight * tau, weight * y
-        sums[0] += weight
-        sums[1] += wq
-        sums[2] += wt
-        sums[3] += wq * q
-        sums[4] += wq * tau
-        sums[5] += wt * tau
-        sums[6] += wy
-        sums[7] += wy * q
-        sums[8] += wy * tau
-        sums[9] += wy * y
-        if not self._settled and sums[0] >= 1.0:
+        n, sq, st, sqq, sqt, stt, sy, syq, syt, syy = self._sums
+        n += weight
+        self._sums = (
+            n, sq + wq, st + wt, sqq + wq * q, sqt + wq * tau, stt + wt * tau,
+            sy + wy, syq + wy * q, syt + wy * tau, syy + wy * y,
+        )  # fmt: skip
+        if not self._settled and n >= 1.0:
             self._until -= 1
             if self._until <= 0:
                 self._until = FIT_EVERY
@@ -213,12 +210,11 @@ class ProvenFriction:
         if not self._covariance:
             return
         zero, kappa, gamma = self._fit
-        compliance = self._compliance + gamma
-        scale = self._whole / compliance / self._ratio
+        scale = self._scale
         friction = direction * (zero + kappa * q + gamma * tau - y) * scale
         a, b, c, d, e, f = self._covariance
-        v1, v2 = q, tau - direction * friction / (scale * compliance)
-        variance = a + v1 * (2.0 * b + d * v1) + v2 * (2.0 * c + 2.0 * e * v1 + f * v2)
+        v = tau - direction * friction / (scale * (self._compliance + gamma))
+        variance = a + q * (2.0 * b + d * q) + v * (2.0 * c + 2.0 * e * q + f * v)
         self._take(direction, friction, way, 0.0, scale * math.sqrt(variance) if variance > 0.0 else 0.0)
 
     def _take(self, direction: int, friction: float, way: float, tau_j: float, deviation: float = -1.0) -> None:
@@ -227,12 +223,12 @@ class ProvenFriction:
             return
         side = 1 if direction > 0 else 0
         value, found = self._read[side], friction / self._modelled
-        share = way / (SMOOTH + way)
-        value = found if value != value else value + share * (found - value)
+        value = found if value != value else value + way / (SMOOTH + way) * (found - value)
         if deviation < 0.0:
             deviation = (SENSOR_GAIN * abs(tau_j) / self._ratio + SENSOR_ZERO * self._expected) / SURE
         self._read[side], self._spread[side] = value, deviation / self._modelled
         self.reads = True
+        self._held = math.nan
         self._bound(value, self._spread[side])
 
     def _bound(self, share: float, deviation: float) -> None:
@@ -240,12 +236,14 @@ class ProvenFriction:
         doubt = SURE * math.hypot(deviation, self._shape * share)
         low, high = share - doubt, share + doubt
         if low > 0.0:  # nan while a direction has no reading
-            low = min(low, ALIKE * self._read[0], ALIKE * self._read[1])
+            for read in self._read:
+                if low > ALIKE * read:
+                    low = ALIKE * read
         self.low = low * modelled if low > 0.0 else 0.0
         self.high = high * modelled if high > 0.0 else 0.0
 
     def _begin_stroke(self) -> None:
-        self._sums = [0.0] * 10
+        self._sums = (0.0,) * 10
         self._until = FIT_EVERY
 
     def _end_stroke(self) -> None:
@@ -294,15 +292,16 @@ class ProvenFriction:
                 break
         zero, kappa, gamma = (float(each) for each in found[:3])
         self._fit = (zero, kappa, max(gamma, -0.5 * self._compliance))
+        self._scale = self._whole / (self._compliance + self._fit[2]) / self._ratio  # N*m per m of elongation
         self._covariance = tuple(float(covariance[i, j]) for i in range(3) for j in range(i, 3))
         if self._settled:
             return
         # Readings by an earlier fit are worth as little as that fit was.
-        scale = self._whole / (self._compliance + self._fit[2]) / self._ratio
-        deviation = scale * math.sqrt(max(0.0, float(covariance[3, 3])))
+        deviation = self._scale * math.sqrt(max(0.0, float(covariance[3, 3])))
         if deviation < CERTAIN * self._expected:
             self._settled = whole
-            self._read = [scale * float(found[3]) / self._expected] * 2
+            self._held = math.nan
+            self._read = [self._scale * float(found[3]) / self._expected] * 2
             self._spread = [deviation / self._expected] * 2
 
     def _learned(self, kappa: float, deviation: float, mean: Array, prior: Array) -> bool:

@@ -132,7 +132,10 @@ class Plausibility:
             self._moved_at = math.inf
             self._low = self._high = command
         else:
-            self._low, self._high = min(self._low, command), max(self._high, command)
+            if command < self._low:
+                self._low = command
+            elif command > self._high:
+                self._high = command
             moved = self._high - self._low
             if moved <= BEGUN * self._frozen:
                 self._moved_at = math.inf
@@ -145,7 +148,8 @@ class Plausibility:
                 )
         if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        return self._apart(now, *feedback, q_j) or self._rests(now, feedback, q_j) or self._joint(now, tau_j, *expected)
+        wrong = self._apart(now, *feedback, q_j) if self._has_encoder else None
+        return wrong or self._rests(now, feedback, q_j) or self._joint(now, tau_j, *expected)
 
     def _rests(self, now: float, feedback: tuple[float, float, float], q_j: float) -> str | None:
         """Compare the positions with velocity, torque and each other's last motion."""
@@ -161,8 +165,6 @@ class Plausibility:
         return None
 
     def _apart(self, now: float, tau_m: float, q_m: float, omega_m: float, q_j: float) -> str | None:
-        if not self._has_encoder:
-            return None
         joint = self._geared * q_j
         apart = q_m - joint
         if self._offset != self._offset:
@@ -186,10 +188,12 @@ class Plausibility:
         )
 
     def _joint(self, now: float, tau_j: float, one: float, other: float) -> str | None:
-        known = tau_j == tau_j  # else no sensor, or no value of it that is fresh
+        if tau_j != tau_j:  # no sensor, or no value of it that is fresh
+            self._joint_wrong.update(now, False)
+            return None
         low, high = (one, other) if one < other else (other, one)
         most = max(self._joint_torque, PREDICTION_SHARE * 0.5 * abs(low + high))
-        if not self._joint_wrong.update(now, known and not low - most <= tau_j <= high + most):
+        if not self._joint_wrong.update(now, not low - most <= tau_j <= high + most):
             return None
         return (
             f"the joint torque sensor says {tau_j:.2f} N*m, the model {low:.2f} to {high:.2f} N*m, for "

@@ -212,11 +212,12 @@ class Velocity:
         self._angle = angle
         reported = speed * period
         self._difference = keep * self._difference + step - reported
-        self._path = keep * self._path + max(abs(step), abs(reported))
+        moved, told = abs(step), abs(reported)
+        self._path = keep * self._path + (moved if moved > told else told)
         rate = step / period
-        before = self.by_position
-        self.by_position += self._slow * (rate - before)
-        self._bend = keep * self._bend + abs(self.by_position - before)
+        change = self._slow * (rate - self.by_position)
+        self.by_position += change
+        self._bend = keep * self._bend + abs(change)
         return abs(self._difference) > self._room + self.SHARE * self._path + self.FILTER * self._bend
 
 
