@@ -22,6 +22,7 @@ from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Recover, Status
 from tsa_ctrl.log.reader import LogFile
+from tsa_ctrl.plant.channel import ask
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 
@@ -84,7 +85,7 @@ class Rig:
         return process
 
     def plant(self) -> subprocess.Popen[str]:
-        plant = self.start("plant", "plant.toml")
+        plant = self.start("plant", "plant.toml", "--control", str(self.folder / "plant.sock"))
         assert plant.stdout is not None
         for line in plant.stdout:
             if "ready" in line:
@@ -93,6 +94,10 @@ class Rig:
 
     def run(self, *options: str) -> subprocess.Popen[str]:
         return self.start("run", "controller.toml", "--json", *options)
+
+    def torque(self) -> float:
+        """Return the motor torque of the plant, N*m."""
+        return abs(json.loads(ask(self.folder / "plant.sock", "state"))["axes"][0]["torque_loop"])
 
     def status(self) -> dict[str, Any] | None:
         try:
@@ -260,6 +265,33 @@ def test_killed_children_do_not_stop_the_loop(rig: Rig) -> None:
 def kill_child(daemon: subprocess.Popen[str], module: str) -> None:
     found = subprocess.run(["pgrep", "-P", str(daemon.pid), "-f", module], capture_output=True, text=True)
     os.kill(int(found.stdout), signal.SIGKILL)
+
+
+def test_a_flooded_socket_leaves_the_loop_alone_and_a_stopped_loop_loses_its_torque(rig: Rig) -> None:
+    """Four clients flood the socket for a second. Then SIGSTOP stops the loop, and the drive ends the torque itself."""
+    rig.plant()
+    daemon = rig.run()
+    until(lambda: rig.phase("running"), STARTED)
+    until(lambda: rig.torque() > 0.1)
+    clients = [Client(rig.socket) for _ in range(4)]
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        for client in clients:
+            client.ask(Status())
+    for client in clients:
+        client.close()
+    status = rig.status()
+    assert status is not None
+    assert (status["phase"], status["faults"]) == ("running", [])
+    until(lambda: rig.torque() > 0.1)
+    daemon.send_signal(signal.SIGSTOP)
+    until(lambda: rig.torque() < 0.01, 10.0)
+    daemon.send_signal(signal.SIGCONT)
+    until(lambda: rig.phase("faulted"))
+    assert rig.torque() < 0.01
+    daemon.terminate()
+    _, err, code = ended(daemon)
+    assert code == 1, err
 
 
 @pytest.mark.soak  # in virtual time: tests/virtual/test_simulate_loop.py

@@ -1,4 +1,4 @@
-"""tools/run pins: kinds of differences, rows that are not compared, the cheap rows against the committed digests."""
+"""tools/run pins: the cases and the cheap rows against the committed digests."""
 
 from __future__ import annotations
 
@@ -11,44 +11,6 @@ import pytest
 
 from tests.conftest import ROOT
 from tools import pins
-
-ROW = {"rms": 0.25, "tau": [1.0, -2.0, 1e-3], "effect": "backlash", "notes": ["two words"], "sha256": "ab"}
-
-
-@pytest.mark.parametrize(
-    ("change", "expected"),
-    [
-        ({"sha256": "cd"}, "equal"),
-        ({"rms": 0.25 * (1.0 + 1e-12)}, "equal"),
-        ({"tau": [1.0, -2.0, 1e-3 + 1e-9]}, "values differ"),
-        ({"effect": "inertia"}, "values differ"),
-        ({"notes": ["two other words"]}, "text differs"),
-        ({"more": None}, "values differ"),
-    ],
-)
-def test_a_row_is_equal_or_its_values_or_only_its_sentences_differ(change: dict[str, object], expected: str) -> None:
-    assert pins.outcome({**ROW, **change}, pins.digest(ROW), True) == expected
-    assert pins.compared(ROW, {**ROW, **change}).partition(":")[0] == expected
-
-
-def test_an_absent_data_set_another_machine_and_a_new_row_are_not_compared() -> None:
-    found = [
-        pins.outcome(None, pins.digest(ROW), True),
-        pins.outcome(ROW, pins.digest(ROW), False),
-        pins.outcome(ROW, None, True),
-        pins.compared(None, ROW),
-        pins.compared(ROW, None),
-    ]
-    assert all(each.startswith("not compared: ") for each in found)
-
-
-def test_the_change_of_a_sample_is_relative_to_the_largest_one_of_its_column() -> None:
-    result = pins.compared(ROW, {**ROW, "rms": 0.3, "tau": [1.0, -2.0, 1.001]})
-    assert "2 of 6; largest relative change 0.5 at .tau[2]" in result
-
-
-def test_a_changed_name_is_printed_with_both_values() -> None:
-    assert "; .effect: backlash -> inertia" in pins.compared(ROW, {**ROW, "effect": "inertia"})
 
 
 def test_every_case_has_a_digest_or_needs_measured_data() -> None:

@@ -9,7 +9,6 @@ One run, one bus, one process that answers each SYNC (that of `tsa bench`); the 
   ours, all         the same with what follows the RPDO: estimate, record for the log, a command of the local socket
   ours, flooded     "ours, all" while clients flood the local socket and hang on it
   python-can        ours through python-can's Bus
-  canopen           input and output alone through canopen's own PDO objects (notifier thread, condition)
 
 Needs a vcan: is run under tools/vcan where there is none. --rate 0: 1000 Hz, or less where the bit rate carries less.
 """
@@ -52,7 +51,6 @@ def main() -> int:
                 "ours, all": lambda: ways.ours_all(configuration),
                 "ours, flooded": lambda: ways.ours_all(configuration, flooded=True),
                 "python-can": lambda: ways.python_can(configuration),
-                "canopen": lambda: ways.canopen_pdo(configuration),
             }
             found = measure(table, configuration.file.controller.rate, options.rounds, options.cycles)
     if options.json:
@@ -75,7 +73,3 @@ def report(figures: dict[str, dict[str, float]], configuration: Any, rights: str
         ]
         ratio = f"{row['cycle_p50'] / floor:.2f}" if "cycle_p50" in row else "-"
         print(f"{name:16}{cells[0]:>11}{cells[1]:>9}{cells[2]:>14}{cells[3]:>9}{ratio:>10}{row['lost']:>6}")
-    if "cycle_p50" in figures["canopen"]:
-        print(
-            f"canopen takes {figures['canopen']['cycle_p50'] / figures['ours']['cycle_p50']:.2f} times as long as ours"
-        )

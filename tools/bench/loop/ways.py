@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import struct
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import canopen
-from canopen.objectdictionary import ODArray, ODRecord, ODVariable, datatypes
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.python_can import PythonCan
@@ -204,93 +199,3 @@ def python_can(configuration: Configuration) -> Iterator[Way]:
     settings = configuration.file.bus
     with ours(configuration, PythonCan("socketcan", settings.channel, settings.bitrate, {})) as way:
         yield way
-
-
-class CanopenNodes:
-    """The nodes of one axis as canopen sees them, mapped by hand as the drive is."""
-
-    def __init__(self, network: Any, axis: int, received: Callable[[Any], None]) -> None:
-        drive = _node(network, 1 + axis, {0x6041: 16, 0x6077: 16, 0x606C: 32, 0x6064: 32, 0x6061: 8, 0x603F: 16}, 2)
-        encoder = _node(network, 32 + axis, {0x6004: 32}, 1)
-        sensor = _node(network, 64 + axis, {0x9130: 32}, 1)
-        self.inputs = [
-            _tpdo(drive, 1, 0x181 + axis, (0x6041, 0x6077, 0x606C), received),
-            _tpdo(drive, 2, 0x281 + axis, (0x6064, 0x6061, 0x603F), received),
-            _tpdo(encoder, 1, 0x1A0 + axis, (0x6004,), received),
-            _tpdo(sensor, 1, 0x1C0 + axis, (0x9130,), received),
-        ]
-        self.output = drive.rpdo[1]
-        self.output.clear()
-        self.output.cob_id = 0x201 + axis
-        for index in (0x6040, 0x6071):
-            self.output.add_variable(index)
-
-
-@contextlib.contextmanager
-def canopen_pdo(configuration: Configuration) -> Iterator[Way]:
-    """Input and output alone, with canopen's PDO objects, notifier thread and conditions."""
-    policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
-    os.sched_setscheduler(0, policy & ~os.SCHED_RESET_ON_FORK, priority)  # its thread runs with its user's priority
-    network = canopen.Network()
-    condition = threading.Condition()
-    pending = 0
-
-    def received(_: Any) -> None:
-        nonlocal pending
-        with condition:
-            pending -= 1
-            if pending == 0:
-                condition.notify()
-
-    network.connect(interface="socketcan", channel=configuration.file.bus.channel)
-    try:
-        nodes = [CanopenNodes(network, n, received) for n in range(len(configuration.models))]
-        expected = sum(len(node.inputs) for node in nodes)
-
-        def cycle(now: float) -> bool:
-            nonlocal pending
-            with condition:
-                pending = expected
-                network.sync.transmit()
-                if not condition.wait_for(lambda: pending <= 0, PATIENCE):
-                    return False
-            for node in nodes:
-                for pdo in node.inputs:
-                    for variable in pdo:
-                        variable.raw  # noqa: B018  decoding is what a user of it would do
-                node.output[0].raw = 15
-                node.output[1].raw = 0
-                node.output.transmit()
-            return True
-
-        yield Way(cycle)
-    finally:
-        network.disconnect()
-        os.sched_setscheduler(0, policy, priority)
-
-
-def _node(network: Any, node_id: int, objects: dict[int, int], tpdos: int) -> Any:
-    """A remote node with a dictionary of `objects` (index to bits) and its PDO parameters."""
-    kinds = {8: datatypes.INTEGER8, 16: datatypes.INTEGER16, 32: datatypes.INTEGER32}
-    dictionary = canopen.ObjectDictionary()
-    for index, bits in {**objects, 0x6040: 16, 0x6071: 16}.items():
-        variable = ODVariable(f"object {index:04X}", index, 0)
-        variable.data_type = kinds[bits]
-        dictionary.add_object(variable)
-    for first in (0x1400, *(0x1800 + n for n in range(tpdos))):
-        dictionary.add_object(ODRecord(f"communication {first:04X}", first))
-        dictionary.add_object(ODArray(f"mapping {first:04X}", first + 0x200))
-    node = canopen.RemoteNode(node_id, dictionary)
-    network.add_node(node)
-    return node
-
-
-def _tpdo(node: Any, number: int, cob_id: int, indices: tuple[int, ...], received: Callable[[Any], None]) -> Any:
-    pdo = node.tpdo[number]
-    pdo.clear()
-    pdo.cob_id, pdo.enabled = cob_id, True
-    for index in indices:
-        pdo.add_variable(index)
-    pdo.add_callback(received)
-    pdo.subscribe()
-    return pdo

@@ -1,12 +1,11 @@
-"""What somebody else on the bus or the computer does, where the plant has no fault for it."""
+"""Acts of another node on the bus or of the computer for which the plant has no fault."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from tools.campaign.phase.stage import Stage
+from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.virtual.lockstep import Wire
 
 HANG = 0.3  # s: longer than every time-out
 HITCH = 0.01  # s: shorter than the shortest, 20 ms
@@ -15,57 +14,52 @@ REBOOT = 0.03  # s of a drive without power
 
 
 class DiedError(Exception):
-    """Nobody controls any more; the trial is over."""
+    """The loop is gone, and the trial is over."""
 
 
-def _foreign(stage: Stage, can_id: int, data: bytes) -> None:
+def _foreign(machine: Machine, wire: Wire, can_id: int, data: bytes) -> None:
     """A frame that everybody hears."""
-    stage.machine.inject(can_id, data)
-    stage.machine.handle(can_id, data, stage.wire.now)
+    machine.inject(can_id, data)
+    machine.handle(can_id, data, wire.now)
 
 
-def sync(stage: Stage) -> None:
-    _foreign(stage, 0x080, b"")
+def sync(machine: Machine, wire: Wire) -> None:
+    _foreign(machine, wire, 0x080, b"")
 
 
-def counted_sync(stage: Stage) -> None:
-    _foreign(stage, 0x080, b"\x05")
+def counted_sync(machine: Machine, wire: Wire) -> None:
+    _foreign(machine, wire, 0x080, b"\x05")
 
 
-def command(stage: Stage) -> None:
-    _foreign(stage, 0x201, bytes.fromhex("0f00e803"))  # enabled, at rated torque
+def command(machine: Machine, wire: Wire) -> None:
+    _foreign(machine, wire, 0x201, bytes.fromhex("0f00e803"))  # enabled, at rated torque
 
 
-def reset(stage: Stage) -> None:
-    _foreign(stage, 0x000, bytes((0x82, 32)))
+def reset(machine: Machine, wire: Wire) -> None:
+    _foreign(machine, wire, 0x000, bytes((0x82, 32)))
 
 
-def sdo(stage: Stage) -> None:
-    _foreign(stage, 0x601, bytes.fromhex("2b00140500000000"))  # 0x1400:5 = 0: no time-out of commands
+def sdo(machine: Machine, wire: Wire) -> None:
+    _foreign(machine, wire, 0x601, bytes.fromhex("2b00140500000000"))  # 0x1400:5 = 0: no time-out of commands
 
 
-def hang(stage: Stage) -> None:
-    stage.wire.pass_until(stage.wire.now + HANG)
+def hang(machine: Machine, wire: Wire) -> None:
+    wire.pass_until(wire.now + HANG)
 
 
-def hitch(stage: Stage) -> None:
-    stage.wire.pass_until(stage.wire.now + HITCH)
+def hitch(machine: Machine, wire: Wire) -> None:
+    wire.pass_until(wire.now + HITCH)
 
 
-def die(stage: Stage) -> None:
-    stage.wire.pass_until(stage.wire.now + DEAD)
-    stage.over = True
+def die(machine: Machine, wire: Wire) -> None:
+    wire.pass_until(wire.now + DEAD)
     raise DiedError
 
 
-def recover(stage: Stage) -> None:
-    stage.recover()
-
-
-def exchange(stage: Stage) -> None:
+def exchange(machine: Machine, wire: Wire) -> None:
     """Two equal drives lose their power, and somebody exchanges their plugs."""
-    one, two = (unit.drive for unit in stage.machine.axes[:2])
-    nodes = [unit.by_kind["drive"] for unit in stage.machine.axes[:2]]
+    one, two = (unit.drive for unit in machine.axes[:2])
+    nodes = [unit.by_kind["drive"] for unit in machine.axes[:2]]
     for node in nodes:
         node.power_off()
     one.readings, two.readings = two.readings, one.readings
@@ -79,9 +73,9 @@ def exchange(stage: Stage) -> None:
         for node in nodes:
             node.boot(now)
 
-    stage.machine.later(stage.wire.now + REBOOT, on)
+    machine.later(wire.now + REBOOT, on)
 
 
-ACTS: dict[str, Callable[[Stage], None]] = {
-    act.__name__: act for act in (sync, counted_sync, command, reset, sdo, hang, hitch, die, recover, exchange)
+ACTS: dict[str, Callable[[Machine, Wire], None]] = {
+    act.__name__: act for act in (sync, counted_sync, command, reset, sdo, hang, hitch, die, exchange)
 }

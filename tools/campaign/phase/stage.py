@@ -31,6 +31,7 @@ from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.safety.supervisor import Phase
 from tsa_ctrl.virtual.lockstep import Wire
 
+RECOVER_ACT = "recover"  # of a hazard: a client asks for a recovery
 LOOK = 2.5e-4  # s between two looks at which phase it is
 WATCH = 0.45  # s from a fault until its cause is taken away: longer than the torque may last
 AFTER = 0.15  # s that are looked on afterwards
@@ -160,6 +161,14 @@ class Stage:
         """As `tsa set recover 1`."""
         self.asked = self.wire.now
         self._mailbox.put(Command(0, RECOVER, 1.0))
+
+    def act(self, name: str) -> None:
+        """Do one of `ACTS`; once the loop has died, nothing more is recorded."""
+        try:
+            ACTS[name](self.machine, self.wire)
+        except DiedError:
+            self.over = True
+            raise
 
     def stop(self) -> None:
         """As `tsa stop`."""
@@ -328,8 +337,10 @@ class _Script:
         for hazard in hazards:
             for line in hazard.lines:
                 stage.begin(line)
-            if hazard.act:
-                ACTS[hazard.act](stage)
+            if hazard.act == RECOVER_ACT:
+                stage.recover()
+            elif hazard.act:
+                stage.act(hazard.act)
 
     def _wait(self, seconds: float) -> Iterator[bool]:
         end = self._stage.wire.now + seconds

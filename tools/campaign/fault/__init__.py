@@ -1,1 +1,0 @@
-"""The faults of the campaign, the processes they meet, and the verdict."""
