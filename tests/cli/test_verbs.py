@@ -113,6 +113,17 @@ def test_help_and_completion_load_nothing_that_is_slow_to_load(verb: str) -> Non
     assert found.stdout.strip() == "[]"
 
 
+@pytest.mark.parametrize(
+    "module", ["daemon.run", "daemon.monitor_process", "ipc.server", "ipc.client", "log.process", "log.writer"]
+)
+def test_no_process_of_a_run_loads_what_draws_reports_or_fits(module: str) -> None:
+    """numba itself loads the top of scipy."""
+    heavy = ("matplotlib", "duckdb", "jinja2", "pyarrow", "rich", "scipy.linalg", "scipy.optimize", "scipy.stats")
+    code = f"import sys, tsa_ctrl.{module}; print([name for name in {heavy!r} if name in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
 @pytest.mark.parametrize(("line", "first"), [([], "Usage: tsa [OPTIONS]"), (["drive"], "Usage: tsa drive [OPTIONS]")])
 def test_a_command_without_its_verb_shows_the_help_as_it_is_formatted(
     line: list[str], first: str, capsys: pytest.CaptureFixture[str]

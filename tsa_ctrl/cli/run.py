@@ -48,8 +48,6 @@ def command(
             for line in profile.unknown:
                 click.echo(f"axis '{axis.name}': the profile of {profile.name} does not know: {line}", err=True)
         return 0
-    from rich.console import Console
-
     from tsa_ctrl.daemon.run import run  # the loop and all it needs, not loaded for a check
 
     summary = run(
@@ -62,6 +60,8 @@ def command(
     if as_json:
         click.echo(json.dumps(summary.as_dict()))
     else:
+        from rich.console import Console
+
         summary.show(Console(file=sys.stderr))
     return 1 if summary.failed else 0
 

@@ -7,14 +7,15 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING, Any
 
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.system.histogram import Distribution
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
 
 SCHEMA = 1
 BAR = 40  # characters of the longest bar
@@ -109,6 +110,8 @@ class Summary:
 
     def show(self, console: Console) -> None:
         """Print tables: cycles, histograms of lateness and work, nodes, events."""
+        from rich.table import Table  # not loaded while the loop runs
+
         table = Table(title=f"{self.bus}: {self.cause}", title_justify="left", show_header=False)
         table.add_row("cycles planned / run", f"{self.planned} / {self.sent}")
         table.add_row("periods skipped, in overruns", f"{self.skipped} in {self.overruns}")
@@ -133,6 +136,8 @@ class Summary:
 
 
 def _histogram(summary: Summary) -> Table:
+    from rich.table import Table
+
     table = Table("up to", "lateness", "", "work", "")
     most = max(
         (number for _, number in [*summary.lateness_bins, *summary.work_bins]),
