@@ -91,6 +91,10 @@ class Desk:
         for _ in range(30):
             self.server.step(0.0)
 
+    def describe(self, **changes: Any) -> None:
+        """Change what the daemon told the server of its configuration."""
+        self.server._description = msgspec.structs.replace(self.server._description, **changes)
+
     def fault(self) -> None:
         """Latch a fault in the loop."""
         general = General(time=self.now, phase=float(LoopPhase.FAULTED.value))

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import io
 import json
 import os
-import runpy
-import signal
-import sys
-import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +15,7 @@ import msgspec
 import pytest
 
 from tests.daemon.serving import QUARTERS, description
-from tests.daemon.test_lease import COMMAND, GROUP, SET_POINT, WATCH, Desk, measured
+from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, measured
 from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import server
@@ -40,36 +35,11 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
         monkeypatch.setattr(server, name, value)
     made = Desk(tmp_path, monkeypatch)
     made.now = 128.0
-    made.server._description = msgspec.structs.replace(
-        made.server._description, set_point_timeout=[0.25, 0.25], set_point_limit=[2.0, 1.0]
-    )
+    made.describe(set_point_timeout=[0.25, 0.25], set_point_limit=[2.0, 1.0])
     made.wanted()
     yield made
     with contextlib.suppress(OSError, ValueError, KeyError, AttributeError, TypeError):  # one that a test has closed
         made.close()
-
-
-def ours(desk: Desk) -> list[Any]:
-    """The server's ends of its clients."""
-    return list(desk.server._clients.values())
-
-
-def test_its_times_and_bounds() -> None:
-    assert (server.IDLE, server.TICK, server.LOOK, server.ANSWER_TIME) == (30.0, 0.005, 0.02, 1.0)
-    assert (server.REST, server.NICE, server.HANGS, server.AHEAD, server.REPLACED) == (2.0, -10, 0.5, 0.1, 1.5)
-    assert (server.ENDING, server.READY) == (("stopping", "ended"), b"ready\n")
-
-
-@pytest.mark.parametrize(("group", "watch"), [(None, None), (GROUP, None), (None, GROUP), (GROUP, GROUP)])
-def test_its_groups_are_those_of_the_configuration(tmp_path: Path, group: str | None, watch: str | None) -> None:
-    said = msgspec.structs.replace(description(tmp_path / "x", ["knee"]), group=group, watch_group=watch)
-    mailbox = Mailbox(1, 2)
-    made = Server(listen(str(tmp_path / "x"), None), mailbox, said)
-    assert made._command == ({os.getgid()} if group else set())
-    assert made._watch == ({os.getgid()} if watch else set())
-    assert 0.0 <= made._clock() - time.monotonic() + 1.0 <= 1.0
-    made.close()
-    mailbox.close()
 
 
 @pytest.mark.parametrize("key", ["group", "watch_group"])
@@ -93,18 +63,6 @@ def test_a_descriptor_that_is_watched_is_told(desk: Desk) -> None:
     os.close(write)
 
 
-def test_what_a_client_asks_further_waits_until_what_it_asked_was_looked_at(desk: Desk) -> None:
-    owner, other = desk.client(), desk.client()
-    owner.ask("lease", seconds=10.0)
-    desk.server._rests = desk.now + 2.0**-8
-    for _ in range(2):
-        other.say(verb="status")
-        desk.steps()
-        assert [len(client.lines) for client in ours(desk)] == [0, 1]
-    desk.server._rests = 0.0
-    assert len(other.told()) == 2
-
-
 def test_who_asks_nothing_for_long_is_let_go_but_not_while_he_waits(
     desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,62 +73,15 @@ def test_who_asks_nothing_for_long_is_let_go_but_not_while_he_waits(
     assert len(client.told()) == 1
     desk.now += 32.5
     desk.steps()
-    assert (client.socket.recv(1), ours(desk), desk.server._turn) == (b"", [], [])
-    assert len(desk.server._selector.get_map()) == 1  # the listener
+    assert client.socket.recv(1) == b""
     monkeypatch.setattr(server, "IDLE", 0.25)
     waiting = desk.client()
     waiting.say(**SET)
     desk.steps()
     desk.now += 0.5
     desk.steps()
-    assert len(ours(desk)) == 1
-
-
-def test_who_is_gone_is_forgotten(desk: Desk) -> None:
-    client = desk.client()
-    (end,) = ours(desk)
-    assert not end.socket.getblocking()
-    client.socket.close()
-    desk.steps()
-    assert (ours(desk), desk.server._turn, end.socket.fileno()) == ([], [], -1)
-    assert len(desk.server._selector.get_map()) == 1
-
-
-def test_its_end_closes_everything_and_withdraws_nothing_that_is_not_there(desk: Desk) -> None:
-    client = desk.client()
-    ours(desk)[0].push({"ok": True})
-    listener = desk.server._listener
-    desk.server.close()
-    assert desk.wanted() is None
-    assert (client.socket.recv(99), client.socket.recv(99)) == (b'{"ok":true}\n', b"")
-    assert listener.fileno() == -1
-    assert desk.server._selector.get_map() is None
-
-
-def test_for_how_long_it_may_wait(desk: Desk) -> None:
-    patience, now = desk.server._patience, desk.now
-    assert patience(0.75) == 0.75
-    owner = desk.client()
-    assert patience(0.75) == 0.75
-    (end,) = ours(desk)
-    end.pending.append((1, now, {}))
-    assert (patience(0.75), patience(0.001)) == (server.TICK, 0.001)
-    end.lines.append(b"{}")
-    desk.server._rests = now + 0.25
-    assert patience(0.75) == 0.0
-    end.pending.clear()
-    end.lines.clear()
-    owner.ask("lease", seconds=0.5)
-    assert (patience(0.75), patience(0.01)) == (2.0**-5, 0.01)
-    desk.now += 0.484375
-    assert patience(0.75) == 0.015625
-    desk.now += 1.0
-    assert patience(0.75) == 0.0
-    end.lines.append(b"{}")
-    desk.server._rests = desk.now + 0.25
-    assert patience(0.75) == 0.25
-    desk.server._rests = desk.now - 1.0
-    assert patience(0.75) == 0.0
+    desk.mailbox.take()
+    assert waiting.told()[0]["ok"]
 
 
 def test_the_client_that_has_been_silent_longest_makes_room(desk: Desk) -> None:
@@ -184,7 +95,6 @@ def test_the_client_that_has_been_silent_longest_makes_room(desk: Desk) -> None:
     assert "closed because 16 others are open" in silent.told()[0]["error"]
     assert silent.socket.recv(1) == b""
     assert all(client.ask("measure")["ok"] for client in (holder, speaker, newest, *others))
-    assert len(ours(desk)) == CLIENTS
 
 
 @pytest.mark.parametrize("half", [b"", b'{"verb":'])
@@ -194,7 +104,6 @@ def test_stop_acts_whatever_the_other_clients_do(desk: Desk, half: bytes) -> Non
     holder.ask("lease", seconds=10.0)
     for _ in range(4 * CLIENTS):
         desk.client().socket.sendall(half)
-    desk.server._rests = desk.now + 5.0
     stopping = desk.client()
     stopping.say(verb="stop")
     desk.steps()
@@ -216,45 +125,6 @@ def test_who_is_refused_is_closed(desk: Desk) -> None:
         desk.client(99)
         gc.collect()
     assert told == []
-
-
-def test_each_has_one_request_in_turn(desk: Desk) -> None:
-    first, second = desk.client(), desk.client()
-    first.socket.sendall(b'{"verb":"measure"}\n' * 2)
-    second.say(verb="measure")
-    waiting = []
-    for _ in range(3):
-        desk.server.step(0.0)
-        waiting.append([len(client.lines) for client in ours(desk)])
-    assert waiting == [[1, 1], [1, 0], [0, 0]]
-
-
-def test_others_wait_for_twice_what_one_of_them_took(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
-    """While somebody gives set-points; one request of one client at a time."""
-
-    def slow(*given: object) -> dict[str, object]:
-        desk.now += 2.0**-8
-        return {}
-
-    monkeypatch.setattr(server, "status_report", slow)
-    owner, first, second = desk.client(), desk.client(), desk.client()
-    for other in (first, second):
-        other.say(verb="status")
-    desk.server.step(0.0)
-    assert [len(client.lines) for client in ours(desk)] == [0, 0, 1]
-    desk.server.step(0.0)  # nobody gives set-points: at once
-    assert [len(client.lines) for client in ours(desk)] == [0, 0, 0]
-    assert desk.server._rests == desk.now + 2.0**-7
-    desk.now += 4.0
-    owner.ask("lease", seconds=10.0)
-    first.say(verb="status")
-    desk.server.step(0.0)
-    assert desk.server._rests == desk.now + 2.0**-7
-    second.say(verb="status")
-    for waits in (1, 1, 0):
-        desk.steps()
-        assert len(ours(desk)[2].lines) == waits
-        desk.now += 2.0**-8
 
 
 @pytest.mark.parametrize(
@@ -303,7 +173,6 @@ def test_a_full_queue_is_told(desk: Desk) -> None:
     client = desk.client()
     client.say(**SET)
     assert client.told() == [{"ok": False, "error": "too many commands are waiting; try again"}]
-    assert ours(desk)[0].pending == []
 
 
 def test_who_stops_is_told_what_is_waited_for(desk: Desk) -> None:
@@ -395,14 +264,14 @@ GUARD = [Range("back_off", "1", 0.0, 1.0, "of the guard", True), Range("pretensi
 def test_a_latch_is_released_by_its_owner_alone_and_not_too_often(
     desk: Desk, groups: tuple[int, ...], latched: float, value: float, wait: float, words: str
 ) -> None:
-    desk.server._description = msgspec.structs.replace(desk.server._description, parameters=[GUARD, GUARD])
+    desk.describe(parameters=[GUARD, GUARD])
     general = General(time=desk.now, phase=2.0, releases=4.0, release_next=desk.now + wait)
     desk.mailbox.publish(general, [(QUARTERS._replace(guard_latched=latched), (0.4, 45.0))] * 2)
     assert words in desk.client(*groups).ask("set", name="knee.back_off", value=value)["error"]
 
 
 def test_a_release_is_a_command_of_its_own(desk: Desk) -> None:
-    desk.server._description = msgspec.structs.replace(desk.server._description, parameters=[GUARD, GUARD])
+    desk.describe(parameters=[GUARD, GUARD])
     desk.mailbox.publish(General(time=desk.now, phase=2.0), [(QUARTERS._replace(guard_latched=1.0), (0.4, 45.0))] * 2)
     owner, member = desk.client(), desk.client(COMMAND)
     owner.say(verb="set", name="hip.back_off", value=1.0)
@@ -413,10 +282,9 @@ def test_a_release_is_a_command_of_its_own(desk: Desk) -> None:
 
 def test_a_lease_where_no_axis_listens_is_refused(desk: Desk) -> None:
     client = desk.client()
-    of = desk.server._description
-    desk.server._description = msgspec.structs.replace(of, set_point_limit=[None, None])
+    desk.describe(set_point_limit=[None, None])
     assert client.ask("lease", seconds=1.0)["error"].startswith("lease: no axis takes its set-point from here")
-    desk.server._description = msgspec.structs.replace(of, set_point_limit=[None, 1.0])
+    desk.describe(set_point_limit=[None, 1.0])
     assert client.ask("lease", seconds=1.0)["ok"]
     assert client.ask(**SET_POINT, value=0.1)["error"].startswith("axis 'knee': its set-point does not come over")
 
@@ -503,7 +371,7 @@ def test_values_are_confirmed_by_their_time(desk: Desk) -> None:
 def test_a_loop_without_cycles_is_followed_no_longer(desk: Desk, phase: str, why: str) -> None:
     owner = desk.client()
     owner.ask("lease", seconds=10.0)
-    measured(desk, desk.now, phase=desk.server._description.phases.index(phase))
+    measured(desk, desk.now, phase=LoopPhase[phase.upper()].value)
     desk.now += 0.5
     assert owner.told() == []
     desk.now += 0.0625
@@ -518,177 +386,6 @@ def test_who_watches_may_only_watch(desk: Desk) -> None:
 
 
 # The process
-
-
-class Streams:
-    """What `main` and `serve` are given, and what they did with it."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, asked: bytes) -> None:
-        self.read, self.write = os.pipe()
-        self.did: list[Any] = []
-        monkeypatch.setattr(sys, "stdin", self)
-        monkeypatch.setattr(sys, "stdout", self)
-        self.buffer = io.BytesIO(asked)
-        monkeypatch.setattr(os, "setpriority", self._refuse)
-
-    def fileno(self) -> int:
-        return self.write
-
-    def _refuse(self, *given: int) -> None:
-        self.did.append(("priority", *given))
-        raise PermissionError
-
-    def said(self) -> bytes:
-        os.close(self.write)
-        with os.fdopen(self.read, "rb") as end:
-            return end.read()
-
-
-class Box:
-    """In a mailbox' place."""
-
-    made: list[tuple[object, ...]]
-
-    def __init__(self, *given: object) -> None:
-        self.given = given
-        self.heard = 7.0
-
-    def alive(self) -> None:
-        pass
-
-    def replace(self, count: int) -> None:
-        pass
-
-
-ASKED = msgspec.json.encode(description(Path("/x/tsa.sock"), ["knee"])) + b"\n"
-PRIORITY = ("priority", os.PRIO_PROCESS, 0, -10)
-
-
-def prepared(monkeypatch: pytest.MonkeyPatch, asked: bytes) -> Streams:
-    streams = Streams(monkeypatch, asked)
-
-    @contextlib.contextmanager
-    def listening(*given: object) -> Iterator[str]:
-        streams.did.append(given)
-        yield "listener"
-
-    def keep(work: Callable[[int], int], alive: Any, heard: Callable[[], float], hangs: float, replaced: Any) -> int:
-        streams.did.append((work(0), work(1), alive.__name__, heard(), hangs, replaced.__name__))
-        return 5
-
-    def serve(listener: str, mailbox: Box, said: Any, told: bool) -> int:
-        streams.did.append((listener, mailbox.given, said.axes, told))
-        return 3
-
-    monkeypatch.setattr(server, "ignore", lambda *numbers: streams.did.append(numbers))
-    for name, value in (("listening", listening), ("keep", keep), ("serve", serve), ("Mailbox", Box)):
-        monkeypatch.setattr(server, name, value)
-    monkeypatch.setattr(os, "dup", lambda number: number + 100)
-    return streams
-
-
-def test_who_is_gone_before_it_asked_is_served_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams = prepared(monkeypatch, b"")
-    assert server.main(["7"]) == 0
-    assert streams.did == [(signal.SIGINT, signal.SIGTERM, signal.SIGHUP), PRIORITY]
-    assert streams.said() == b""
-
-
-def test_it_is_ready_when_it_listens_and_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams = prepared(monkeypatch, ASKED)
-    assert server.main(["7"]) == 5
-    assert streams.did[2:] == [
-        ("/x/tsa.sock", None, None),
-        ("listener", (1, 2, 107), ["knee"], False),
-        ("listener", (1, 2, 107), ["knee"], True),
-        (3, 3, "alive", 7.0, 1.5, "replace"),
-    ]
-    assert streams.said() == b"ready\n"
-
-
-def test_who_no_longer_hears_that_it_is_ready_is_gone_by_stdin(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams = prepared(monkeypatch, ASKED)
-    os.close(streams.read)
-    assert server.main(["7"]) == 5
-    os.close(streams.write)
-
-
-def test_what_cannot_be_listened_on_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams = prepared(monkeypatch, ASKED)
-
-    def refuses(*given: object) -> None:
-        raise UsageError("another daemon answers there")
-
-    monkeypatch.setattr(server, "listening", refuses)
-    assert server.main(["7"]) == UsageError.exit_code
-    assert streams.said() == b"another daemon answers there\n"
-
-
-@pytest.mark.parametrize("fails", [False, True])
-def test_it_serves_until_the_daemons_end_closes(monkeypatch: pytest.MonkeyPatch, fails: bool) -> None:
-    streams = Streams(monkeypatch, b"")
-    did, real = streams.did, server.serve
-
-    class Stub:
-        def __init__(self, *given: object) -> None:
-            did.append(("server", *given))
-            self.steps = 0
-
-        def watch(self, descriptor: int) -> None:
-            did.append(("watch", descriptor == streams.write))
-
-        def step(self, timeout: float) -> list[int]:
-            self.steps += 1
-            did.append(timeout)
-            if fails:
-                raise UsageError("x")
-            return [streams.write] if self.steps == 3 else [-1]
-
-        def close(self) -> None:
-            did.append("close")
-
-        def alive(self) -> None:
-            did.append("alive")
-
-        def update(self) -> None:
-            did.append("update")
-
-        def finish(self, seconds: float) -> None:
-            did.append(("finish", seconds))
-
-    monkeypatch.setattr(server, "Server", Stub)
-    monkeypatch.setattr(server, "EventPrinter", Stub)
-    mailbox = Stub("mailbox")
-    did.clear()
-    begin = [("server", "listener", mailbox, "said"), ("watch", True), ("server", mailbox, True)]
-    if fails:
-        with pytest.raises(UsageError):
-            real("listener", mailbox, "said", True)  # type: ignore[arg-type]
-        assert did == [*begin, 0.2, "close"]
-    else:
-        assert real("listener", mailbox, "said", True) == 0  # type: ignore[arg-type]
-        cycle = [0.2, "alive", "update"]
-        assert did == [*begin, *cycle, *cycle, 0.2, "update", ("finish", 0.5), "close"]
-    streams.said()
-
-
-def test_as_a_program_it_takes_the_descriptor_and_gives_its_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    streams = prepared(monkeypatch, ASKED)
-    for name, where in (
-        ("ignore", "tsa_ctrl.system.signals"), ("keep", "tsa_ctrl.system.keeper"),
-        ("listening", "tsa_ctrl.ipc.listener"),
-    ):  # fmt: skip
-        monkeypatch.setattr(f"{where}.{name}", getattr(server, name))
-    given: list[tuple[object, ...]] = []
-    monkeypatch.setattr("tsa_ctrl.ipc.mailbox.Mailbox", lambda *more: given.append(more) or Box())  # type: ignore[func-returns-value]
-    monkeypatch.setattr("tsa_ctrl.system.keeper.keep", lambda *more: 5)
-    monkeypatch.setattr(sys, "argv", ["server", "7", "8"])
-    monkeypatch.delitem(sys.modules, "tsa_ctrl.ipc.server")
-    with pytest.raises(SystemExit) as end:
-        runpy.run_module("tsa_ctrl.ipc.server", run_name="__main__")
-    assert end.value.code == 5
-    assert given == [(1, 2, 7)]
-    assert streams.said() == b"ready\n"
 
 
 def test_every_line_that_is_told_is_json(desk: Desk) -> None:
