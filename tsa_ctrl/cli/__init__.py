@@ -16,26 +16,26 @@ from tsa_ctrl.errors import TsaError
 from tsa_ctrl.version import __version__
 
 VERBS: dict[str, str] = {
-    "init": "commented example files for a rig, or for a desk",
-    "demo": "the whole system on this machine, and what compensation gains",
-    "run": "the daemon: bring the drive up, run the loop, log",
-    "plant": "simulated drives and joints as CANopen nodes on a bus",
-    "status": "show what a running daemon does",
+    "init": "write commented example files for a rig or a desk",
+    "demo": "run the whole system on this machine and measure the gain of compensation",
+    "run": "run the daemon: bring the drive up, run the loop, log",
+    "plant": "simulate drives and joints as CANopen nodes on a bus",
+    "status": "show the state of a running daemon",
     "set": "change a parameter of a running daemon",
     "stop": "ramp a running daemon's torque to zero and end it",
-    "tune": "guided procedure: excite, estimate, show, verify, write",
+    "tune": "tune an axis step by step: excite, estimate, show, verify, write",
     "calibrate": "estimate friction angle and pretension from logs",
-    "simulate-loop": "the real loop on the simulated plant, in virtual time",
+    "simulate-loop": "run the real loop on the simulated plant in virtual time",
     "simulate": "predict the joint torque for a log and print the error",
-    "diagnose": "what the simulation gets wrong, why, and what it gains to know",
-    "doctor": "is this machine fit to run the loop",
-    "data": "measured data that others published, fetched and checked",
-    "log": "look into, convert and import logs; a rig's health over its runs",
+    "diagnose": "find and explain model errors, and quantify the improvement",
+    "doctor": "check that this machine can run the loop",
+    "data": "fetch and check published measured data",
+    "log": "inspect, convert and import logs; show a rig's health over its runs",
     "drive": "probe a drive; dump, restore or compare its objects",
-    "verify-safety": "hang and kill the loop and measure the drive's reaction",
-    "bench": "the highest rate that this machine, adapter and configuration carry",
-    "help": "the manual's pages in the terminal",
-    "dashboard": "a local page to watch and tune",
+    "verify-safety": "hang and kill the loop, and measure the drive's reaction",
+    "bench": "find the highest rate of this machine, adapter and configuration",
+    "help": "show the manual's pages in the terminal",
+    "dashboard": "open a local page to watch and tune",
 }
 
 
@@ -69,7 +69,7 @@ class LazyGroup(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         verbs = [(verb, VERBS[verb]) for verb in self.list_commands(ctx)]
         if verbs:
-            with formatter.section("Verbs"):
+            with formatter.section("Commands"):
                 formatter.write_dl(verbs)
 
 
@@ -81,7 +81,7 @@ class LazyGroup(click.Group):
     is_eager=True,
     expose_value=False,
     callback=completion.install,
-    help="Complete verbs and options in this shell.",
+    help="Complete commands and options in this shell.",
 )
 def cli() -> None:
     """Feedforward torque control through tendon-sheaths, and the diagnosis of its model."""

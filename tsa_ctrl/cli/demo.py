@@ -194,7 +194,7 @@ def _show(outcome: Outcome, asked: float | None) -> None:
 
     data = outcome.to_dict()
     table = Table("joint torque", "RMS (N·m)", title=f"demo on {outcome.bus}", title_justify="left")
-    table.add_row("wanted", f"{data['rms']['wanted']:.4f}")
+    table.add_row("desired", f"{data['rms']['wanted']:.4f}")
     table.add_row("error without compensation", f"{data['rms']['without']:.4f}")
     table.add_row("error with compensation", f"{data['rms']['with']:.4f}")
     console = Console()

@@ -15,17 +15,17 @@ TOPICS = {
     "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
     "drives": (
         "bus/drive/README.md",
-        "a drive that is not known yet: probe, profiles and what they do not know",
+        "a new drive: probe, profiles and their open questions",
     ),
-    "safety": ("safety/README.md", "hazards, what detects them, what the condition against a runaway is"),
-    "monitor": ("monitor/README.md", "the second channel: what it checks, how it acts, outputs for safe torque off"),
+    "safety": ("safety/README.md", "hazards, their detection, and the condition of passivity"),
+    "monitor": ("monitor/README.md", "the second channel: checks, reaction, outputs for safe torque off"),
     "model": ("model/README.md", "the equations as printed and as used, the catalogue of effects"),
     "identify": ("identify/README.md", "calibrate and diagnose: how to read a verdict, the method, limits"),
     "figures": ("FIGURES.md", "every figure of the manual, with the command that prints it, when and on which version"),
-    "changes": ("CHANGES.md", "what changed, what changes a number that reaches a motor first"),
+    "changes": ("CHANGES.md", "changes of each version; those that affect a motor torque come first"),
     "client": (
         "ipc/README.md",
-        "a controller of one's own above it: set-points over the socket, the lease, who may do what",
+        "a controller on top: set-points over the socket, the lease, permissions",
     ),
     "code": ("README.md", "a map of the code, and how to add to it"),
 }
@@ -35,11 +35,11 @@ TOPICS = {
 @click.argument("topic", required=False)
 @click.pass_context
 def command(ctx: click.Context, topic: str | None) -> None:
-    """The manual: TOPIC's page, or that of a verb; without one, what there is."""
+    """Show the manual's page of a TOPIC, or the help of a command; without TOPIC, list all topics."""
     if topic is None:
         for name in TOPICS:
             click.echo(f"{name:10s}{TOPICS[name][1]}")
-        click.echo("and every verb: tsa help diagnose is tsa diagnose --help")
+        click.echo("and every command: tsa help diagnose is tsa diagnose --help")
         return
     if topic in TOPICS:
         _page((PACKAGE / TOPICS[topic][0]).read_text(encoding="utf-8"))
@@ -51,7 +51,7 @@ def command(ctx: click.Context, topic: str | None) -> None:
     if verb is None:
         known = [*TOPICS, *group.list_commands(root)]
         near = difflib.get_close_matches(topic, known, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"topics are {', '.join(TOPICS)}, and every verb"
+        advice = f"did you mean '{near[0]}'?" if near else f"topics are {', '.join(TOPICS)}, and every command"
         raise UsageError(f"help: no page '{topic}'; {advice}")
     with click.Context(verb, info_name=topic, parent=root) as inner:
         click.echo(verb.get_help(inner))

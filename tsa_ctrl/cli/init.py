@@ -30,8 +30,8 @@ DESK: dict[str, Changes] = {
     "plant.toml": {"bus": LOCAL_BUS},
 }
 
-# A rig: no torque by set-point, compensation and limit, until a person has filled in what this rig is.
-NODE_ID = "1 to 127"  # of the keys without a comment of their own
+# A rig: set-point, compensation and limit permit no torque until a person has filled in its values.
+NODE_ID = "1 to 127"  # of keys without a comment
 EMPTY = '""'  # a value that only the user knows; `tsa run --check` lists them all
 RIG: dict[str, Changes] = {
     "controller.toml": {
@@ -93,10 +93,11 @@ def command(folder: Path, rig: bool, desk: bool) -> None:
     _write(folder, texts)
     for path in (*texts, Path(MOTION)):
         click.echo(f"written: {folder / path}")
-    click.echo("next, in two terminals (the second once the plant says ready):" if desk else "next:")
     if desk:
+        click.echo("next, in two terminals (the second after 'plant: ready'):")
         click.echo(f"  tsa plant {folder / 'plant.toml'}\n  tsa run {folder / 'controller.toml'} --seconds 20")
     else:
+        click.echo("next, for a rig (without hardware: tsa init --desk DIR):")
         click.echo("  fill in the empty values, which tsa run --check lists")
         click.echo(f"  tsa run --check {folder / 'controller.toml'}\n  tsa doctor {folder / 'controller.toml'}")
 
@@ -106,7 +107,7 @@ def _shipped() -> list[Path]:
 
 
 def with_values(text: str, changes: Changes) -> str:
-    """Return a commented file with the keys of these tables set where they stand, as keys or as comments.
+    """Return a commented file in which the keys of these tables are set, also those that are comments.
 
     Raises:
         KeyError: the file does not show a key.

@@ -96,7 +96,7 @@ class Outcome:
         torque, error, motion = figure.subplots(3, 1, sharex=True, height_ratios=[3, 2, 2])
         first = self.compensated.t[0]
         wanted = self.compensated
-        torque.plot(*_window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="wanted")
+        torque.plot(*_window(wanted.t, wanted.wanted, first, seconds), "k", lw=2.2, label="desired")
         for run, colour, label, width in (
             (self.without, "tab:red", "without compensation", 2.6),  # seen beneath the other where both are alike
             (self.compensated, "tab:blue", "with compensation", 1.2),

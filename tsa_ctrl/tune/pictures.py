@@ -83,7 +83,7 @@ def _verification(verification: Verification, file: Path) -> Path:
         ("new file", verification.after, "tab:blue"),
     )
     part = verification.after.t <= verification.after.t[0] + SHOWN
-    torque.plot(verification.after.t[part], verification.after.wanted[part], "k", lw=2.0, label="wanted")
+    torque.plot(verification.after.t[part], verification.after.wanted[part], "k", lw=2.0, label="desired")
     for name, run, colour in runs:
         part = run.t <= run.t[0] + SHOWN
         torque.plot(run.t[part], run.delivered[part], colour, lw=0.9, label=name)
