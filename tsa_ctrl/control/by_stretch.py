@@ -87,8 +87,10 @@ class ByStretch:
                 self._judge()
         angle, tension = self._target
         for_angle, for_tension = self._steps
-        self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
-        self.pretension = sooner_down(self.pretension, tension, for_tension)
+        if self.friction_angle != angle:
+            self.friction_angle = sooner_down(self.friction_angle, angle, for_angle)
+        if self.pretension != tension:
+            self.pretension = sooner_down(self.pretension, tension, for_tension)
 
     def _judge(self) -> None:
         """A state holds until certain data say otherwise."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 
 from tsa_ctrl.bus.live.image import Image, NodeHealth
@@ -12,7 +11,10 @@ SECOND = 1.0  # s in which `Often` counts
 
 
 class Leaky:
-    """Runs while something is wrong, and runs back at `LEAK` of that speed while it is not."""
+    """Runs while something is wrong, and runs back at `LEAK` of that speed while it is not.
+
+    `idle`: True once it has run back. An agreement then changes nothing, and the call can be omitted.
+    """
 
     def __init__(self, most: float) -> None:
         """`most`: s after which it counts."""
@@ -21,19 +23,22 @@ class Leaky:
 
     def reset(self) -> None:
         """Nothing is wrong, nor was of late."""
-        self._since = math.inf  # s, when it had begun, were it wrong without a break
+        self.idle = True
+        self._since = 0.0  # s, when it had begun, were it wrong without a break
         self._last = 0.0
 
     def update(self, now: float, wrong: bool) -> bool:
         """Whether it has been wrong for long enough; `now` in s, call it with every sample."""
         if wrong:
-            if self._since == math.inf:
+            if self.idle:
+                self.idle = False
                 self._since = now
             self._last = now
             return now - self._since >= self._most
-        if self._since != math.inf:
+        if not self.idle:
             left = self._last - self._since - LEAK * (now - self._last)
-            self._since, self._last = (now - left, now) if left > 0.0 else (math.inf, now)
+            self.idle = left <= 0.0
+            self._since, self._last = now - left, now
         return False
 
 

@@ -125,7 +125,7 @@ class Plausibility:
             tau_j: joint torque sensor, N*m; nan without one.
             expected: lower and upper joint torque by the model for the reported motor torque, N*m.
         """
-        tau_m = feedback[0]
+        tau_m, q_m, omega_m = feedback
         if feedback != self._last:
             self._last = feedback
             self._frozen_since = now
@@ -146,35 +146,35 @@ class Plausibility:
                     f"the drive's feedback is frozen: not a bit of it moved for {1e3 * (now - self._frozen_since):.0f} "
                     f"ms, while the command moved by {moved:.2f} N*m"
                 )
-        if self._torque_wrong.update(now, not abs(command - tau_m) <= self._torque):
+        clock, wrong = self._torque_wrong, not abs(command - tau_m) <= self._torque
+        if (wrong or not clock.idle) and clock.update(now, wrong):
             return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
-        wrong = self._apart(now, *feedback, q_j) if self._has_encoder else None
-        return wrong or self._rests(now, feedback, q_j) or self._joint(now, tau_j, *expected)
-
-    def _rests(self, now: float, feedback: tuple[float, float, float], q_j: float) -> str | None:
-        """Compare the positions with velocity, torque and each other's last motion."""
-        _, q_m, omega_m = feedback
-        velocity, joint = self._velocity, self._joint_rests
-        if velocity is not None and self._velocity_wrong.update(now, velocity.update(q_m, omega_m)):
-            return (
-                f"the drive reports a velocity of {omega_m:.2f} rad/s, its position changes by "
-                f"{velocity.by_position:.2f} rad/s: a signal is stuck, or its scale or sign is wrong"
-            )
-        if joint is not None and joint.update(now, self._geared * q_j):
-            return "the position of the joint stopped between two samples, as no joint can: its encoder is stuck"
-        return None
-
-    def _apart(self, now: float, tau_m: float, q_m: float, omega_m: float, q_j: float) -> str | None:
         joint = self._geared * q_j
-        apart = q_m - joint
-        if self._offset != self._offset:
-            self._offset = apart
-        if self._slip is None:
-            beyond = self._elongation.update(tau_m, q_m, omega_m, joint)
-        else:
-            beyond = abs(apart - self._offset) - self._slip
-        if not self._slipped.update(now, beyond is not None and beyond > 0.0):
-            return None
+        if self._has_encoder:
+            apart = q_m - joint
+            if self._offset != self._offset:
+                self._offset = apart
+            if self._slip is None:
+                wrong = self._elongation.update(tau_m, q_m, omega_m, joint) is not None
+            else:
+                wrong = abs(apart - self._offset) > self._slip
+            clock = self._slipped
+            if (wrong or not clock.idle) and clock.update(now, wrong):
+                return self._apart(apart)
+        velocity, joint_rests, clock = self._velocity, self._joint_rests, self._velocity_wrong
+        if velocity is not None:
+            wrong = velocity.update(q_m, omega_m)
+            if (wrong or not clock.idle) and clock.update(now, wrong):
+                return (
+                    f"the drive reports a velocity of {omega_m:.2f} rad/s, its position changes by "
+                    f"{velocity.by_position:.2f} rad/s: a signal is stuck, or its scale or sign is wrong"
+                )
+        if joint_rests is not None and joint_rests.update(now, joint):
+            return "the position of the joint stopped between two samples, as no joint can: its encoder is stuck"
+        return self._joint(now, tau_j, *expected) if tau_j == tau_j or not self._joint_wrong.idle else None
+
+    def _apart(self, apart: float) -> str:
+        """Return the description of an elongation beyond its limits; `apart`: rad at the motor."""
         if self._slip is None and self._elongation.reversed:
             return (
                 "motor and joint answer the motor's torque the wrong way round, or by less than reported: the motor "
