@@ -109,8 +109,8 @@ def test_several_axes_need_a_travel_each(tmp_path: Path) -> None:
     tables["axis"].append(merged(hip, {"encoder": {"node_id": 33}, "limits": {"travel": WORN["travel"]}}))
     tables["controller"]["rate"] = 400.0
     found = missing(load_configuration(write(tmp_path, tables)[0]))
-    assert [line for line in found if "a travel of its own" in line] == [
-        "axis 'knee': a travel of its own, because the file has several axes (give [axis.limits] travel)"
+    assert [line for line in found if "its own travel" in line] == [
+        "axis 'knee': its own travel, because the file has several axes (give [axis.limits] travel)"
     ]
 
 
@@ -147,7 +147,7 @@ def test_everything_that_is_missing_is_one_message_of_one_line(tmp_path: Path) -
 def test_a_change_that_matters_invalidates_the_record(tmp_path: Path, changes: Mapping[str, Any]) -> None:
     ready(tmp_path)
     (line,) = missing(load(tmp_path, **changes))
-    assert "is of another one (tsa verify-safety, and with --held)" in line
+    assert "is for another one (tsa verify-safety, and with --held)" in line
 
 
 def test_other_pulleys_invalidate_the_record(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a configuration lacks before a person may wear the joint, and which safety bounds are looser than shipped.
+"""List what a configuration lacks before a person may wear the joint, and safety bounds looser than shipped.
 
 `verify-safety.toml` next to the controller file records what `tsa verify-safety` has shown on this rig. It holds for
 one configuration (by hash) and for the nodes that were there (by serial number).
@@ -32,7 +32,7 @@ GAIT_SPEED = 7.0  # rad/s, fastest motion of a knee in level walking (400 degree
 STRONG_TORQUE = 50.0  # N*m at the joint: exoskeletons for walking give up to that at hip and knee
 FULL_TURN = 2.0 * math.pi  # rad; no joint of a person turns that far, so that a larger travel is in degrees
 # Sections that may change without another `tsa verify-safety`: its trials run without friction compensation, with a
-# set-point, a log and a socket of their own, and they show the same in both classes of use.
+# separate set-point, log and socket, and their results hold in both classes of use.
 _FREE = frozenset({"log", "socket", "realtime", "monitor"})
 _FREE_OF_AXIS = frozenset({"model", "setpoint", "law", "direction", "estimator", "bending", "oscillation"})
 
@@ -40,7 +40,7 @@ Nodes = Mapping[str, Mapping[str, NodeIdentity]]  # by axis and by `NODES`
 
 
 class SignAndGain(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """What the test on the held joint showed of one axis."""
+    """Hold the result of the test on the locked joint of one axis."""
 
     date: str  # ISO 8601
     gain: float  # 1, measured torque per torque of the model
@@ -134,7 +134,7 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
     if limits.travel is None:
         yield "the travel (give [axis.limits] travel, or [safety] travel)"
     elif len(configuration.file.axes) > 1 and not _has_travel(configuration, axis.name):
-        yield "a travel of its own, because the file has several axes (give [axis.limits] travel)"
+        yield "its own travel, because the file has several axes (give [axis.limits] travel)"
     if safety.wearer_speed is not None:
         geared = model.joint_pulley_radius / model.motor_pulley_radius
         derived = wearer_speeds(safety.wearer_speed, geared, reversal_speed(model, axis.law.turn, configuration.period))
@@ -151,7 +151,7 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
 
 
 def _has_travel(configuration: Configuration, name: str) -> bool:
-    """Return True if the file gives the axis a travel of its own."""
+    """Return True if the file gives the axis its own travel."""
     tables = {table["name"]: table for table in tomllib.loads(configuration.text)["axis"]}
     return "travel" in tables[name]["limits"]
 
@@ -161,7 +161,7 @@ def _not_shown(configuration: Configuration) -> Iterator[str]:
     record = read_record(configuration)
     where = f"{configuration.folder / RECORD}"
     if record is not None and record.configuration != fingerprint(configuration):
-        yield f"a record for this configuration: that of {where} is of another one (tsa verify-safety, and with --held)"
+        yield f"a record for this configuration: {where} is for another one (tsa verify-safety, and with --held)"
         return
     if record is None or not record.watchdogs:
         yield f"a passed tsa verify-safety in {where} (run it, joint free)"
@@ -263,7 +263,7 @@ def _most(bound: Loose) -> str:
 
 
 def _shipped(configuration: Configuration, axis: AxisSettings, model: TendonSheath) -> Shipped:
-    """Return the defaults that follow from other settings; in class "worn" the speeds are those of a walking wearer."""
+    """Return the defaults that follow from other settings; in class "worn" the speeds fit a walking wearer."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     shipped = {
         ("axis.limits", "torque"): STRONG_TORQUE / geared,

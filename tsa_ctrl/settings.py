@@ -77,7 +77,7 @@ def check_filled(files: Iterable[tuple[str | Path, dict[str, Any], type]]) -> No
     """Report every empty value of some files in one message; `files`: place, parsed TOML and settings class of each.
 
     Raises:
-        UsageError: a key has the value "", which stands for a value that only the user knows.
+        UsageError: a key has the value "", the placeholder for a value that only the user knows.
     """
     found = [(where, empty) for where, data, kind in files if (empty := list(_empty(data, kind, "")))]
     if found:
@@ -130,7 +130,7 @@ def load(path: str | Path, kind: type[T]) -> T:
 
 
 def explain(message: str, kind: type, data: object = None) -> str:
-    """Turn a msgspec message into `[section] key: expected ..., found ...; reason`; `data`: what was converted."""
+    """Turn a msgspec message into `[section] key: expected ..., found ...; reason`; `data`: the converted object."""
     text, _, at = message.partition(" - at ")
     place = at.strip("` ")
     key = re.sub(r"^\$\.?|`", "", place) or "top level"
@@ -146,7 +146,7 @@ def explain(message: str, kind: type, data: object = None) -> str:
 
 
 def _number_at(data: object, place: str) -> float | None:
-    """Return the number that stands at a place of parsed TOML; None if there is none."""
+    """Return the number at a place of parsed TOML, or None."""
     for name, index in re.findall(r"\.(\w+)|\[(\d+)\]", place):
         try:
             data = data[name] if isinstance(data, dict) else data[int(index)]  # type: ignore[index]

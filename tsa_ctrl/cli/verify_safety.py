@@ -65,7 +65,7 @@ def command(controller: Path, torque: float | None, held: bool, record: Path | N
 
 
 def _held(configuration: Configuration, yes: bool, as_json: bool) -> int:
-    """Run the test on held joints, and store what it showed."""
+    """Run the test on locked joints and store its results."""
     from tsa_ctrl.drills.held import amplitude, run_held
     from tsa_ctrl.readiness import add_to_record
 

@@ -47,8 +47,8 @@ from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
 
-# J that a friction term may give the joint before a sensor proves the friction: a tenth of what a person bears, and a
-# joint of 0.02 kg*m^2 at 6 rad/s that only the bench is hit by.
+# J that a friction term may give the joint before a sensor proves the friction. Worn: a tenth of the energy that a
+# person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which hits only the bench.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint: what is left of the motor's ringing is slower
 STATES = tuple(PowerState)

@@ -53,7 +53,7 @@ class Loop:
         self.cycles = 0
         self.late = 0  # cycles begun later than half a period
         self.stop_began = math.inf  # s of the log's time, when the torque began to ramp to 0 for good
-        self.channel = SecondChannel()  # the monitor beside this loop, if there is one
+        self.channel = SecondChannel()  # the monitor process, if there is one
         self.recover = False  # the bus has to be brought up again before `run` goes on
         self._clock = clock
         self._rig = rig
@@ -300,7 +300,7 @@ class Loop:
             axis.request = Request.RESET if axis.supervisor.phase is Phase.FAULT else Request.DISABLE
 
     def _follow_monitor(self, planned: int) -> None:
-        """Latch what the monitor found, or ramp the torque to 0 without a monitor."""
+        """Latch the monitor's fault, or ramp the torque to 0 without a monitor."""
         text = self.channel.follow(planned * 1e-9, self._axes)
         if text is not None:
             self.events.add(self._t(planned), "", text, fault=True)

@@ -1,7 +1,7 @@
-"""The monitor as a process with a CAN socket of its own: `python -m tsa_ctrl.daemon.monitor_process FD`.
+"""The monitor as a process with a separate CAN socket: `python -m tsa_ctrl.daemon.monitor_process FD`.
 
-It outlives the daemon until the drives confirmed that they give no torque. No signal of a terminal or of a service
-manager ends it: it ends when the pipe from the daemon is closed.
+It outlives the daemon until the drives confirm that they give no torque. Signals of a terminal or a service manager do
+not end it. It ends when the pipe from the daemon is closed.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Board:
         self._report.write(msgspec.json.encode(report))
 
     def take(self) -> Report | None:
-        """Return a new report, None when there is none."""
+        """Return a new report, or None."""
         content = self._report.take()
         return None if content is None else msgspec.json.decode(content, type=Report)
 
@@ -132,7 +132,7 @@ class LibraryCan:
 
 
 class Watch:
-    """The monitor, its bus and its output, until the daemon is gone and the torque, too."""
+    """Run the monitor, its bus and its output until the daemon has ended and the torque is off."""
 
     def __init__(self, given: Given, bus: RawCan | LibraryCan, output: TorqueOff, board: Board) -> None:
         self._monitor, self._bus, self._output, self._board = Monitor(given.watched), bus, output, board

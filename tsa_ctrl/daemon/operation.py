@@ -46,9 +46,11 @@ class Operation:
         simulated: bool = False,
         admit: Admit = lambda nodes, has_inputs: None,
     ) -> None:
-        """`no_loop` surrounds a new bring-up; `configured`: nothing is written to the nodes, see `daemon.run`; `tell`
-        gets what a bring-up waits for, in words, and nothing when it is over; `simulated`: the nodes are no hardware;
-        `admit` is called with what a bring-up found, and may reject it.
+        """Prepare the operation of a rig.
+
+        `no_loop` surrounds a new bring-up. `configured`: True writes nothing to the nodes, see `daemon.run`. `tell`
+        receives the present stage of a bring-up, and an empty text at its end. `simulated`: True if the nodes are
+        simulated. `admit` is called with the nodes of a bring-up, and may reject them.
         """
         self.unconfirmed: list[str] = []
         self._configuration = configuration

@@ -41,12 +41,18 @@ def run(
     watch: Callable[[Rig], None] = lambda rig: None,
     allow_simulated: bool = False,
 ) -> Summary:
-    """Run the controller until it is stopped, or for `seconds` of torque; `say` gets a line for whoever watches.
+    """Run the controller until it is stopped, or for `seconds` of torque; return its summary, including later faults.
 
-    `configured`: the nodes are operational and mapped as they should be; nothing is written to them. `reset_faults`:
-    drives found in fault at the start are reset. `watch` gets the rig before anything is sent. `allow_simulated`:
-    model files with simulated numbers may run on hardware.
-    Raises UsageError or BusError for what fails before the first cycle; what happens later is in the summary.
+    Args:
+        say: receives each line for the user.
+        configured: True if the nodes are operational and mapped; nothing is written to them.
+        reset_faults: True resets drives found in fault at startup.
+        watch: receives the rig before anything is sent.
+        allow_simulated: True permits model files with simulated numbers on hardware.
+
+    Raises:
+        UsageError: the configuration is wrong.
+        BusError: the bus or a node failed before the first cycle.
     """
     configuration = admitted(configuration, allow_simulated)
     return Daemon(configuration, say, configured, reset_faults, watch).run(seconds)

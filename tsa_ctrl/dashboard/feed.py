@@ -44,7 +44,7 @@ class Feed:
         return self._ask(Set(name, number))
 
     def stop(self) -> dict[str, Any]:
-        """Ramp the torque to 0 and end the daemon, over a connection of its own; see `Client.stop`.
+        """Ramp the torque to 0 and end the daemon, over a separate connection; see `Client.stop`.
 
         Raises:
             UsageError: This user may not stop the daemon.

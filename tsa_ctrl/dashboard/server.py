@@ -1,10 +1,9 @@
-"""The page's server: loopback only, a token for everything, and nothing is answered to a page of somebody else.
+"""The server of the page: loopback only, a token for every request, and no answer to pages of other origins.
 
 GET / the page; GET /events the status as server-sent events; POST /set {"name", "value"}, /stop, /recover. The token
-stands in the page's address and comes back with each request; requests whose Host or Origin is not this server are
-refused.
+is part of the page's address and of each request. Requests whose Host or Origin is not this server are rejected.
 
-A stop has threads of its own. All pages share one poll of the daemon, static files are sent from memory, and a new
+A stop has separate threads. All pages share one poll of the daemon, static files are sent from memory, and a new
 connection replaces the one that has been idle longest. So a stop is answered under any load of other requests.
 """
 

@@ -54,7 +54,7 @@ SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
 
 @dataclass(frozen=True)
 class _Signs:
-    """Of a and F, 0 where they are not certain; `carried` is a where its sign is certain.
+    """Hold the signs of a and F, 0 where they are not certain; `carried` is a where its sign is certain.
 
     `friction_torque` is F in N*m with its standard error `doubt`.
     """

@@ -21,11 +21,16 @@ def provenance(
     origin: Origin | None = None,
     **more: object,
 ) -> dict[str, object]:
-    """Plain values for `save_model`: command, date, version, nominal file, logs with their hashes, intervals.
+    """Return the provenance for `save_model` as plain values.
 
-    `logs`: datasets, or hash by name. `found` are the quantities whose 95 % intervals are kept as [low, high] in their
-    SI units; `more` is added as it is. `origin` is the joint that the numbers were measured on; without it they are
-    of logs, which may be of any joint, and the file stays that of the nominal file's joint.
+    It has command, date, version, nominal file, logs with their hashes, and intervals.
+
+    Args:
+        logs: datasets, or hash by name.
+        found: quantities whose 95 % intervals are kept as [low, high] in SI units.
+        origin: the joint of the measurements. Without it they are from logs, which may be of any joint, and the file
+            keeps the joint of the nominal file.
+        more: further values.
     """
     if origin is None:
         origin = Origin("logs", _nodes_of(Path(nominal)))
@@ -43,7 +48,7 @@ def provenance(
 
 
 def _nodes_of(nominal: Path) -> Mapping[str, NodeIdentity]:
-    """Return the nodes that a model file belongs to; none where there is no such file."""
+    """Return the nodes that a model file belongs to; empty if the file does not exist."""
     if not nominal.is_file():
         return {}
     return origin_of(settings.read_toml(nominal).get("provenance", {}), str(nominal)).nodes

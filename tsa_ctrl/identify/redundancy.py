@@ -26,9 +26,9 @@ LEAST_CORRELATION = 0.9  # below, two columns are not one motion and their scale
 LONGEST_SHIFT = 0.5  # s, within which the second column is looked for in the first
 NOTED = 1.02  # factor from which on a difference is reported
 WRONG = 1.5  # factor from which on two columns of one shaft, or a velocity and its acceleration, cannot both be right
-FAR = 3.0  # factor for two columns between which the drive or the tendons stand
+FAR = 3.0  # factor for two columns that the drive or the tendons separate
 NOTED_SHIFT, WRONG_SHIFT = 0.02, 0.2  # s: a filter's delay is reported, a shift longer than any filter's is rejected
-FEWEST_TURNS = 4  # crossings of the mean from which on a shift in time and a scale can be told apart
+FEWEST_TURNS = 4  # crossings of the mean from which on time shift and scale are separately identifiable
 CERTAIN = 0.99  # correlation from which on a shift in time is reported
 
 UNITS = {  # factors by which a column is too large: the likely unit, for angles or velocities, and for torques

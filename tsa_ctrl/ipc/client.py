@@ -296,11 +296,13 @@ class Lease:
         return not self.why
 
     def send(self, values: Mapping[str, float], wanted: float | None = None) -> None:
-        """Joint torque (N*m) by axis, without an answer; its time-out counts from `wanted` (s of `clock`), or from now.
+        """Send the desired joint torque (N*m) by axis without an answer; a new value replaces the last of its axis.
 
-        Each replaces what the axis had. A value beyond the axis' `set_point_limit` is clamped to it, as `clamped` and
-        the next measurement show. Raises LeaseLostError when the lease is lost; UsageError for a value that is no
-        number, and now or later for one that was refused.
+        The time-out counts from `wanted` (s of `clock`), default now. A value beyond the axis' `set_point_limit` is
+        clamped to it; `clamped` and the next measurement show this.
+
+        Raises LeaseLostError if the lease is lost; UsageError if a value is not finite, or this or an earlier one was
+        rejected.
         """
         client = self._client
         now = client.clock()

@@ -132,6 +132,6 @@ def _started(process: int) -> int:
 
 
 def _fields(process: int) -> list[str]:
-    """Return the fields of /proc/PID/stat after the process' name; raises OSError when there is no such process."""
+    """Return the fields of /proc/PID/stat after the process' name; raise OSError if the process does not exist."""
     text = Path(f"/proc/{process}/stat").read_text(encoding="utf-8", errors="replace")
     return text.rpartition(")")[2].split()

@@ -1,17 +1,17 @@
-"""One JSON object per line, strict both ways; what a client may ask and what the server tells.
+"""The protocol of the socket: requests of a client and answers of the server, one strict JSON object per line.
 
 Requests: {"verb": "status"}, {"verb": "measure"}, {"verb": "events", "since": 0}, {"verb": "stop"},
 {"verb": "set", "name": "knee.compensation", "value": 0.9}, {"verb": "lease", "seconds": 0.2}, {"verb": "release"},
 {"verb": "setpoint", "axis": "knee", "value": 0.2, "time": 1234.5, "quiet": true}, {"verb": "recover"}. Answers:
-{"ok": true, ...} or {"ok": false, "error": "..."}, in the order of the requests but for set and recover, which the loop
-has to take first.
+{"ok": true, ...} or {"ok": false, "error": "..."}, in the order of the requests. Only set and recover are answered
+later, after the loop has taken them.
 
 A set-point lasts until the next one, until [axis.setpoint] timeout after its time, and no longer than its connection.
-One that is quiet has no answer. Who asked for the lease is told what happens by further lines, which have no "ok":
+A quiet set-point has no answer. The client that holds the lease also receives events. They have no "ok":
 
-* {"event": "lease", "held": true, "time": 1234.5}: the value of that time has arrived; four times in a lease's time
-* {"event": "lease", "held": false, "why": "..."}: it is lost
-* {"event": "refused", "error": "..."}: a quiet set-point was refused
+* {"event": "lease", "held": true, "time": 1234.5}: the value of that time has arrived; four times per lease period
+* {"event": "lease", "held": false, "why": "..."}: the lease is lost
+* {"event": "refused", "error": "..."}: a quiet set-point was rejected
 * {"event": "clamped", "axis": "knee", "clamped": 2.0}: a quiet set-point was beyond its range and was clamped to it
 * {"event": "told", "number": 3, "t": 1.5, "axis": "knee", "text": "...", "fault": true}: an event of the daemon
 """

@@ -89,9 +89,9 @@ def _cure(description: Description, text: str) -> str | None:
 
 
 def measurement(mailbox: Mailbox, description: Description, now: float, clamped: Sequence[bool] = ()) -> dict[str, Any]:
-    """Return what the newest cycle measured, and the range of each axis' set-point.
+    """Return the measurements of the newest cycle, and the range of each axis' set-point.
 
-    `now` in s, monotonic; `clamped`: per axis, the newest set-point was beyond its range.
+    `now` in s, monotonic; `clamped`: per axis, True if the newest set-point was beyond its range.
     """
     time, cycle, phase, axes = mailbox.measured()
     return {

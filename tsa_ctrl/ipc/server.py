@@ -1,12 +1,13 @@
 """The process behind the local socket: `python -m tsa_ctrl.ipc.server FD`, its description as JSON on stdin.
 
-Everything is bounded: clients, line length, waiting answers, time to finish a line. Whatever clients do costs this
-process, never the loop, which takes at most one command per cycle from the mailbox. One that hangs or dies is replaced
-by another that listens on the same socket (`system.keeper`). Whoever gives set-points waits for
-no more than one request of one other client; all others together get a third of the time meanwhile. It ends with the
-daemon: their pipe closes however the daemon dies.
-A stop request is handled before all others. Each role has places of its own, and a new connection replaces the one that
-has been silent longest, so connections cannot keep a new one out.
+Everything is bounded: clients, line length, waiting answers, time to finish a line. Clients can load only this process,
+never the loop, which takes at most one command per cycle from the mailbox. If this process hangs or dies, another one
+replaces it and listens on the same socket (`system.keeper`). It ends with the daemon, because their pipe closes however
+the daemon dies.
+
+A stop request is handled before all others. The client that sends set-points waits for at most one request of one other
+client; meanwhile all others together get a third of the time. Each role has its own connections, and a new connection
+replaces the one that has been silent longest, so connections cannot block a new one.
 """
 
 from __future__ import annotations
@@ -245,7 +246,7 @@ class Server:
         self._told = events[-1]["number"] + 1 if events else 0
 
     def _set_point(self, client: Connection, request: protocol.SetPointValue, now: float) -> dict[str, Any]:
-        """Take a set-point, clamped to its range; the answer says so, or an event where there is no answer."""
+        """Take a set-point, clamped to its range; the answer, or an event for a quiet one, reports the clamping."""
         description, axis = self._description, request.axis
         index = axis_index(description, axis)
         limit, timeout = description.set_point_limit[index], description.set_point_timeout[index]

@@ -60,14 +60,19 @@ def bring_up(
     stopped: Callable[[], str | None] = lambda: None,
     identify: Identify = lambda axis, role, serial_number: None,
 ) -> Report:
-    """Configure and start all nodes of `axes` for a SYNC period in s; on return they are operational, drives disabled.
+    """Configure and start all nodes of `axes`; on return they are operational, drives disabled.
 
-    `reset_faults`: somebody asked for drives found in fault to be reset; without it they stay as they are, unless the
-    loop `resets_later`. `tell` gets what is being waited for, in words; `stopped` says why it shall end, if so.
-    `identify` is called for each node before anything is written to it, and may reject it.
+    Args:
+        period: of the SYNC, s.
+        reset_faults: True resets drives found in fault; otherwise they stay in fault unless the loop `resets_later`.
+        tell: receives a text for each stage of the bring-up.
+        stopped: returns the reason if the bring-up must end.
+        identify: called for each node before anything is written to it; it may reject the node.
 
-    Raises StoppedError then, UsageError when the configuration is wrong (load, contradictions, rated torque) and
-    BusError when the bus or a node is; the message of these ends with what the nodes themselves had to say.
+    Raises:
+        StoppedError: `stopped` returned a reason.
+        UsageError: the configuration is wrong (load, contradictions, rated torque).
+        BusError: the bus or a node failed; the message ends with the emergencies of the nodes.
     """
     budget.check(settings, axes, 1.0 / period)
     check_node_ids(settings, axes)

@@ -1,9 +1,11 @@
-"""What the bring-up wrote is read back while the loop runs: an object at a time, in spare bus time, never waited for.
+"""Read back one object at a time in spare bus time while the loop runs; the loop never waits for an answer.
 
-A write by SDO that the bus carries is seen at once (`Rig`); this finds what was changed out of sight, by a tool on
-another port, or lost by the node itself, among it the watchdogs and the torque clamp. One question every 20 ms, at less
-than 1 Mbit/s that much more seldom: 80 objects of an axis are through in 2 s. As often a drive is asked which command
-it heard last (`Hearing`), the drives by turns. An emergency stop at a drive's inputs comes before both (`StopInput`).
+The loop sees a write by SDO on this bus at once (`Rig`). This module finds changes that the bus does not show: by a
+tool on another port, or by a node that lost its settings. This includes the watchdogs and the torque clamp.
+
+One object is read every 20 ms, and proportionally more slowly below 1 Mbit/s: the 80 objects of an axis take 2 s.
+Equally often one of the drives is asked in turn which command it received last (`Hearing`). An emergency stop at a
+drive's inputs has priority over both (`StopInput`).
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class Rig:
         self.has_commanded = False  # since it was made
         self.monitor_acted: Callable[[float], bool] = lambda now: (
             False
-        )  # at this time: then its frames are no intruder's
+        )  # returns True while the monitor acts: its frames are then expected
         self.withholds_heartbeat = False  # for a trial of the drives' own watchdogs
         self._clock = clock
         self._settings = settings
@@ -122,9 +122,9 @@ class Rig:
         return any(not axis.stands_off for axis in self.axes)
 
     def look_after(self, report: Report, stop: StopBit | None = None) -> None:
-        """Read back now and then, from the next `start` on, what the nodes were given at a bring-up.
+        """Read back the objects that the bring-up wrote, from the next `start` on.
 
-        `stop`: where the emergency stop is wired at each drive that has digital inputs; None: nowhere.
+        `stop`: input of the emergency stop at each drive that has digital inputs; None without one.
         """
         held = held_by(report)
         if held:
@@ -336,7 +336,7 @@ class Rig:
             self._meet_intruder(can_id, data)
 
     def _meet_intruder(self, can_id: int, data: bytes) -> None:
-        """Note a frame that only a master sends: a bus never hears its own. The monitor's are no intruder's."""
+        """Note a frame of another master. The bus does not receive its own frames, and the monitor's are expected."""
         if self.monitor_acted(self._clock()):
             return
         for axis in self.axes:
