@@ -1,4 +1,4 @@
-"""What class "worn" lacks, the record of verify-safety, and bounds that are looser than shipped."""
+"""Requirements of class "worn", the record of verify-safety, and bounds that are looser than shipped."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def test_both_load_cells_stand_in_for_the_torque_sensor(tmp_path: Path) -> None:
 
 
 def test_several_axes_need_a_travel_each(tmp_path: Path) -> None:
-    """The travel of the file is that of no joint in particular."""
+    """The travel of the file belongs to no particular joint."""
     tables = controller(file={"safety": WORN})
     hip = merged(tables["axis"][0], {"name": "hip", "drive": {"node_id": 2}, "torque_sensor": {"node_id": 65}})
     tables["axis"].append(merged(hip, {"encoder": {"node_id": 33}, "limits": {"travel": WORN["travel"]}}))

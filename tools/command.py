@@ -1,4 +1,4 @@
-"""What the commands share: name, parser, tables, rows that a long run keeps, a vcan, a pool of processes."""
+"""Shared parts of the commands: name, parser, tables, saved rows of a long run, a vcan, a pool of processes."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int
 
 
 def read_rows(path: Path | None) -> list[Row]:
-    """The rows of a results file; none without it. The last line of a run that was killed may be torn: it is none."""
+    """Return the rows of a results file, empty without a file. A torn last line of a killed run is ignored."""
     text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
     return [json.loads(line) for line in text.splitlines() if line.endswith("}")]
 

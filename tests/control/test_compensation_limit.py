@@ -133,7 +133,7 @@ def test_a_hand_that_moves_the_resting_joint_brings_it_back() -> None:
 
 
 def test_the_turning_points_of_a_swing_are_no_rest() -> None:
-    """A pendulum stands for less than half a second there, and goes on by itself."""
+    """A pendulum rests there for less than half a second, and then moves on without the term."""
     chosen = empty()
     for way in (0.3, -0.25, 0.2, -0.15):
         move(chosen, way)

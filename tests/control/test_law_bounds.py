@@ -70,7 +70,7 @@ class Turned(Turn):
 
 
 class Fronts(Slip):
-    """Slip fronts that are said; the stretch is that of the sliding tendons."""
+    """Given slip fronts; the elongation equals the elongation of sliding tendons."""
 
     def __init__(self) -> None:
         super().__init__(PLAN.front, 0.02, 0.025, PLAN.stiffness, PERIOD)

@@ -92,7 +92,7 @@ class Desk:
             self.server.step(0.0)
 
     def describe(self, **changes: Any) -> None:
-        """Change what the daemon told the server of its configuration."""
+        """Change the server's description of the configuration."""
         self.server._description = msgspec.structs.replace(self.server._description, **changes)
 
     def fault(self) -> None:

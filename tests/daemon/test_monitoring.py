@@ -1,4 +1,4 @@
-"""What the loop does with its monitor: a stop is latched, a monitor that fails ramps the torque to zero."""
+"""The loop latches a stop of its monitor, and ramps the torque to zero if the monitor fails."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ STOP = Stop("joint_speed", "joint too fast", "axis 'knee': 13.0 rad/s, the limit
 
 
 class FakeMonitor:
-    """A monitor that finds what the test wants."""
+    """A monitor with the findings of the test."""
 
     def __init__(self) -> None:
         self.report = Report()

@@ -40,7 +40,7 @@ class Stubborn(Drive):
 
 def play(story: list[str]) -> tuple[list[int], list[int]]:
     """Each cycle's commanded torque, and the cycle in which each act of the story began."""
-    no_rest = mock.patch("tsa_ctrl.safety.release.REST", 0.0)  # the rate of requests is no part of the model
+    no_rest = mock.patch("tsa_ctrl.safety.release.REST", 0.0)  # the model does not contain the rate of requests
     with no_rest, tempfile.TemporaryDirectory(prefix="recovery-") as folder:
         machine = Machine(Path(folder), CONSTANT, BARE, drive=Stubborn())
         drive = machine.drive

@@ -26,7 +26,7 @@ def play(
     plant: Mapping[str, Any] | None = None,
     scale: Mapping[str, float] | None = None,
 ) -> SignAndGain:
-    """Return what the test shows; `scale`: factors on columns of the log."""
+    """Return the result of the test; `scale`: factors on columns of the log."""
     paths = files(folder, load, sine(0.5, 0.5), axis=axis, plant=plant, curvature="motor_end")
     configuration = held_configuration(load_configuration(paths[0]), str(folder))
     log = dict(simulate_loop(configuration, paths[1], SHORT, faults=faults).axes[0].log)

@@ -22,7 +22,7 @@ WOUND = wound_by_friction(NOMINAL)
 
 
 def rows(folder: Path, load: str, fault: str = "", sensor: bool = True, torque: float = 0.1, **more: Any) -> list[Row]:
-    """Of a trial's torque, N*m at the motor, faded in within 0.2 s without compensation.
+    """Run a trial of a torque, N*m at the motor, faded in within 0.2 s without compensation.
 
     The loop's own checks of the motor would end the trial sooner; wide limits leave the judgement to the pull.
     """

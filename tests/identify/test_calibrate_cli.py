@@ -127,7 +127,7 @@ def test_the_error_told_is_that_of_the_file_written(folder: Path, capsys: pytest
 def test_worse_than_given_is_told_and_not_written_unasked(
     folder: Path, recorded, capsys: pytest.CaptureFixture[str]
 ) -> None:  # type: ignore[no-untyped-def]
-    """Two of three logs hold a torque that (3.55) cannot have. What is learned from them makes the third worse."""
+    """Two of three logs have a torque that contradicts (3.55). Their estimate makes the third log worse."""
     _, low, high = recorded
     for number, log in enumerate((low, of_another_drive(low), of_another_drive(high))):
         write_csv(folder / f"{number}.csv", log)

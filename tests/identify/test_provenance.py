@@ -1,4 +1,4 @@
-"""Files that are made from logs stay those of the nominal file's joint, and are no tuning of it."""
+"""Files made from logs keep the joint of the nominal file, and do not count as a tuning."""
 
 from __future__ import annotations
 

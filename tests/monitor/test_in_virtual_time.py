@@ -1,4 +1,4 @@
-"""The monitor beside the real loop and the real plant, in virtual time: as a witness, and as the one that acts."""
+"""The monitor with the real loop and plant in virtual time, first observing only, then acting."""
 
 from __future__ import annotations
 

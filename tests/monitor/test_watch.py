@@ -40,7 +40,7 @@ def motion(torque: int | None = None, velocity: float = 1.0) -> Edit:
 
 
 def lost_counts(data: bytes) -> bytes:
-    """The joint encoder counts half of what it should."""
+    """The joint encoder counts half of the motion."""
     return struct.pack("<i", struct.unpack("<i", data)[0] // 2)
 
 

@@ -27,7 +27,7 @@ Spoil = Callable[[Run], None]
 
 
 class Trial:
-    """One run of a limb with a fault at `AT`; `stop`: what the monitor found, `late`: s after the fault."""
+    """One run of a limb with a fault at `AT`; `stop`: the monitor's finding, `late`: s after the fault."""
 
     def __init__(
         self,

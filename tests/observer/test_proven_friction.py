@@ -1,7 +1,7 @@
-"""The friction torque that the sensors of an axis prove, on an evenly bent sheath that is written out here.
+"""The friction torque that the sensors of an axis prove, on an evenly bent sheath with its own equations.
 
-With the bends in the middle the mean tension difference is that of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J, and
-while the tendons slide tau_J = r_J/r_M (tau_M - sigma h) (stretch.md, to first order in x).
+With the bends in the middle the mean tension difference is the mean of both ends: 4 (EA/l) s = tau_M/r_M + tau_J/r_J.
+While the tendons slide tau_J = r_J/r_M (tau_M - sigma h) (stretch.md, to first order in x).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def test_a_joint_torque_sensor_proves_it_within_the_first_stroke() -> None:
 @pytest.mark.parametrize("sensor", [False, True])
 @pytest.mark.parametrize("left", [0.1, 0.5])
 def test_friction_that_is_lost_within_a_stroke_is_seen_within_it(sensor: bool, left: float) -> None:
-    """Three hundredths of a radian later the upper bound is near what is left, and the next strokes keep the zero."""
+    """Within 0.03 rad the upper bound approaches the remaining friction, and the next strokes keep the zero."""
     joint = Joint(sensor=sensor)
     for way in (0.6, -0.6, 0.6, -0.6):
         joint.move(way)
@@ -100,7 +100,7 @@ def test_friction_that_is_lost_within_a_stroke_is_seen_within_it(sensor: bool, l
 
 
 def test_a_reversal_and_a_turning_term_are_no_reading() -> None:
-    """The friction front runs through the sheath first: until then the bounds are those of before."""
+    """The friction front runs through the sheath first: until then the bounds do not change."""
     joint = Joint(sensor=True)
     joint.move(0.3)
     before = joint.proven.low, joint.proven.high
@@ -146,7 +146,7 @@ def test_the_zero_is_kept_over_a_disable_and_lost_in_a_long_gap() -> None:
 
 
 def test_a_tendon_that_slips_on_its_pulley_makes_it_begin_again() -> None:
-    """The elongation has another zero from then on: no stroke agrees with those of before."""
+    """The elongation has another zero from then on: no stroke agrees with the earlier ones."""
     joint = Joint()
     for way in (0.6, -0.6, 0.6, -0.6):
         joint.move(way)

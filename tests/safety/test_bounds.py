@@ -42,7 +42,7 @@ def test_shipped_defaults_are_not_loose() -> None:
 
 @pytest.mark.parametrize(("section", "key"), [(section, key) for section, keys in KEYS.items() for key in keys])
 def test_every_key_is_found_when_it_is_looser(section: str, key: str) -> None:
-    """A number that is greater, or a flag that differs, is one finding; a smaller number is none."""
+    """A number that is greater, or a flag that differs, is one finding; a smaller number is not."""
     default = getattr(SECTIONS[section], key)
     if isinstance(default, bool):
         looser: object = not default

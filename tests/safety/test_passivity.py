@@ -352,7 +352,7 @@ def test_what_tendons_return_after_a_reversal_was_not_added(side: float, complia
 
 
 def test_what_does_not_fade_after_a_reversal_is_still_seen() -> None:
-    """Half of the friction is lost: the excess of 0.25 N*m stays, far beyond what the tendons can return."""
+    """Half of the friction is lost: the excess of 0.25 N*m stays, far beyond the energy that the tendons can return."""
     passivity, given = Passivity(3e-3, SENSOR, PERIOD, 0.016), 0.0
     for n in range(1000):
         side = 1.0 if n < 100 else -1.0

@@ -166,7 +166,7 @@ def test_a_reset_forgets_where_they_were() -> None:
 
 
 def settled(check: Elongation, torque: float, angle: float, speed: float, joint: float) -> float | None:
-    """Return what the check finds after a second of the same."""
+    """Return the finding of the check after a second of constant input."""
     said = None
     for _ in range(1000):
         said = check.update(torque, angle, speed, joint)

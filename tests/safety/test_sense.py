@@ -88,13 +88,12 @@ class Course:
         return [(first, end, bool(winds[first])) for first, end in pieces if kinds[first] >= 0]
 
     def ratios(self, driven: FloatArray, free: float = math.inf) -> dict[int, tuple[float, float, bool, bool, bool]]:
-        """By cycle, where the torque shows anything: how it is answered, and what a held joint's sensor follows by.
+        """Return by cycle, at sufficient torque: correlation, gain of a locked joint's sensor, and three flags.
 
-        The first a correlation, the second a gain, 0 where it does not follow; then whether friction winds up,
-        whether less than half of the stretch is the motor's own way, on tendons that need not have slid, and whether
-        the tendons of a held joint give by half as much again as the torque stretches them, slower than 50 rad/s.
-        `driven`: from when on the joint counts as moved by something, each 0 or 1; `free`: cycle in which the torque is
-        free to grow, from which on only a joint at rest is looked at.
+        The gain is 0 if the sensor does not follow. The flags: friction winds up; less than half of the elongation is
+        the motor's motion, on tendons that may not have slid; the tendons of a locked joint give 1.5 times the
+        elongation of the torque, slower than 50 rad/s. `driven`: 1 from the cycle on in which something moves the
+        joint; `free`: cycle from which on the torque may grow and only a joint at rest is judged.
         """
         ratio = {}
         held = self.held()
@@ -592,9 +591,9 @@ def test_after_a_turn_a_joint_may_swing_against_the_torque_for_a_while(seconds: 
 
 
 def swung(error: float, elongation: float, frequency: float) -> list[str | None]:
-    """What is said of a joint that something swings by half a radian, with radii that are off by `error`.
+    """Return the finding for a joint that something swings by half a radian, with radii that are wrong by `error`.
 
-    `elongation`: rad at the motor by the torque's amplitude, negative for a motor that is reversed.
+    `elongation`: rad at the motor by the torque's amplitude, negative for a reversed motor.
     """
     t, beats = np.arange(3000) * PERIOD, 2.0 * math.pi * 1.3
     wave = np.sin(2.0 * math.pi * frequency * t)

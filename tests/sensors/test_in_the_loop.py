@@ -94,7 +94,7 @@ THETA = "Sensors on serial lines that send"  # where the example speaks of them
 
 def test_the_map_follows_a_measured_bending_and_freezes_without_one(tmp_path: Path) -> None:
     port = sensor("theta", "/dev/nothing", "scale = 0.0174532925")
-    still = ("amplitude = 0.5", "amplitude = 0.0")  # the motor of this bus stands, so no torque may act on it
+    still = ("amplitude = 0.5", "amplitude = 0.0")  # the motor of this bus rests, so no torque may act on it
     machine = Machine(tmp_path, *MAP, still, (f"# {THETA}", f"{port}\n# {THETA}"))
     try:
         model, says = machine.axis.model, [1.2]

@@ -1,4 +1,4 @@
-"""Outputs for safe torque off: a pseudo-terminal, a command, a GPIO library that stands in for the real one."""
+"""Outputs for safe torque off: a pseudo-terminal, a command, a GPIO library in place of the real one."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ LATE = 0.5e-3  # s, of the joint's encoder
 
 
 def log(ratio: float, bits: int, load: str = "independent", travel: float = 0.5, seed: int = 1) -> Dataset:
-    """20 s of a joint that is moved by two sines; the torque is of its own, a weight's or a spring's."""
+    """20 s of a joint that is moved by two sines; the torque is independent, a weight's or a spring's."""
     rng = np.random.default_rng(seed)
     t = PERIOD * np.arange(round(SECONDS / PERIOD))
     phase = rng.uniform(0.0, 2.0 * np.pi, 4)

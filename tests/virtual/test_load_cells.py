@@ -140,7 +140,7 @@ def test_the_loop_follows_the_tensioner(tmp_path: Path, without: float) -> None:
     assert log["friction_angle"][last] == NOMINAL.friction_angle
     assert told.result.axes[0].faults == ()
     assert told.lines == []
-    assert rms(error(told.result, 3.0)) < 1.1 * without  # the torque sensor measures the friction without cells, too
+    assert rms(error(told.result, 3.0)) < 1.1 * without  # the torque sensor also measures the friction without cells
 
 
 @pytest.mark.slow

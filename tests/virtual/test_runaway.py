@@ -82,7 +82,7 @@ def test_a_heavy_motors_swing_on_tendons_bent_elsewhere_is_none(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_without_the_guard_the_weight_swings_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the tests above would see: a set-point of 0, the guard put to sleep, and all friction taken as proven."""
+    """Show that the tests above can fail: set-point 0, the guard disabled, and all friction taken as proven."""
     monkeypatch.setattr(CompensationLimit, "update", lambda self, *_: self.ceiling)
     asleep = {"passivity": {"energy": 100.0}}
     faults = [Fault("pretension value=0.3", AT), NUDGE]

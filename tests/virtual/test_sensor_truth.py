@@ -1,4 +1,4 @@
-"""Signals that are wrong on a running rig: how soon each is found, and what the band of the joint torque contains."""
+"""Wrong signals on a running rig: the time to detection, and the band of the joint torque."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_a_signal_that_contradicts_the_others_is_named(tmp_path: Path, fault: st
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(reason="the rule for a motor that rests stopped a healthy limb; a slow joint may stop by itself")
+@pytest.mark.xfail(reason="the rule for a resting motor stopped a healthy limb; a slow joint may stop without a fault")
 def test_both_encoders_that_stick_while_the_joint_moves_are_found(tmp_path: Path) -> None:
     faults = [f"encoder_stuck@{AT}", f"motor_encoder_stuck@{AT}"]
     after, said = first(play(tmp_path, "wearer", sine(0.5, 0.5), AT + 0.4, axis=BLIND, faults=faults))

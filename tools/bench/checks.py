@@ -1,4 +1,4 @@
-"""What is found of a motor, an encoder or a tendon that is not as the model says; when, and what the joint got by then.
+"""Measure when faults of motor, encoder and tendon are found, and the energy that the joint receives by then.
 
 Usage: tools/run bench/checks [--loads held weight imposed limb] [--faults NAME ...] [--sensors motor encoder sensor]
                               [--set-points sine constant] [--calibrated] [--sample N] [--worst] [--results FILE]
@@ -11,10 +11,10 @@ from the fault until the motor's torque is zero at the plant, once the axis has 
 "Given" is the largest work of any window beyond the set-point's, from the fault until the torque is off, or until the
 end. --json also prints the work until the first report. --worst adds the 20 worst of each configuration.
 
-Where k_t of (3.56) is not the file's, the elongation is wrong from the first torque on, and the times count from there.
-Where the lever p + d/2 is not, only the pretension is wrong, once the bending changes: by a fifth from 1 s to 4 s. The
-angle is commanded then, and the estimator is "map". With --calibrated the model file's [uncertainty] of stiffness and
-bends is that of `tsa calibrate --stretch` on a rig with a joint torque sensor, not that of a data sheet.
+If k_t of (3.56) differs from the file, the elongation is wrong from the first torque on; the times start there.
+If the lever p + d/2 differs, only the pretension is wrong, after the bending changes by a fifth from 1 s to 4 s. There
+the angle is commanded, and the estimator is "map". With --calibrated the model file has the [uncertainty] of stiffness
+and bends after `tsa calibrate --stretch` on a rig with a joint torque sensor, otherwise the values of a data sheet.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def combinations(
 
 
 def trial(name: str, load: str, sensors: str = "encoder", set_point: str = "sine", calibrated: bool = False) -> Row:
-    """Return one fault on one joint: what was reported, and the work that the joint was given, as `judged`."""
+    """Return one fault on one joint: the reports, and the work on the joint, as `judged`."""
     wrong = FAULTS[name]
     axis: dict[str, Any] = {} if sensors == "motor" else {"estimator": {"kind": "stretch", "use": True}}
     plant: dict[str, Any] = {"perturbation": {"axial_stiffness": wrong.stiffness}}

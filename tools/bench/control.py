@@ -1,16 +1,16 @@
-"""Every joint, wherever its sheath bends: error of the delivered torque by how much the controller knows.
+"""Measure the error of the delivered torque for every joint, sheath shape and level of model knowledge.
 
 Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
        [--rows FILE] [--brief] [--angles 0.05 0.8 ...] [--off 0.2]
 The real loop on the plant with distributed tendons, in virtual time: the same command prints the same figures. Laws:
-none (compensation 0), (3.55) with the nominal file, what `tsa tune` and `tsa tune --extended` make of that file on an
-imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
+none (compensation 0), (3.55) with the nominal file, the files of `tsa tune` and `tsa tune --extended` for an imposed
+joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
 the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
-With --limits: what limits none, (3.55) and the true parameters on an imposed joint, by taking one thing away in the
-plant, for the same shapes, delay and inertia. --rows FILE: what is in the file is not run again, and the table is of it
-and of what was added; --brief: one row for each shape and joint, "RMS, 99 %, peak; jerk" of each law in it.
---angles: friction angles x of the plant, each with limits of torque and rate that suffice for it; --off: by how much
-friction, stiffness and pretension of the nominal file are off, the pretension the other way.
+--limits finds the limit of each law on an imposed joint by removing one property of the plant at a time, for the same
+shapes, delay and inertia. --rows FILE: rows of the file are not run again, and the table has old and new rows. --brief:
+one row for each shape and joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant,
+each with sufficient limits of torque and rate. --off: relative error of friction and stiffness of the nominal file; the
+pretension has the opposite error.
 """
 
 from __future__ import annotations

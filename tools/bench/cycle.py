@@ -1,16 +1,16 @@
-"""How long one control cycle takes, and how late it wakes up, beside what the bus itself costs.
+"""Measure execution time and wake-up latency of a control cycle, next to the cost of the bus alone.
 
 Usage: tools/run bench/cycle [--axes 1] [--rate 0] [--rounds 6] [--cycles 250] [--json]
 
-One run, one bus, one process that answers each SYNC (that of `tsa bench`); the ways take turns in blocks:
+One run, one bus, and one process that answers each SYNC (as in `tsa bench`). The variants take turns in blocks:
 
-  raw socket        SYNC out, TPDOs in, RPDOs out, nothing else: the floor
+  raw socket        SYNC out, TPDOs in, RPDOs out: the minimum
   ours              the cycle of `tsa run`: SYNC, image, supervision, law, limiter, RPDO
-  ours, all         the same with what follows the RPDO: estimate, record for the log, a command of the local socket
+  ours, all         the same with the work after the RPDO: estimate, record for the log, a command of the local socket
   ours, flooded     "ours, all" while clients flood the local socket and hang on it
   python-can        ours through python-can's Bus
 
-Needs a vcan: is run under tools/vcan where there is none. --rate 0: 1000 Hz, or less where the bit rate carries less.
+Needs a vcan; without one it runs under tools/vcan. --rate 0: 1000 Hz, or less where the bit rate carries less.
 """
 
 from __future__ import annotations

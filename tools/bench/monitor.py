@@ -50,7 +50,7 @@ def gone(trial: Trial) -> str:
 
 
 def healthy(seconds: float, rigs: int, seed: int) -> list[str]:
-    """Return what the monitor did on healthy rigs, a line each."""
+    """Return the reactions of the monitor on healthy rigs, a line each."""
     lines = []
     for number in range(rigs + 1):
         for load in LOADS:

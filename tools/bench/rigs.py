@@ -239,7 +239,7 @@ def evaluate(folder: Path, name: str) -> Row:
 
 
 def report(rows: list[Row]) -> None:
-    """Print a row for each rig, and what the reductions are over all."""
+    """Print a row for each rig, and the reductions over all rigs."""
     table = Table("rig", "s_c", "x", "bits", "effects", "outcome", "imposed %", "held %", "wearer %", "small mN·m")
     names = ("imposed", "held", "wearer", "small")
     for row in rows:

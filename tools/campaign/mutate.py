@@ -3,7 +3,7 @@
 Usage: tools/run campaign/mutate [MODULE...] [--sample N] [--jobs N] [--json]
 
 A mutant is a module with one mistake: a moved boundary, a forced condition, another number, a statement left out. The
-tests of the module run against each mutant in a process of their own. A mutant that fails a test is killed. The score
+tests of the module run against each mutant in a separate process. A mutant that fails a test is killed. The score
 is the share of killed mutants; the survivors are printed with their line. Many survivors change nothing that matters:
 a list of reasons did not survive the edits of the code. MODULE selects by a part of the path. --sample N takes every
 so many, until N mutants of each module are chosen.
@@ -35,7 +35,7 @@ TARGETS: dict[str, tuple[str, ...]] = {  # module: the tests that must detect it
     "tsa_ctrl/safety/guard.py": ("tests/safety/test_guard.py",),
     "tsa_ctrl/control/law.py": ("tests/control/test_law_bounds.py", "tests/control/test_law.py"),
 }
-CPU_TIME = 2.0  # s that the tests of a mutant may take beyond half as much again as those of the module itself
+CPU_TIME = 2.0  # s beyond 1.5 times the duration of the original's tests that the tests of a mutant may take
 WAITS = 30.0  # times its CPU time that a mutant may last: one that waits forever takes none
 
 _LT, _LE, _GT, _GE = ast.Lt, ast.LtE, ast.Gt, ast.GtE
@@ -99,7 +99,7 @@ def _places(node: ast.AST) -> Iterator[tuple[ast.AST, str, int | None, ast.AST]]
 
 
 def _replacements(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what may stand in place of a node; a statement that is left out becomes `pass`."""
+    """Yield the replacements of a node; a removed statement becomes `pass`."""
     match node:
         case ast.Compare():
             for k, operator in enumerate(node.ops):
@@ -166,7 +166,7 @@ def run(path: str, source: str, cpu: float) -> int:
 
 
 class _Mutated(importlib.machinery.SourceFileLoader):
-    """Loads one module with another source than that of its file."""
+    """Load one module from a source other than its file."""
 
     def __init__(self, path: str, source: str) -> None:
         super().__init__(path.removesuffix(".py").replace("/", "."), str(command.ROOT / path))

@@ -1,4 +1,4 @@
-"""Every fault in every phase at twenty moments of the cycle, in virtual time: what do motor and joint do?
+"""Put every fault into every phase at twenty moments of the cycle, and judge motor and joint, in virtual time.
 
 Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TEXT]... [--out FILE] [--seed 1]
                                   [--sensors motor encoder sensor] [--processes 1|2] [--keep] [--json] [--list]
@@ -8,15 +8,15 @@ in, runs, is tuned, stops, is in fault, resets and recovers; joint (imposed, hel
 shape of the sheath, set-point, motor, delay, sensor and number of axes are drawn for each trial by the seed. No trial
 is repeated and none is left out; the same trial gives the same result to the last bit. --pairs: two faults at once.
 
-A trial is safe when, at the plant, the motor's torque stays within the limiter's, is zero within [safety]
-zero_torque_within of a fault that takes something away, stays so, and the cause is named; and when the joint is not
-moved, beyond what it does without the fault, with the torque off or, by a recovery that was asked for, in as long of a
-first start, by more than 2 rad/s, 0.35 rad or 0.1 J (phase/verdict.py says why so much). A lie that shows only with
-motion is measured by these three as everything else.
+A trial is safe if, at the plant, the motor torque stays within the limiter's bound, is zero within [safety]
+zero_torque_within of a fault that must end it and stays zero, and the cause is reported. The joint must also not move
+by more than 2 rad/s, 0.35 rad or 0.1 J beyond its motion without the fault, with the torque off or, after a requested
+recovery, in a first startup of the same length (phase/verdict.py gives the reason). The same three limits judge a wrong
+signal that shows only with motion.
 
 Each trial is a line in --out (default virtual.jsonl), written at once: a run that was interrupted goes on with the same
-command. --part I/N does every N-th trial from the I-th on; --sample N the first N of a drawn order. --keep writes what
-all the lines come to into tools/campaign/phase/hazards.json, from which `tools/run manual/write` makes the table of
+command. --part I/N does every N-th trial from the I-th on; --sample N the first N of a drawn order. --keep writes the
+result of all lines into tools/campaign/phase/hazards.json, from which `tools/run manual/write` makes the table of
 hazards. Ends with the line `N trials, N safe`; exit code 1 unless all are.
 """
 

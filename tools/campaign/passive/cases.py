@@ -21,7 +21,7 @@ AT, WATCHED, LATCHED = 1.2, 3.0, 1.2  # s of the log of the change; s that are w
 LET_GO = 0.2  # s after it
 TO_REST, AT_REST, MEASURED = 2.0, 3.0, 1.0  # s: the set-point's gain goes to 0, all comes to rest, then it is measured
 SWUNG = 0.05  # s after the guard acted, in which a swing has died out
-FELT = 1e-3  # J: three times what a healthy reversal leaves
+FELT = 1e-3  # J: three times the energy of a healthy reversal
 ALLOWED = 3e-3  # J, [axis.passivity] energy as shipped
 CONFIRMED = 2.5  # s of the log, by which a sine has slid the tendons in both directions
 LOST = {"free": 60e-3}  # J, added by a loss once confirmed, with a joint encoder; 30 mJ on other loads
@@ -84,7 +84,7 @@ class Case:
 
 
 class Ended:
-    """Returns True once something has been latched for a while or, if asked for, a joint that stands has rested."""
+    """Return True once a latch has lasted for a while or, if requested, the joint has rested long enough."""
 
     def __init__(self, at: float, stands: bool) -> None:
         self._at, self._stands = at, stands

@@ -1,15 +1,15 @@
-"""Changes: how much work does a joint get when friction, pretension, bending or the motor changes while the loop runs?
+"""Measure the work on a joint when friction, pretension, bending or the motor changes while the loop runs.
 
 Usage: tools/run campaign/runaway changes [--sensors motor ...] [--loads free ...] [--set-points sine ...]
                                           [--changes friction=0.1 ...] [--at 3] [--sample N] [--rows FILE] [--worst]
-       tools/run campaign/runaway loss    (a sudden loss or a drive that lies, beside the same at compensation 0)
+       tools/run campaign/runaway loss    (a sudden loss or a wrong drive, next to the same at compensation 0)
 
 Each case is one run of the real loop on distributed tendons in virtual time. The model file is true until --at, s of
-the log. Then one thing steps to a share of what it was: pretension, friction, bending, or the motor's torque constant
-(torque_gain; the reported torque stays). A joint that stands is nudged at this moment, and the hand on a limb lets go.
+the log. Then one quantity steps to a share of its value: pretension, friction, bending, or the motor's torque constant
+(torque_gain; the reported torque stays). A resting joint is nudged at this moment, and the hand on a limb lets go.
 A run ends 1.2 s after something latched, after 1 s of rest, or 3 s after the change. The plant's truth is judged:
 
-  added    the largest work that any window after the change gave the joint beyond the set-point's, less that of the
+  added    the largest work on the joint in any window after the change beyond the set-point's, less the work of the
            same run at compensation 0. With the torque sensor at most J/2 (1 rad/s)^2. With a joint encoder alone, a
            sine and a loss from 2.5 s on (both directions have slid) at most 30 mJ, on a free joint 60 mJ. All other
            values are printed only.
@@ -17,7 +17,7 @@ A run ends 1.2 s after something latched, after 1 s of rest, or 3 s after the ch
   silent   more than 4 mJ were added and nothing was reported: missed with the torque sensor.
   after    of the work, the share after the guard had taken all compensation back: delay, and the swing of the motor.
 
-Without a change the set-point ends instead. 3 s later the joint must stand (0.02 rad/s RMS) and the motor be quiet
+Without a change the set-point ends instead. 3 s later the joint must rest (0.02 rad/s RMS) and the motor be quiet
 (0.02 N*m peak to peak). --rows FILE: cases in the file are not run again. --worst: the 20 worst of each sensor
 configuration. --which: those that missed a goal. Exit code 1: a goal was missed.
 """
@@ -214,7 +214,7 @@ def case_of(row: dict[str, Any]) -> Case:
 
 
 def words(row: dict[str, Any]) -> str:
-    """Return what was measured, in a line."""
+    """Return the measurement as a line."""
     if not row["change"]:
         return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", told" if row["told"] else "")
     added = f"{1e3 * row['added']:.1f} mJ added, {1e3 * row['late_added']:.1f} mJ of it late"

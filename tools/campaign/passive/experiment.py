@@ -1,7 +1,7 @@
 """One run of the real loop on distributed tendons: rig, sensors, set-point and what happens meanwhile.
 
-The controller's file is true, except for the tendons' stiffness, which is that of a data sheet. What the plant has
-less of from the start (`friction`, `pretension`) or loses meanwhile (a fault) the controller's file does not contain.
+The controller's file is true, except for the tendons' stiffness, which comes from a data sheet. The file
+does not contain a plant's smaller `friction` or `pretension` from the start, nor its later faults.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Experiment:
     """A rig and its set-point. `friction`, `pretension`: of the plant, as shares of the file's, from the start on.
 
     `centre`: s_c, centre of the bends along the sheath (0 motor, 1 joint); `delay` in periods; `motor_bits` and
-    `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `true_stiffness`: the controller's file has it, not
-    that of a data sheet; `file_model`: takes the place of the controller's model; `hand`: script of a hand on the
-    joint, of a wearer its own where none is given. `axis`, `file`, `plant`: tables over the controller's [[axis]], over
-    the controller's other tables and over the plant's [[axis]].
+    `joint_bits` of the encoders; `inertia` of the motor in kg*m^2; `true_stiffness`: the controller's file has the true
+    value, not the data sheet's; `file_model` replaces the controller's model; `hand`: script of a hand on the joint,
+    default for a wearer: the wearer's script. `axis`, `file`, `plant`: tables that replace values of the controller's
+    [[axis]], of its other tables and of the plant's [[axis]].
     """
 
     load: str

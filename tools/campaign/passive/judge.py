@@ -2,8 +2,8 @@
 
 The work that counts is the integral of (tau_J - tau_J_des) omega_J over the window that makes it largest. It is zero or
 less for a joint that nothing but its set-point, its load and passive tendons move. Once a fault has ended the torque,
-no torque is desired. Where tendons release a joint, the same run at compensation 0 has such work, too: that is
-subtracted by who calls.
+no torque is desired. Where tendons release a joint, the same run at compensation 0 has such work as well; the
+caller subtracts it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scan: does a joint keep moving by itself when its plant has less friction than the controller's file?
+"""Scan for joints that the controller keeps moving when the plant has less friction than the controller's file.
 
 Usage: tools/run campaign/runaway scan [--sensors motor ...] [--loads free ...] [--shares 0.1 ...] [--sample N]
 
@@ -12,7 +12,7 @@ been at rest for --rest seconds. The plant's truth is judged:
           0.2 rad/s above the same run at compensation 0, and above the run whose tendons have no friction ("ideal").
           A free joint that follows its set-point is not a runaway; the last line counts the cells without this excuse.
   work    the largest that any window gave the joint beyond the work of the set-point, integral of (tau_J - tau_J_des)
-          omega_J dt, minus that of the same run at compensation 0. Set-point 0: at most 10 mJ with the torque sensor,
+          omega_J dt, minus the work of the same run at compensation 0. Set-point 0: at most 10 mJ with torque sensor,
           otherwise 0.1 J in class "worn" and 0.4 J in class "bench" (--class). Otherwise it is printed only.
 
 One cell: `--sensors encoder --loads free --set-points zero --shares 0.8 --centre 0.5 --delay 1 --motor-bits 16
@@ -97,8 +97,8 @@ class Cell:
 
 @dataclass(frozen=True)
 class Judge:
-    """How cells are run: share of the friction term, class of use, seconds of rest that end a run, and tables of TOML
-    over those of the controller's [[axis]] and of its file.
+    """Options of all cells: share of the friction term, class of use, seconds of rest that end a run, and TOML tables
+    that replace values of the controller's [[axis]] and file.
     """
 
     compensation: float
