@@ -216,7 +216,7 @@ def test_a_value_renews_it_and_silence_ends_it(desk: Desk) -> None:
     """Its holder and people are told why; what it wanted is withdrawn; the next may have it."""
     owner, other = desk.client(process=4711), desk.client(process=815)
     owner.ask("lease", seconds=0.2)
-    assert "process 4711 of user" in str(desk.said())
+    assert "process 4711 " in str(desk.said())  # with a name, if such a process happens to run
     for _ in range(5):
         desk.now += 0.15
         assert owner.ask(**SET_POINT, value=0.5)["ok"]
