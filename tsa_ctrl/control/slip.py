@@ -16,6 +16,7 @@ Source: (3.24)-(3.30) at each contact, (3.31)-(3.41) for the way.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from operator import mul
 
 from tsa_ctrl.control.front import Front
@@ -100,12 +101,13 @@ class Slip:
             self.stretch = middle + half * turn.stretch
             return
         torque = lack = 0.0
-        ahead, back = self._sliding(1.0, difference), self._sliding(-1.0, difference)
         if self._left > 0.0:
             t1, t3 = self._ends(difference)
             if t1 == t1:
-                (end_1, end_3, slid), other = (ahead, back) if self._sigma > 0.0 else (back, ahead)
-                pull, most = t3 - t1 - end_3 + end_1, other[1] - other[0] - end_3 + end_1
+                forward = self._sigma > 0.0
+                force, slid = self._sliding(1.0 if forward else -1.0, difference)
+                other, _ = self._sliding(-1.0 if forward else 1.0, difference)
+                pull, most = t3 - t1 - force, other - force
                 # Less torque was sent than desired if the tensions differ by more than both ways of sliding do.
                 pull = max(min(0.0, most), min(max(0.0, most), pull))
                 torque = self._left * self._r_m * pull
@@ -126,27 +128,18 @@ class Slip:
         if (before == 0.0 and torque == 0.0) or self._sigma == then:
             return 0.0
         progress = (now - then) / (self._sigma - then)
-        ends = [self._sliding(sigma, difference) for sigma in (then, self._sigma, now)]
-        old, new, slid = (self._r_m * (t3 - t1) for t1, t3, _ in ends)
+        old, new, slid = (self._r_m * self._sliding(sigma, difference)[0] for sigma in (then, self._sigma, now))
         return old + before + progress * (new + torque - old - before) - slid - torque
 
     def _use(self, x: float, pretension: float) -> None:
         self._x, self._pretension = x, pretension
-        shares = self._shares(1.0)
-        self._elongations = self._way(shares), self._way([1.0 / share for share in shares])
-        self._whole = shares[-1]
-        (forward, forward_slope), (backward, backward_slope) = self._line(1.0), self._line(-1.0)
+        self._ahead, self._back = self._line(1.0), self._line(-1.0)
+        _, _, forward, forward_slope = self._ahead
+        _, _, backward, backward_slope = self._back
         angle = 0.5 * self._angle
         self._half, self._half_slope = angle * (forward - backward), angle * (forward_slope - backward_slope)
         self._middle = angle * (forward + backward - 2.0 * pretension)
         self._middle_slope = angle * (forward_slope + backward_slope)
-
-    def _line(self, sigma: float) -> tuple[float, float]:
-        """Return the elongation of tendon b (l/EA, N) at level ends, and its slope by T4 - T2, while both slide."""
-        alpha, beta = self._elongations if sigma > 0.0 else self._elongations[::-1]
-        less = 1.0 / self._whole if sigma > 0.0 else self._whole
-        share = beta / (beta + alpha * less * less)
-        return 2.0 * self._pretension * share, alpha * less * share
 
     def _start(self, a: list[float], b: list[float], sigma: float) -> None:
         """Begin a stroke in the direction `sigma` with these tensions of the segments, N, motor side first."""
@@ -155,6 +148,8 @@ class Slip:
         self._fallen = [1.0 / share for share in self._grown]
         self._alpha, self._beta = self._way(self._grown), self._way(self._fallen)
         self._start_a, self._start_b = self._way(a), self._way(b)
+        self._pull_a = _Pulled(a, self._lengths, self._grown, -sigma)
+        self._pull_b = _Pulled(b, self._lengths, self._fallen, sigma)
         self._through_a = sigma * (self._start_a - a[-1] * self._fallen[-1] * self._alpha)
         self._through_b = sigma * (b[-1] * self._grown[-1] * self._beta - self._start_b)
         self._left = 1.0
@@ -186,8 +181,7 @@ class Slip:
     def _force(self, gone: float) -> float:
         """Return T3 - T1, N, after the motor has moved both tendons by `gone` in the present direction."""
         sigma = self._sigma
-        self._t1 = _pulled(self._a, self._lengths, self._grown, -sigma * gone, -sigma)
-        self._t3 = _pulled(self._b, self._lengths, self._fallen, sigma * gone, sigma)
+        self._t1, self._t3 = self._pull_a.tension(-sigma * gone), self._pull_b.tension(sigma * gone)
         return self._t3 - self._t1
 
     def _ends(self, difference: float) -> tuple[float, float]:
@@ -199,25 +193,29 @@ class Slip:
         if self._through_b <= self._through_a:
             t3 = (a[-1] + difference) * self._grown[-1]
             self._gone = gone = sigma * (t3 * self._beta - self._start_b)
-            t1 = _pulled(a, self._lengths, self._grown, -sigma * gone, -sigma) if gone < self._through_a else math.nan
-            return t1, t3
+            return self._pull_a.tension(-sigma * gone) if gone < self._through_a else math.nan, t3
         t1 = (b[-1] - difference) * self._fallen[-1]
         self._gone = gone = sigma * (self._start_a - t1 * self._alpha)
         if gone >= self._through_b:
             return math.nan, math.nan
-        return t1, _pulled(b, self._lengths, self._fallen, sigma * gone, sigma)
+        return t1, self._pull_b.tension(sigma * gone)
 
-    def _sliding(self, sigma: float, difference: float) -> tuple[float, float, float]:
-        """Return T1, T3 and the elongation of tendon b (l/EA), N, while both tendons slide; their mean stays T_p0."""
-        alpha, beta = self._elongations
-        less = 1.0 / self._whole
-        if sigma == -1.0:
-            alpha, beta, less = beta, alpha, self._whole
-        elif sigma != 1.0:
-            shares = self._shares(sigma)
-            alpha, beta, less = self._way(shares), self._way([1.0 / share for share in shares]), 1.0 / shares[-1]
-        t3 = (2.0 * self._pretension + difference * alpha * less) / (beta + alpha * less * less)
-        return (t3 * less - difference) * less, t3, t3 * beta
+    def _sliding(self, sigma: float, difference: float) -> tuple[float, float]:
+        """Return T3 - T1 (N) and the elongation of tendon b (l/EA, N) while both tendons slide; their mean stays T_p0.
+
+        `difference`: T4 - T2, N.
+        """
+        line = self._ahead if sigma == 1.0 else self._back if sigma == -1.0 else self._line(sigma)
+        force, force_slope, way, way_slope = line
+        return force + force_slope * difference, way + way_slope * difference
+
+    def _line(self, sigma: float) -> tuple[float, float, float, float]:
+        """Return both of `_sliding` at T4 = T2, each with its slope by T4 - T2."""
+        shares = self._shares(sigma)
+        alpha, beta, less = self._way(shares), self._way([1.0 / share for share in shares]), 1.0 / shares[-1]
+        whole = beta + alpha * less * less
+        level, slope = 2.0 * self._pretension / whole, alpha * less / whole  # of T3
+        return level * (1.0 - less * less), slope * (1.0 - less * less) + less, level * beta, slope * beta
 
     def _shares(self, sigma: float) -> list[float]:
         """Return the tension of each segment of a sliding tendon a over T1, 1."""
@@ -229,16 +227,34 @@ class Slip:
         return math.fsum(map(mul, self._lengths, tensions))
 
 
-def _pulled(old: list[float], lengths: tuple[float, ...], shares: list[float], way: float, sign: float) -> float:
-    """Return the tension at the motor, N, after the motor has pulled by `way` (l/EA, N; `sign` is its sign)."""
-    target, per_tension, tension = way, 0.0, old[0]
-    for i, length in enumerate(lengths):
-        per_tension += length * shares[i]
-        target += length * old[i]
-        if per_tension > 0.0:
-            tension = target / per_tension
-            if i < CONTACTS and sign * (tension * shares[i + 1] - old[i + 1]) <= 0.0:
-                return tension
-        elif i < CONTACTS:
-            tension = old[i + 1] / shares[i + 1]
-    return tension
+class _Pulled:
+    """The tension of a tendon at the motor while the motor pulls it, and a slip front runs from contact to contact."""
+
+    def __init__(self, old: list[float], lengths: tuple[float, ...], shares: list[float], sign: float) -> None:
+        """Find the way at which the front passes each contact.
+
+        Args:
+            old: tensions of the segments before, N, motor side first.
+            lengths: of the segments, 1.
+            shares: tensions of the segments over that at the motor once they slide, 1.
+            sign: of the way.
+        """
+        self._sign = sign
+        self._old: list[float] = []  # elongation before, up to and with each segment, l/EA in N
+        self._per_tension: list[float] = []  # 1, likewise of segments that slide
+        self._passed: list[float] = []  # l/EA in N, where the front passes the contact behind each segment
+        elongation, per_tension, passed = 0.0, 0.0, -math.inf
+        for i, length in enumerate(lengths):
+            per_tension += length * shares[i]
+            elongation += length * old[i]
+            self._per_tension.append(per_tension)
+            self._old.append(elongation)
+            if i < CONTACTS:
+                if per_tension > 0.0:
+                    passed = max(passed, sign * (old[i + 1] / shares[i + 1] * per_tension - elongation))
+                self._passed.append(passed)
+
+    def tension(self, way: float) -> float:
+        """Return the tension at the motor, N, after a way of the motor, l/EA in N."""
+        i = bisect_left(self._passed, self._sign * way)
+        return (way + self._old[i]) / self._per_tension[i]
