@@ -25,6 +25,8 @@ from tsa_ctrl.identify.redundancy import compare, judge
 from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import low_pass
+from tsa_ctrl.model.sliding import sliding as steady_sliding
+from tsa_ctrl.model.sliding import wound_by_friction
 
 Array = NDArray[np.float64]
 
@@ -44,8 +46,11 @@ MOST = 600_000
 BAND = 10.0  # Hz, in which measured and simulated torque are compared
 FOLLOWS = 0.5  # correlation of measured and simulated torque, at least; 0.9 and more where they belong together
 CHANGES = 0.3  # of the simulated torque's change: a measured torque that changes less is of a constant load
+FEWEST = 200  # samples of a correlation
+VARIES = 0.15  # of the friction torque: friction varies by a tenth with speed, place and time
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
 FEWEST_MEANS = 20  # whose spread is then known to a sixth
+THROUGH = 1.0  # of the way in which a reversal runs through the sheath
 FRICTION_FACTOR = 2.0  # of F, beyond what [uncertainty] leaves open
 SURE = 3.0  # standard errors by which a friction torque must lie outside: one log of 400 by chance
 DIRECTED = 2.5  # times the noise of a velocity, above which it shows a direction
@@ -161,7 +166,9 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
         judge("", "simulated tau_j", "tau_j", compare(*pair, dataset.period), math.inf, signed=False)
     except UsageError as error:
         return str(error).removeprefix(": ")
-    correlation = _following(dataset, expected, sliding)
+    correlation = _following(
+        dataset, expected, sliding & _slid_through(dataset, model), abs(steady_sliding(model).half_loop)
+    )
     if correlation < FOLLOWS:
         return (
             f"column tau_j does not follow the joint torque that tau_m gives by the model (correlation "
@@ -187,11 +194,23 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
     return ""
 
 
-def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_]) -> float:
+def _slid_through(dataset: Dataset, model: TendonSheath) -> NDArray[np.bool_]:
+    """Return where the joint has moved so far since its last reversal that the whole sheath slides."""
+    omega = dataset["omega_j"]
+    path = np.cumsum(np.abs(omega)) * dataset.period
+    reversals = np.flatnonzero(np.diff(np.sign(omega), prepend=0.0))
+    begin = np.zeros(len(path))
+    begin[reversals] = np.diff(path[reversals], prepend=0.0)
+    wound = wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius
+    return path - np.cumsum(begin) > THROUGH * wound
+
+
+def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_], friction: float) -> float:
     """Return the correlation of the measured with the simulated joint torque, apart from direction, weight and inertia.
 
     Both are taken up to BAND. It is nan where the measured torque hardly changes compared with the simulated one: then
-    the load is constant, and the simulation only shows the ripple of the motor torque.
+    the load is constant, and the simulation only shows the ripple of the motor torque. It is nan as well where the
+    simulated one varies by less than the friction torque (N*m at the joint) may vary beyond the model.
     """
     omega, thin = dataset["omega_j"], max(1, len(expected) // MOST)
     angle = dataset["q_j"] if "q_j" in dataset else np.cumsum(omega) * dataset.period
@@ -199,16 +218,16 @@ def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_]) ->
     apart = [np.sign(omega), angle, np.sin(angle), np.cos(angle), acceleration, np.ones_like(omega)]
     torques = [low_pass(values, dataset.period, BAND) for values in (expected, dataset["tau_j"])]
     here = np.flatnonzero(sliding)[::thin]
+    if len(here) < FEWEST:
+        return math.nan
     columns = np.column_stack(apart)[here]
     columns /= np.maximum(np.max(np.abs(columns), axis=0), 1e-12)
     simulated, measured = (
         values[here] - columns @ np.linalg.lstsq(columns, values[here], rcond=1e-9)[0] for values in torques
     )
     sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(measured))
-    if sizes[0] == 0.0 or sizes[1] < CHANGES * sizes[0]:
-        return math.nan
-    whole, seen = (float(np.std(values[here])) for values in torques)
-    if whole < CHANGES * seen:  # the motor torque only compensates the friction, so the model expects no joint torque
+    varies = friction * math.sqrt(len(here)) * VARIES
+    if sizes[0] <= varies or sizes[1] < CHANGES * sizes[0]:
         return math.nan
     return float(measured @ simulated) / (sizes[0] * sizes[1])
 
