@@ -12,7 +12,7 @@ from tsa_ctrl.observer.stretch import NEARLY, STIFF_FACTOR, StretchObserver, Str
 MEMORY = 2.0  # s over which sensor and stretch are compared: a turn or two, so that no reversal alone speaks
 SENSOR = 0.03  # 1, of its torque, that a sound joint torque sensor may be off itself, beside the band
 SOFT = 0.1  # s for which the tendons must give as much more than the model's as they may
-MOST_FRICTION = 2.0  # 1, of the file's x: an elongation that needs more is of another curvature, not of a stiffness
+OTHER = 2.0  # 1, times more or less friction than the file's: such an elongation is of another curvature profile
 OFTEN, SELDOM = 0.5, 0.2  # of the samples outside the band: told above, told again only after it was below
 
 
@@ -58,7 +58,7 @@ class JointTorque:
         self._soft = 0.0  # s
         self._period = period
         self.stretch = stretch
-        self._most_friction = 0.0 if stretch is None else MOST_FRICTION * stretch.friction_angle
+        self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
         self.why_not = why_not
         self.contradicted = False  # the joint torque sensor lies outside the stretch's band most of the time
         self.difference = 0.0  # N*m, of sensor less stretch, over the last seconds
@@ -85,6 +85,10 @@ class JointTorque:
         """Report no torque until the next enable: a signal of this axis was found wrong."""
         self._faulty = True
         self._combine()
+
+    def _explained(self, friction_angle: float) -> bool:
+        """Return True if a friction angle near the file's value and a stiffness explain the elongation."""
+        return self._friction_angle < OTHER * friction_angle < OTHER * OTHER * self._friction_angle
 
     @property
     def contradiction(self) -> str | None:
@@ -139,7 +143,7 @@ class JointTorque:
         if stretch is None:
             return
         stretch.update(tau_m, omega_m, image.q_m, image.q_j, fresh)
-        soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and stretch.friction_angle < self._most_friction
+        soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and self._explained(stretch.friction_angle)
         self._soft = self._soft + self._period if enabled and soft else 0.0
         if self.elongation is not None and fresh:
             self.elongation.update(image.q_m, image.q_j, command)
