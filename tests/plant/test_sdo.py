@@ -40,7 +40,7 @@ def server() -> SdoServer:
         ("2f71600005000000", "8071600013000706"),  # too short
         ("2f6060000b000000", "8060600031000906"),  # too high
         ("2f606000fe000000", "8060600032000906"),  # too low
-        ("a000100000000000", "8000100002000405"),  # block upload in blocks of no length
+        ("a000100000000000", "8000100001000405"),  # block transfer, which is optional
         ("6000000000000000", "8000000001000405"),  # a segment that belongs to nothing
     ],
 )

@@ -1,4 +1,7 @@
-"""SDO server (CiA 301): expedited, segmented and block transfers both ways, one at a time."""
+"""SDO server (CiA 301): expedited and segmented transfers both ways, one at a time.
+
+A block transfer is optional in CiA 301. The server aborts it with 0x05040001, as many drives do.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,6 @@ import struct
 from dataclasses import dataclass
 
 from tsa_ctrl.plant.dictionary import AbortCode, Key, ObjectDictionary, SdoAbort
-from tsa_ctrl.plant.sdo_block import BlockDownload, BlockUpload
 
 _HEADER = struct.Struct("<BHB4s")
 _MAX_DOWNLOAD = 4096  # bytes; more is refused, a node's memory is small
@@ -28,25 +30,21 @@ class SdoServer:
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
         self._transfer: _Transfer | None = None
-        self._block: BlockUpload | BlockDownload | None = None
 
     def reset(self) -> None:
-        self._transfer = self._block = None
+        self._transfer = None
 
     def handle(self, request: bytes) -> list[bytes]:
-        """The responses to one request frame; none to an abort, a frame that is no SDO, or amid a block."""
+        """The responses to one request frame; none to an abort, or to a frame that is no SDO."""
         if len(request) != 8:
             return []
         if request[0] == _ABORT:
             self.reset()
             return []
         try:
-            if self._block is not None:
-                return self._continue_block(self._block, request)
-            answer = self._answer(request)
-            return [answer]
+            return [self._answer(request)]
         except SdoAbort as abort:
-            running = self._block or (self._transfer if request[0] >> 5 in (0, 3) else None)
+            running = self._transfer if request[0] >> 5 in (0, 3) else None
             key = running.key if running is not None else _HEADER.unpack(request)[1:3]
             self.reset()
             return [_HEADER.pack(_ABORT, *key, struct.pack("<I", abort.code))]
@@ -62,24 +60,7 @@ class SdoServer:
             return self._start_upload((index, sub))
         if specifier == 3:
             return self._upload_segment(command)
-        if specifier == 5 and command & 0x03 == 0:
-            value = self._dictionary.read((index, sub))
-            self._block = BlockUpload((index, sub), value, data[0], bool(command & 0x04))
-            return self._block.first()
-        if specifier == 6 and command & 0x01 == 0:
-            self._dictionary.find((index, sub))
-            size = int.from_bytes(data, "little") if command & 0x02 else None
-            self._block = BlockDownload((index, sub), size, bool(command & 0x04), _MAX_DOWNLOAD)
-            return self._block.first()
         raise SdoAbort(AbortCode.UNKNOWN_COMMAND)
-
-    def _continue_block(self, block: BlockUpload | BlockDownload, request: bytes) -> list[bytes]:
-        answers, over = block.take(request)
-        if over:
-            if isinstance(block, BlockDownload):
-                self._dictionary.write(block.key, bytes(block.data))
-            self._block = None
-        return answers
 
     def _start_download(self, key: Key, command: int, data: bytes) -> bytes:
         expedited, sized = command & 0x02, command & 0x01
