@@ -16,7 +16,7 @@ from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.diagnosis.data.audit import audit
-from tsa_ctrl.identify.diagnosis.data.direction import _hidden, with_hidden_direction
+from tsa_ctrl.identify.diagnosis.data.direction import with_hidden_direction
 from tsa_ctrl.identify.diagnosis.data.frame import Run
 from tsa_ctrl.identify.diagnosis.data.prepare import prepare
 from tsa_ctrl.identify.diagnosis.data.split import Split, split
@@ -93,16 +93,6 @@ def test_what_noise_takes_out_of_a_slow_stretch_has_no_direction(speed: float, s
     inside = unknown[start + 2 : start + round(seconds * RATE) - 2]
     assert bool(np.any(inside)) is not sure
     assert np.all(unknown[: start - 2])
-
-
-def test_a_log_may_begin_and_end_without_a_direction() -> None:
-    omega = np.full(round(20.0 * RATE), 0.002)
-    middle = slice(round(4.0 * RATE), round(16.0 * RATE))
-    omega[middle] = np.sin(3.0 * np.arange(middle.stop - middle.start) / RATE)
-    slow = _hidden(_run(omega, 0.01), rigid=False)
-    assert slow[0]
-    assert slow[-1]
-    assert not np.any(slow[middle.start + 10 : middle.start + 100])
 
 
 def _stop_and_go(offset: float) -> dict[str, Array]:

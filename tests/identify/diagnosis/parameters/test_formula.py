@@ -18,7 +18,7 @@ from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Moment, Nuisance
-from tsa_ctrl.identify.diagnosis.parameters.formula import _selected, with_direction
+from tsa_ctrl.identify.diagnosis.parameters.formula import with_direction
 from tsa_ctrl.identify.diagnosis.parameters.formula_numbers import regressed
 from tsa_ctrl.model.parameters import RigidDrive, load_model, model_from, save_model
 from tsa_ctrl.model.predict import predict
@@ -87,28 +87,6 @@ def test_the_formula_is_a_table_that_a_model_file_takes_and_that_mends_the_simul
     )
     before, after = (float(np.std(columns["tau_m"] - predict(each, signals))) for each in (found.model, mended))
     assert after < 0.6 * before
-
-
-def test_noise_has_no_formula() -> None:
-    rng = np.random.default_rng(3)
-    columns, noise = rng.normal(size=(4000, 60)), rng.normal(size=4000)
-    folds, known = np.arange(4000) // 40 % 6, rng.normal(size=(4000, 2))
-    single = [(i,) for i in range(60)]
-    assert _selected(columns, noise, folds, known, single) == []
-    assert _selected(columns, noise + 5.0 * known[:, 1], folds, known, single) == []  # other numbers do it
-    assert _selected(columns, noise + columns[:, 7], folds, known, single) == [7]
-
-
-def test_a_wave_enters_with_its_phase() -> None:
-    """Neither its sine nor its cosine is as much as a stray column that goes along with both."""
-    rng = np.random.default_rng(4)
-    angle = rng.uniform(-3.0, 3.0, 4000)
-    wave = np.sin(angle) + np.cos(angle)
-    columns = np.column_stack([np.sin(angle), np.cos(angle), wave + rng.normal(0.0, 0.6, 4000)])
-    folds, nothing = np.arange(4000) // 40 % 6, np.zeros((4000, 0))
-    residual = wave + rng.normal(0.0, 0.1, 4000)
-    assert _selected(columns, residual, folds, nothing, [(0,), (1,), (2,)])[0] == 2
-    assert _selected(columns, residual, folds, nothing, [(0, 1), (2,)]) == [0, 1]
 
 
 @pytest.mark.parametrize(("values", "sure"), [(1.0, True), (1e-12, False)], ids=["large", "as small as rounding"])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
-from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion, _interpolated
+from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 
 
 @pytest.mark.parametrize(
@@ -24,15 +23,3 @@ def test_a_rival_covers_when_it_explains_most_and_lacks_less_than_what_is_left(
     share: float, rival: float, without: float, covers: bool
 ) -> None:
     assert ErrorCriterion(share, 1.0).covers(rival, without) is covers
-
-
-def test_a_stretch_that_is_not_known_is_no_drift() -> None:
-    """Its two ends are a sample each, of which one is off."""
-    noise = np.random.default_rng(1).normal(0.0, 0.01, 2000)
-    told = np.ones(2000, dtype=np.bool_)
-    told[900:1150] = False
-    noise[[899, 1150]] = -0.04
-    noise[900:1150] = 1.0  # friction of the wrong sign
-    filled = _interpolated(noise, told, 8e-3)
-    assert np.array_equal(filled[told], noise[told])
-    assert np.max(np.abs(filled[~told])) < 0.01

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from tests.blind.cases import Case
 from tests.blind.two_encoders import two_encoder_case, without_motor_angle
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.identify.diagnosis.rivals.by_stretch import _visibly_less
 from tsa_ctrl.model.parameters import model_from
 
 
@@ -62,27 +60,3 @@ def test_a_stretch_that_follows_no_hypothesis_excludes_none() -> None:
 
 ALL_ALONG = [40.0, 2.0, 2.5, 3.0, 2.2, 1.8, 9.0, 2.1, 2.6, 3.1, 1.9, 2.4]  # what blocks gain, very unequally
 NOW_AND_THEN = [40.0, -2.0, 2.5, -3.0, 2.2, -1.8, 9.0, -2.1, 2.6, -3.1, 1.9, -2.4]  # two say all of it
-
-
-@pytest.mark.parametrize(
-    ("gained", "once", "shown"),
-    [
-        (ALL_ALONG, False, True),
-        (NOW_AND_THEN, False, False),
-        ([0.0, 500.0], False, False),
-        ([0.0, 0.0, 500.0], True, False),  # t of 1: k blocks that say all of it have the root of k
-        ([100.0, 120.0, 90.0, 0.0], True, True),
-        ([2.0, 2.1] * 6, False, False),  # a quarter less is seen, an eighth is no matter
-        ([500.0], False, False),
-    ],
-)
-def test_what_acts_all_along_must_be_said_by_many_blocks_however_unequally(
-    gained: list[float], once: bool, shown: bool
-) -> None:
-    """Less squares in each block, of 40 samples; what is left is a hundred in all."""
-    blocks = np.repeat(np.arange(len(gained)), 40)
-    left = np.full(len(blocks), 100.0 / len(blocks))
-    more = SimpleNamespace(squares=left)
-    less = SimpleNamespace(squares=left + np.asarray(gained)[blocks] / 40.0)
-    stretch = SimpleNamespace(seen=SimpleNamespace(blocks=blocks))
-    assert _visibly_less(stretch, more, less, once=once) is shown  # type: ignore[arg-type]
