@@ -7,8 +7,10 @@ import concurrent.futures
 import json
 import multiprocessing
 import os
+import random
+import secrets
 import sys
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,6 +32,36 @@ def parser(module: str, doc: str | None) -> argparse.ArgumentParser:
     """A parser whose help is the module's text."""
     prog = f"tools/run {name_of(module)}"
     return argparse.ArgumentParser(prog, description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+
+
+SHARED: dict[str, dict[str, Any]] = {  # options of several commands
+    "--rows": {"type": Path, "help": "JSON lines: what is in the file is not run again"},
+    "--processes": {"type": int, "default": 1, "choices": range(1, MOST_PROCESSES + 1)},
+    "--json": {"action": "store_true", "help": "a JSON object for each run, instead of the tables"},
+    "--seed": {"type": int, "help": "of all draws (default: a fresh one, which is printed)"},
+    "--sample": {"type": int, "default": 0, "metavar": "N", "help": "N drawn runs; 0: all"},
+    "--rigs": {"type": int, "default": 10},
+    "--first": {"type": int, "default": 0, "help": "number of the first rig"},
+    "--compensation": {"type": float, "default": 0.95, "help": "share of the friction term (default 0.95)"},
+    "--axis": {"default": "", "metavar": "TOML", "help": "over the controller's [[axis]]: 'law.settle = 0.0'"},
+    "--file": {"default": "", "metavar": "TOML", "help": "over the controller's other tables"},
+}
+
+
+def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> None:
+    """Add shared options by their names, with another default where one is given."""
+    for name in names.split():
+        aliases = ["--results"] if name == "rows" else []
+        parser.add_argument(f"--{name}", *aliases, dest=name, **SHARED[f"--{name}"])
+    parser.set_defaults(**defaults)
+
+
+def drawn(items: Sequence[Item], chosen: argparse.Namespace) -> list[Item]:
+    """Return --sample of the items, in an order drawn by --seed; all without it. A missing seed is drawn."""
+    if chosen.seed is None:
+        chosen.seed = secrets.randbelow(10**6)
+    count = min(chosen.sample, len(items)) or len(items)
+    return random.Random(chosen.seed).sample(items, count) if chosen.sample else list(items)
 
 
 def process(module: str, *arguments: str) -> list[str]:
@@ -102,6 +134,32 @@ class Results:
         if self._path is not None:
             with self._path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
+
+
+def run_rows(
+    work: Callable[[Item], Row],
+    items: Sequence[Item],
+    key: Callable[[Row], Hashable],
+    chosen: argparse.Namespace,
+    each: Callable[[Row], None] = lambda row: None,
+) -> list[Row]:
+    """Return the row of every item, whose `key` is the item. What --rows holds is not run again; see `each` new one."""
+    kept = Results(chosen.rows, key)
+    for row in parallel(work, [item for item in items if item not in kept], chosen.processes):
+        kept.add(row)
+        each(row)
+    return [kept[item] for item in items]
+
+
+def print_tables(rows: Sequence[Row], chosen: argparse.Namespace, tables: Callable[[], Iterable[object]]) -> None:
+    """Print the rows as JSON lines with --json, otherwise the tables and lines of text."""
+    from rich.console import Console
+
+    if chosen.json:
+        print("\n".join(map(json.dumps, rows)), flush=True)
+        return
+    for each in tables():
+        print(each, flush=True) if isinstance(each, str) else Console(width=250).print(each)
 
 
 def print_table(head: Sequence[str], lines: Sequence[Sequence[object]], title: str | None = None) -> None:

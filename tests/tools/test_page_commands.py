@@ -80,8 +80,11 @@ def test_a_tool_of_a_page_is_there_and_knows_the_option(line: str, page: str) ->
     for folder, names in re.findall(r"^from tools\.([\w.]+) import ([\w, ]+)$", text, re.MULTILINE):
         modules = [ROOT / "tools" / folder.replace(".", "/") / f"{module}.py" for module in names.split(", ")]
         text += "".join(module.read_text(encoding="utf-8") for module in modules if module.is_file())  # its modes
+    shared = {
+        f"--{each}" for found in re.findall(r'command\.share\(parser, "([\w ]+)"', text) for each in found.split()
+    }
     for option in (word.split("=")[0] for word in words if word.startswith("--")):
-        assert f'"{option}"' in text, f"{page}: `{line}`: {name} has no {option}"
+        assert option in shared or f'"{option}"' in text, f"{page}: `{line}`: {name} has no {option}"
 
 
 @pytest.mark.parametrize("verb", commands())

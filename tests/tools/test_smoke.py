@@ -45,7 +45,6 @@ LONG = {
     "bench/two_encoders --draws 1 --rows nothing:joint": "groups became single names",
     "campaign/mutate limiter --sample 2": "limiter.py",
     "figures/gallery gravity_load --out {out}": "",
-    "measured/findings": "",
     "measured/stretch": "",
 }
 

@@ -13,13 +13,11 @@ as it ends; those that it holds are not run again.
 from __future__ import annotations
 
 import dataclasses
-import json
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from tests.virtual.joints import GAIT, play, rms
@@ -27,7 +25,7 @@ from tests.virtual.rigs import draw
 from tools import command
 from tools.bench.checks import CALIBRATED
 from tools.bench.stretch import shape
-from tools.command import Results, Row
+from tools.command import Row
 from tsa_ctrl.demo.motion import PERIOD
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.virtual.result import AxisResult
@@ -95,31 +93,24 @@ def trial(seed: int, number: int, change: float) -> Row:
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--rigs", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0, help="number of the first rig")
-    parser.add_argument("--seed", type=int, default=1)
+    command.share(parser, "rigs first seed rows processes json", seed=1)
     parser.add_argument("--change", type=float, default=0.4, help="of the bending angle, as a share")
-    parser.add_argument("--results", type=Path, help="a JSON object per rig; those that it holds are not run again")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
     if arguments.rigs < 1:
         parser.error(f"--rigs {arguments.rigs}: at least 1")
-    known = Results(arguments.results, lambda row: (row["seed"], row["rig"], row["change"]))
-    rows = []
-    for number in range(arguments.first, arguments.first + arguments.rigs):
-        key = (arguments.seed, number, arguments.change)
-        if key not in known:
-            known.add(trial(*key))
-        rows.append(known[key])
-        if arguments.json:
-            print(json.dumps(rows[-1]), flush=True)
-    if not arguments.json:
-        report(rows)
+    numbers = range(arguments.first, arguments.first + arguments.rigs)
+    asked = [(arguments.seed, number, arguments.change) for number in numbers]
+    rows = command.run_rows(_trial, asked, lambda row: (row["seed"], row["rig"], row["change"]), arguments)
+    command.print_tables(rows, arguments, lambda: report(rows))
     return 0
 
 
-def report(rows: list[Row]) -> None:
-    """The table, and what the rows ended in where they ended early."""
+def _trial(asked: tuple[int, int, float]) -> Row:
+    return trial(*asked)
+
+
+def report(rows: list[Row]) -> list[Table | str]:
+    """Return the table, and what the rows ended in where they ended early."""
     table = Table("rig", "s_c", "before: sensor", "before: stretch", "after: sensor", "after: stretch", "times")
     names = ("sensor_before", "stretch_before", "sensor", "stretch")
     for row in rows:
@@ -134,8 +125,4 @@ def report(rows: list[Row]) -> None:
     times = found[:, 3] / found[:, 2]
     for words, taken in (("median", np.nanmedian), ("worst", np.nanmax)):
         table.add_row(words, "", *(f"{taken(column):.1f}" for column in found.T), f"{taken(times):.2f}")
-    console = Console(width=120)
-    console.print(table)
-    for row in rows:
-        for fault in row["faults"]:
-            console.print(f"rig {row['rig']}: {fault}")
+    return [table, *(f"rig {row['rig']}: {fault}" for row in rows for fault in row["faults"])]

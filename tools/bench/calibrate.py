@@ -1,4 +1,4 @@
-"""Coverage of calibration's 95 % intervals on randomised logs, and calibration of the measured cable drive.
+"""Coverage of calibration's 95 % intervals on randomised logs.
 
 Usage: tools/run bench/calibrate [--logs 1000] [--seed 1] [--jobs 2] [--results FILE]
 Each log's result is appended to FILE as it comes; a run that was interrupted goes on from there.
@@ -12,7 +12,6 @@ import time
 import tomllib
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from scipy.stats import beta
@@ -22,9 +21,8 @@ from tools import command
 from tools.command import Results, Row
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import calibrate
-from tsa_ctrl.identify.dataset import Dataset, load_log
-from tsa_ctrl.identify.simulate import simulate
-from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, model_from
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.model.parameters import TendonSheath, model_from
 
 Job = tuple[int, str, str]  # seed, profile, kind
 VARIED = ("pretension varied", "bending varied", "tensions measured", "gain certified")
@@ -95,43 +93,6 @@ def covered(results: list[Row], name: str) -> str:
     return f"{100 * hits / n:5.1f} % ({100 * low:.1f}-{100 * high:.1f})"
 
 
-def davinci(folder: Path) -> None:
-    """Calibrated on loads 10, 50, 90; RMS error on loads 30 and 70, all samples."""
-    model = load_tendon_sheath(folder / "actuator.toml")
-    logs = {path.name: load_log(path) for path in sorted(folder.glob("*.csv.gz"))}
-    train = [log for name, log in logs.items() if name[4:7] in {"010", "050", "090"}]
-    test = [log for name, log in logs.items() if name[4:7] in {"030", "070"}]
-
-    def error(model: TendonSheath) -> float:
-        found = [simulate(log, model) for log in test]
-        residuals = [each.residual for each in found if each.residual is not None]
-        return 1e3 * float(np.sqrt(np.mean(np.square(np.concatenate(residuals)))))
-
-    print(
-        f"\nmeasured cable drive, calibrated on loads 10, 50, 90; RMS error on loads 30, 70 of all samples\n"
-        f"  as given                                  {error(model):5.1f} mN*m"
-    )
-    splits: dict[str, Literal["keep", "fit"]] = {
-        "calibrated, the file's split kept": "keep",
-        "calibrated, --split fit": "fit",
-    }
-    for label, split in splits.items():
-        result = calibrate(train, model, split=split)
-        print(
-            f"  {label:40s}  {error(result.model):5.1f} mN*m   x = {result.friction_angle}, T_p = {result.pretension}"
-        )
-
-
-def speed() -> None:
-    rng = np.random.default_rng(0)
-    rig = tendon_logs.draw_rig(rng, "uniform")
-    nominal = nominal_of(rig, rng)
-    log = Dataset.from_arrays(tendon_logs.record(rig, rng, seconds=60.0, rate=1000.0), "a.csv")
-    started = time.process_time()
-    calibrate([log], nominal)
-    print(f"\ncalibration of 60 s at 1 kHz: {time.process_time() - started:.2f} s of processor time")
-
-
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--logs", type=int, default=1000, help="logs in all (default 1000)")
@@ -162,8 +123,4 @@ def main() -> int:
         )
     print(f"{len(everything) - len(results)} logs were refused{': ' * bool(refusals)}{refusals[0] if refusals else ''}")
     print(f"slowest calibration: {max(r['seconds'] for r in results):.2f} s")
-    speed()
-    data = command.measured_data(__name__)
-    if data is not None:
-        davinci(data)
     return 0

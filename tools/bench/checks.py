@@ -22,23 +22,18 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
-import json
-import random
-import secrets
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.cases import Ended
 from tools.campaign.passive.experiment import SENSORS, Experiment
 from tools.campaign.passive.judge import peak_speed, reactions, windows
-from tools.command import Results, Row
+from tools.command import Row
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath
@@ -211,29 +206,18 @@ def main() -> int:
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--set-points", nargs="+", choices=("sine", "constant"), default=("sine", "constant"))
     parser.add_argument("--calibrated", action="store_true", help="stiffness and bends as a calibration knows them")
-    parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn trials; 0: all")
-    parser.add_argument("--seed", type=int, help="of the sample (default: a fresh one, which is printed)")
+    command.share(parser, "sample seed rows processes json")
     parser.add_argument("--worst", action="store_true", help="the 20 worst of each sensor configuration, besides")
-    parser.add_argument("--results", type=Path, help="a JSON object per trial; those that it holds are not run again")
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
-    kept = Results(arguments.results, lambda row: tuple(row[name] for name in KEY))
     every = combinations(arguments.faults, arguments.loads, arguments.sensors, arguments.set_points)
-    wanted = [(*each, arguments.calibrated) for each in every]
-    seed = secrets.randbelow(10**6) if arguments.seed is None else arguments.seed
-    if arguments.sample:
-        wanted = random.Random(seed).sample(wanted, min(arguments.sample, len(wanted)))
-    for row in command.parallel(_trial, [key for key in wanted if key not in kept], arguments.processes):
-        kept.add(row)
-    rows = [kept[key] for key in wanted]
-    if arguments.json:
-        print("\n".join(map(json.dumps, rows)))
-        return 0
-    for table in [*tables(rows, arguments), *(worst(rows) if arguments.worst else [])]:
-        Console(width=250).print(table)
-    if arguments.sample:
-        print(f"{len(rows)} trials; seed {seed}")
+    wanted = command.drawn([(*each, arguments.calibrated) for each in every], arguments)
+    rows = command.run_rows(_trial, wanted, lambda row: tuple(row[name] for name in KEY), arguments)
+
+    def shown() -> list[Table | str]:
+        more = worst(rows) if arguments.worst else []
+        return [*tables(rows, arguments), *more, f"{len(rows)} trials; seed {arguments.seed}"]
+
+    command.print_tables(rows, arguments, shown)
     return 0
 
 

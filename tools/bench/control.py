@@ -6,11 +6,10 @@ The real loop on the plant with distributed tendons, in virtual time: the same c
 none (compensation 0), (3.55) with the nominal file, the files of `tsa tune` and `tsa tune --extended` for an imposed
 joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
 the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
---limits finds the limit of each law on an imposed joint by removing one property of the plant at a time, for the same
-shapes, delay and inertia. --rows FILE: rows of the file are not run again, and the table has old and new rows. --brief:
-one row for each shape and joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant,
-each with sufficient limits of torque and rate. --off: relative error of friction and stiffness of the nominal file; the
-pretension has the opposite error.
+--rows FILE: rows of the file are not run again, and the table has old and new rows. --brief: one row for each shape and
+joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant, each with sufficient limits of
+torque and rate. --off: relative error of friction and stiffness of the nominal file; the pretension has the opposite
+error.
 """
 
 from __future__ import annotations
@@ -54,13 +53,6 @@ NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and w
 ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
 TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
 WIDTH = 190  # characters of a table
-TAKEN_AWAY: dict[str, dict[str, dict[str, Any]]] = {
-    "nothing": {},
-    "noise of torque and sensor": {"drive": {"torque_noise": 0.0}, "torque_sensor": {"noise": 0.0}},
-    "lag of the current loop": {"drive": {"torque_time_constant": 1e-5}},
-    "elasticity: reversals at once": {"perturbation": {"axial_stiffness": 10.0}},
-    "motor inertia: ringing after reversals": {"motor": {"inertia": 2e-6}},
-}
 
 
 @dataclass(frozen=True)
@@ -233,22 +225,6 @@ def _rest(row: Row) -> str:
     return "-" if row["joint"] in ("imposed", "held") else f"{row['resting_speed']:.3f}"
 
 
-def limits(arguments: argparse.Namespace) -> None:
-    """What limits the laws on an imposed joint, by shape."""
-    table = Table("shape", "taken away in the plant", *(f"{law}: RMS (mN·m)" for law in arguments.laws))
-    for shape in arguments.shapes:
-        with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
-            folder = Path(name)
-            save_model(true_model(shape), folder / "true.toml")
-            for label, change in TAKEN_AWAY.items():
-                axis = {"tendon": {"curvature": shape}, "drive": {"delay_periods": arguments.delay - 1}}
-                axis |= {"motor": {"inertia": arguments.inertia}}
-                axis |= {place: {**axis.get(place, {}), **values} for place, values in change.items()}
-                runs = (play(folder, "imposed", axis, law, arguments.rate, arguments.cycles) for law in arguments.laws)
-                table.add_row(shape, label, *(f"{1e3 * found.rms:.1f}" for found in runs))
-    Console(width=WIDTH).print(table)
-
-
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--joints", nargs="+", choices=JOINTS, default=JOINTS)
@@ -262,15 +238,10 @@ def main() -> int:
     parser.add_argument("--cycles", type=int, default=4, help="periods of the set-point (default 4)")
     parser.add_argument("--angles", nargs="+", type=float, help="friction angles x of the plant, 1")
     parser.add_argument("--off", type=float, help="share by which the nominal file is off, 1")
-    parser.add_argument("--limits", action="store_true", help="what limits the compensation of an imposed joint")
     parser.add_argument("--rows", type=Path, help="JSON lines of what was run, kept and added to")
     parser.add_argument("--brief", action="store_true", help="a row for each shape and joint")
     parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
-    if arguments.limits:
-        arguments.laws = [law for law in arguments.laws if law not in ("tuned", "extended")]
-        limits(arguments)
-        return 0
     console = Console(width=WIDTH)
     found = []
     for row in rows(arguments):

@@ -17,13 +17,9 @@ for in the folder named by TSA_DATA, else in ../shared/data; without them there 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-
-from rich.console import Console
-from rich.table import Table
 
 from tools import command
 from tools.bench.hidden_effects import HIDDEN, recorded, with_hidden
@@ -229,8 +225,5 @@ def main() -> int:
             if plain and any(interval(row) for row in rows) and (name, effect, OWN) not in results:
                 results.add(owned(folder, effect))
     for head, lines in (table(read_rows(asked.out)), intervals(read_rows(asked.out))):
-        shown = Table(*head)
-        for line in lines:
-            shown.add_row(*line)
-        Console(width=None if sys.stdout.isatty() else 160).print(shown)
+        command.print_table(head, lines)
     return 0

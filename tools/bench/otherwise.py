@@ -16,7 +16,6 @@ from); a set that stands there is not run again. The data are looked for in the 
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,8 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
 from tools import command
 from tools.bench import regressions
@@ -194,8 +191,5 @@ def main() -> int:
                 for row in trial(data.parent / name, name):
                     results.add(row)
     head, lines = table(read_rows(asked.out))
-    shown = Table(*head)
-    for line in lines:
-        shown.add_row(*line)
-    Console(width=None if sys.stdout.isatty() else 160).print(shown)
+    command.print_table(head, lines)
     return 0

@@ -14,25 +14,24 @@ other rigs; the seed is printed. --keep writes the files of each rig to a folder
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
+import functools
 import json
 import math
-import secrets
 import subprocess
 import tempfile
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
-from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.command import Results, Row
+from tools.command import Row
 from tsa_ctrl.demo import rig as demo
 from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for
@@ -238,8 +237,8 @@ def evaluate(folder: Path, name: str) -> Row:
     return row
 
 
-def report(rows: list[Row]) -> None:
-    """Print a row for each rig, and the reductions over all rigs."""
+def report(rows: list[Row]) -> Iterator[Table | str]:
+    """Yield a row for each rig, and the reductions over all rigs."""
     table = Table("rig", "s_c", "x", "bits", "effects", "outcome", "imposed %", "held %", "wearer %", "small mN·m")
     names = ("imposed", "held", "wearer", "small")
     for row in rows:
@@ -249,41 +248,29 @@ def report(rows: list[Row]) -> None:
         bits = "/".join(str(value) for value in row["bits"])
         effects = ", ".join(row["effects"]) or "none"
         table.add_row(str(row["rig"]), f"{row['centre']:.2f}", f"{row['x']:.2f}", bits, effects, outcome, *cells)
-    console = Console(width=180)
-    console.print(table)
+    yield table
     for name, worst in (("imposed", min), ("held", min), ("wearer", min), ("small", max)):
         values = [row[name] for row in rows if name in row]
         if values:
-            console.print(f"{name:8s} median {np.median(values):.1f}, worst {worst(values):.1f}, {len(values)} rigs")
-    console.print(f"{sum('verified' not in row for row in rows)} of {len(rows)} tunings failed")
+            yield f"{name:8s} median {np.median(values):.1f}, worst {worst(values):.1f}, {len(values)} rigs"
+    yield f"{sum('verified' not in row for row in rows)} of {len(rows)} tunings failed"
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--rigs", type=int, default=6)
-    parser.add_argument("--first", type=int, default=0, help="number of the first rig")
-    parser.add_argument("--seed", type=int, help="default: a fresh one, which is printed")
-    parser.add_argument("--results", type=Path, help="a JSON object per rig; those that it holds are not run again")
+    command.share(parser, "rigs first seed rows processes json", rigs=6)
     parser.add_argument("--keep", type=Path, help="folder for the files of each rig")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
-    run(parser.parse_args())
+    arguments = parser.parse_args()
+    command.drawn([], arguments)  # the seed
+    asked = [(arguments.seed, number) for number in range(arguments.first, arguments.first + arguments.rigs)]
+    work = functools.partial(made, arguments.keep)
+    rows = command.run_rows(work, asked, lambda row: (row["seed"], row["rig"]), arguments)
+    command.print_tables(rows, arguments, lambda: [f"seed {arguments.seed}", *report(rows)])
     return 0
 
 
-def run(arguments: argparse.Namespace) -> None:
-    """Draw, tune and evaluate the rigs that the arguments ask for."""
-    seed = secrets.randbelow(2**31) if arguments.seed is None else arguments.seed
-    if not arguments.json:
-        print(f"seed {seed}", flush=True)
-    known = Results(arguments.results, lambda row: (row["seed"], row["rig"]))
-    rows = []
-    for number in range(arguments.first, arguments.first + arguments.rigs):
-        if (seed, number) not in known:
-            with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
-                folder = Path(name) if arguments.keep is None else arguments.keep / f"rig-{seed}-{number}"
-                known.add(trial(draw(seed, number), folder))
-        rows.append(known[seed, number])
-        if arguments.json:
-            print(json.dumps(rows[-1]), flush=True)
-    if not arguments.json:
-        report(rows)
+def made(keep: Path | None, asked: tuple[int, int]) -> Row:
+    """Draw, tune and evaluate one rig; its files stay in a folder below `keep`."""
+    seed, number = asked
+    with tempfile.TemporaryDirectory(prefix="bench-rigs-") as name:
+        return trial(draw(*asked), Path(name) if keep is None else keep / f"rig-{seed}-{number}")

@@ -15,22 +15,19 @@ as it ends, so that a long list is done in slices; --write takes the errors over
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
-from rich.console import Console
 from rich.table import Table
 
 from tests.virtual.joints import GAIT, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
-from tools.command import Results
 from tools.manual.measure import note
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.identify.calibrate.stretch import StretchFit, fit_stretch
@@ -44,7 +41,6 @@ from tsa_ctrl.virtual.simulation import simulate_loop
 KEY = ("seed", "rig", "sensor")  # of a result
 SETTLED = 1.5  # s of a log
 MOST_CENTRE = 0.7
-WIDTH = 200  # of the table, characters
 COUNTS = (2.0 * math.pi / 65_536, 2.0 * math.pi / 1_048_576)  # rad
 PERIOD = 1e-3
 S_BENT: Points = ((0.0, 0.0), (0.1, 0.0), (0.35, 0.5), (0.65, 0.5), (0.9, 1.0), (1.0, 1.0))
@@ -177,25 +173,14 @@ def trial(seed: int, number: int, sensor: bool) -> dict[str, Any]:
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--rigs", type=int, default=30)
-    parser.add_argument("--first", type=int, default=0, help="number of the first rig")
-    parser.add_argument("--seed", type=int, default=1)
+    command.share(parser, "rigs first seed rows processes json", rigs=30, seed=1)
     parser.add_argument("--without-sensor", action="store_true", help="of the joint torque; the shape is told then")
-    parser.add_argument("--results", type=Path, help="a JSON object per rig; those that it holds are not run again")
     parser.add_argument("--write", action="store_true", help="the errors, as figures of the manual")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
-    rows = []
-    known = Results(arguments.results, lambda row: tuple(row.get(key) for key in KEY))
-    for number in range(arguments.first, arguments.first + arguments.rigs):
-        asked = (arguments.seed, number, not arguments.without_sensor)
-        if asked not in known:
-            known.add(trial(*asked))
-        rows.append(known[asked])
-        if arguments.json:
-            print(json.dumps(rows[-1]), flush=True)
-    if not arguments.json:
-        report(rows)
+    numbers = range(arguments.first, arguments.first + arguments.rigs)
+    asked = [(arguments.seed, number, not arguments.without_sensor) for number in numbers]
+    rows = command.run_rows(_trial, asked, lambda row: tuple(row.get(key) for key in KEY), arguments)
+    command.print_tables(rows, arguments, lambda: report(rows))
     if arguments.write:
         line = f"tools/run bench/stretch --rigs {arguments.rigs}" + f" --seed {arguments.seed}" * (arguments.seed != 1)
         line += " --without-sensor" * arguments.without_sensor
@@ -207,8 +192,12 @@ def main() -> int:
     return 0
 
 
-def report(rows: list[dict[str, Any]]) -> None:
-    """The table, of the torque's RMS: median (worst) over the rigs; then what the intervals hold."""
+def _trial(asked: tuple[int, int, bool]) -> dict[str, Any]:
+    return trial(*asked)
+
+
+def report(rows: list[dict[str, Any]]) -> Iterator[Table | str]:
+    """Yield the table, of the torque's RMS: median (worst) over the rigs; then what the intervals hold."""
     kinds = {"sliding": "sliding", "all": "all samples"}
     if "gait_all_told" in rows[0]:
         kinds |= {"sliding_told": "course told: sliding", "all_told": "course told: all"}
@@ -217,15 +206,12 @@ def report(rows: list[dict[str, Any]]) -> None:
         ran = [row for row in rows if math.isfinite(row[f"{label}_sliding"])]
         if ran:
             table.add_row(label, f"{len(ran)} of {len(rows)}", *_cells(ran, label, kinds))
-    console = Console(width=WIDTH)
-    console.print(table)
+    yield table
     for name in ("stiffness", "centre"):
         if f"{name}_held" in rows[0]:
             held = sum(row[f"{name}_held"] for row in rows)
             half = np.median([row[f"{name}_half"] for row in rows])
-            console.print(
-                f"{name}: {held} of {len(rows)} intervals hold the truth; half an interval {half:.3g} (median)"
-            )
+            yield f"{name}: {held} of {len(rows)} intervals hold the truth; half an interval {half:.3g} (median)"
 
 
 def _cells(rows: list[dict[str, Any]], label: str, kinds: Iterable[str]) -> list[str]:

@@ -24,8 +24,6 @@ FILE = Path(__file__).with_name("tables.json")
 COMMANDS: Mapping[str, str] = {
     "coverage": "tools/run bench/calibrate --logs 7000",
     "stretch": "tools/run measured/stretch",
-    "findings": "tools/run measured/findings",
-    "first-hour": "tools/run package/first_hour",
     "stretch-rigs": "tools/run bench/stretch --rigs 30 --seed 2",
     "blind": "tools/run bench/diagnose --short --seed 8000",
     "runaway": "tools/run campaign/runaway changes --sensors sensor --rows FILE",

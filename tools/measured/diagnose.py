@@ -20,8 +20,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from tools import command
 from tools.command import Results, Row
@@ -180,10 +178,7 @@ def main() -> int:
                 print(f"{row['left_out']}: {row['sentence']}", file=sys.stderr, flush=True)
     known = [results[split, each] for split in splits for each in FOLDS[split] if (split, each) in results]
     head, lines = table(known)
-    shown = Table(*head)
-    for line in lines:
-        shown.add_row(*line)
-    Console(width=None if sys.stdout.isatty() else 160).print(shown)
+    command.print_table(head, lines)
     if options.pictures:
         pictures(known, curves, options.pictures)
     print("data: O'Neill, Stephens, Kowalewski, IEEE RA-L 3(4):3027-3034, 2018 (Open Database License 1.0)")

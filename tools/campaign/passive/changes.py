@@ -28,20 +28,14 @@ import argparse
 import dataclasses
 import functools
 import itertools
-import json
-import random
-import secrets
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.cases import AT, CONFIRMED, Case, judge
 from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS
-from tools.command import Results
 from tsa_ctrl.errors import UsageError
 
 CHANGES = {
@@ -168,44 +162,39 @@ def options(parser: argparse.ArgumentParser, loss: bool = False) -> None:
     parser.add_argument("--changes", nargs="+", metavar="NAME=SHARE", default=losses, help="default: all, and nothing")
     parser.add_argument("--delays", type=int, nargs="+", default=(1,) if loss else (1, 3), help="periods")
     parser.add_argument("--at", type=float, nargs="+", default=(3.0, 3.5, 1.0) if loss else (AT,), help="s of the log")
-    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
-    parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn cases; 0: all")
-    parser.add_argument("--seed", type=int, help="of the sample (default: a fresh one, which is printed)")
-    parser.add_argument("--rows", type=Path, help="JSON lines: cases that are in the file are not run again")
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
+    command.share(parser, "compensation sample seed rows processes json")
     parser.add_argument("--worst", action="store_true", help="the 20 worst of each configuration, besides")
     parser.add_argument("--which", action="store_true", help="those that missed a goal, besides")
-    parser.add_argument("--json", action="store_true", help="a JSON object for each case, instead of tables")
     parser.set_defaults(loss=loss)
 
 
 def run(chosen: argparse.Namespace) -> int:
     """Run the chosen cases and print them; 1 if one missed a goal."""
-    found = cases(chosen)
-    seed = secrets.randbelow(10**6) if chosen.seed is None else chosen.seed
-    if chosen.sample:
-        found = random.Random(seed).sample(found, min(chosen.sample, len(found)))
-    kept = Results(chosen.rows, lambda row: (case_of(row), row["compensation"]))
-    waiting = [case for case in found if (case, chosen.compensation) not in kept]
+    found = command.drawn(cases(chosen), chosen)
     play = functools.partial(judge, compensation=chosen.compensation, compare=chosen.loss)
-    for row in command.parallel(play, waiting, chosen.processes):
-        kept.add(row)
+
+    def missed(row: dict[str, Any]) -> None:
         if not row["good"] and not chosen.json:
             print(f"missed: {case_of(row).name}: {words(row)}", flush=True)
-    rows = [kept[case, chosen.compensation] for case in found]
-    if chosen.json:
-        print("\n".join(map(json.dumps, rows)))
-        return 0 if all(row["good"] for row in rows) else 1
-    changed = [row for row in rows if row["change"]]
-    tables = [losses(changed)] if chosen.loss else [table(rows)]
-    tables += worst(rows) if chosen.worst else []
-    tables += [listing("missed", [row for row in changed if not row["good"]])] if chosen.which else []
-    for each in tables:
-        Console(width=200).print(each)
-    missed = sum(not row["good"] for row in rows)
-    drawn = f"; seed {seed}" if chosen.sample else ""
-    print(f"{len(rows)} runs, {len(rows) - missed} as they must be, {missed} missed{drawn}")
-    return 1 if missed else 0
+
+    rows = command.run_rows(play, found, lambda row: _at(row, chosen.compensation), chosen, missed)
+
+    def tables() -> list[Table | str]:
+        changed = [row for row in rows if row["change"]]
+        tables: list[Table | str] = [losses(changed)] if chosen.loss else [table(rows)]
+        tables += worst(rows) if chosen.worst else []
+        tables += [listing("missed", [row for row in changed if not row["good"]])] if chosen.which else []
+        count = sum(not row["good"] for row in rows)
+        drawn = f"; seed {chosen.seed}" if chosen.sample else ""
+        return [*tables, f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed{drawn}"]
+
+    command.print_tables(rows, chosen, tables)
+    return 0 if all(row["good"] for row in rows) else 1
+
+
+def _at(row: dict[str, Any], compensation: float) -> Case | None:
+    """Return the case of a row with this compensation; None for a row of another one."""
+    return case_of(row) if row["compensation"] == compensation else None
 
 
 def case_of(row: dict[str, Any]) -> Case:

@@ -13,20 +13,16 @@ import argparse
 import dataclasses
 import functools
 import itertools
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import GUARD
-from tools.command import Results
 
 LOADS = ("imposed", *INERTIA)
 SLICE = 60.0  # s: a log of an hour does not fit into memory
@@ -72,28 +68,22 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, default=SENSORS)
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=("imposed", "weight", "limb"))
     parser.add_argument("--slices", type=int, default=1000, help="of each load and configuration at most")
-    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
-    parser.add_argument("--rows", type=Path, help="JSON lines: slices that are in the file are not run again")
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
-    parser.add_argument("--json", action="store_true", help="a JSON object for each slice, instead of the table")
+    command.share(parser, "compensation rows processes json")
 
 
 def run(chosen: argparse.Namespace) -> int:
     """Run the slices that are missing; 1 if anything was reported."""
-    kept = Results(chosen.rows, key_of)
     count = math.ceil(chosen.seconds / SLICE)
     lengths = [min(SLICE, chosen.seconds - number * SLICE) for number in range(count)]
     product = itertools.product(enumerate(lengths, 1), chosen.sensors, chosen.loads)
     parts = [Slice(sensors, load, number, seconds) for (number, seconds), sensors, load in product]
-    waiting = [part for part in parts if (part, chosen.compensation) not in kept]
-    waiting = waiting[: chosen.slices * len(chosen.sensors) * len(chosen.loads)]
-    for row in command.parallel(functools.partial(play, compensation=chosen.compensation), waiting, chosen.processes):
-        kept.add(row)
-    rows = [kept[part, chosen.compensation] for part in parts if (part, chosen.compensation) in kept]
-    if chosen.json:
-        print("\n".join(map(json.dumps, rows)))
-    else:
-        Console(width=160).print(table(rows))
+    known = {key_of(row) for row in command.read_rows(chosen.rows)}
+    done = [part for part in parts if (part, chosen.compensation) in known]
+    waiting = [part for part in parts if (part, chosen.compensation) not in known]
+    parts = done + waiting[: chosen.slices * len(chosen.sensors) * len(chosen.loads)]
+    work = functools.partial(play, compensation=chosen.compensation)
+    rows = command.run_rows(work, parts, lambda row: key_of(row)[0], chosen)
+    command.print_tables(rows, chosen, lambda: [table(rows)])
     return 1 if any(row["said"] for row in rows) else 0
 
 

@@ -24,25 +24,19 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
-import json
-import random
-import secrets
 import time
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
-from rich.console import Console
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import most_work, peak_speed, reactions, speed
-from tools.command import Results
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
@@ -216,60 +210,49 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--delay", type=int, help="periods, of every cell")
     parser.add_argument("--motor-bits", type=int, help="bits of the motor's encoder, of every cell")
     parser.add_argument("--joint-bits", type=int, help="bits of the joint encoder, of every cell")
-    parser.add_argument("--seed", type=int, help="of all draws (default: a fresh one, which is printed)")
-    parser.add_argument("--sample", type=int, default=0, metavar="N", help="N drawn cells; 0: all")
-    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
+    command.share(parser, "seed sample compensation axis file rows processes json")
     parser.add_argument("--class", dest="use", choices=tuple(MOST_WORK), default="bench", help="whose work counts")
     parser.add_argument("--rest", type=float, default=REST, help=f"s of rest that end a run (default {REST:g})")
-    parser.add_argument("--axis", default="", metavar="TOML", help="over the controller's [[axis]]: 'law.settle = 0.0'")
-    parser.add_argument("--file", default="", metavar="TOML", help="over the controller's other tables")
-    parser.add_argument("--rows", type=Path, help="JSON lines: cells that are in the file are not run again")
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
-    parser.add_argument("--json", action="store_true", help="a JSON object for each cell, instead of the table")
 
 
 def run(chosen: argparse.Namespace) -> int:
     """Run the chosen cells and print them; 1 if a cell missed a goal."""
-    seed = secrets.randbelow(10**6) if chosen.seed is None else chosen.seed
+    command.drawn([], chosen)  # the seed
     drawn = {name: getattr(chosen, name) for name in ("centre", "delay", "motor_bits", "joint_bits")}
     fixed = {name: value for name, value in drawn.items() if value is not None}
     names = (chosen.sensors, chosen.loads, chosen.set_points, chosen.of, chosen.shares)
-    found = cells(seed, *names, fixed)
-    if chosen.sample:
-        random.Random(seed).shuffle(found)
-        found = found[: chosen.sample]
-    tables = [tomlkit.parse(text).unwrap() for text in (chosen.axis, chosen.file)]
-    judge = Judge(chosen.compensation, chosen.use, chosen.rest, *tables)
-    kept = Results(chosen.rows, key_of)
-    begun = time.monotonic()
-    for row in command.parallel(
-        judge, [cell for cell in found if key_of(dataclasses.asdict(cell)) not in kept], chosen.processes
-    ):
-        kept.add(row)
+    found = command.drawn(cells(chosen.seed, *names, fixed), chosen)
+    tables_over = (tomlkit.parse(text).unwrap() for text in (chosen.axis, chosen.file))
+    judge = Judge(chosen.compensation, chosen.use, chosen.rest, *tables_over)
+
+    def missed(row: dict[str, Any]) -> None:
         if not good(row) and not chosen.json:
             print(f"missed: {words(row)}", flush=True)
-    rows = [kept[key_of(dataclasses.asdict(cell))] for cell in found]
-    if chosen.json:
-        print("\n".join(map(json.dumps, rows)))
-    else:
-        Console(width=WIDTH).print(table(rows))
-        missed = sum(not good(row) for row in rows)
+
+    begun = time.monotonic()
+    rows = command.run_rows(judge, found, cell_of, chosen, missed)
+
+    def tables() -> list[Table | str]:
         literal = sum(row["literal"] for row in rows if row["set_point"] == "constant")
-        print(
-            f"{len(rows)} cells, {missed} missed; at the constant set-point {literal} are faster than without "
-            f"compensation by {MOST_SPEED['constant']:g} rad/s; seed {seed}; {time.monotonic() - begun:.0f} s"
-        )
+        return [
+            table(rows),
+            f"{len(rows)} cells, {sum(not good(row) for row in rows)} missed; at the constant set-point {literal} are "
+            f"faster than without compensation by {MOST_SPEED['constant']:g} rad/s; seed {chosen.seed}; "
+            f"{time.monotonic() - begun:.0f} s",
+        ]
+
+    command.print_tables(rows, chosen, tables)
     return 0 if all(map(good, rows)) else 1
 
 
-def key_of(row: dict[str, Any]) -> tuple[Any, ...]:
-    """Return what makes a cell."""
-    return tuple(row[field.name] for field in dataclasses.fields(Cell))
+def cell_of(row: dict[str, Any]) -> Cell:
+    """Return the cell of a row."""
+    return Cell(*(row[field.name] for field in dataclasses.fields(Cell)))
 
 
 def words(row: dict[str, Any]) -> str:
     """Return the name and the measured values of a cell."""
-    name = Cell(*key_of(row)).key
+    name = cell_of(row).key
     speeds = f"{row['speed']:.2f} rad/s (c = 0: {row['speed_without']:.2f}, ideal {row['speed_ideal']:.2f})"
     first = "; ".join(text.split(";")[0] for text in row["events"][:2])
     return f"{name}: {speeds}, {1e3 * row['work']:.1f} mJ; {first or 'no event'}"

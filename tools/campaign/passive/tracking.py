@@ -35,12 +35,10 @@ from typing import Any
 
 import numpy as np
 import tomlkit
-from rich.console import Console
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.experiment import SENSORS, Experiment
-from tools.command import Results
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult
@@ -181,13 +179,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS)
     parser.add_argument("--set-points", nargs="+", choices=SET_POINTS, default=SET_POINTS)
     parser.add_argument("--against", metavar="REV", help="another revision, on which the same runs")
-    parser.add_argument("--compensation", type=float, default=0.95, help="share of the friction term (default 0.95)")
+    command.share(parser, "compensation axis file rows processes json")
     parser.add_argument("--delay", type=int, default=1, help="periods from measurement to torque (default 1)")
-    parser.add_argument("--axis", default="", metavar="TOML", help="over the controller's [[axis]]: 'law.settle = 0.0'")
-    parser.add_argument("--file", default="", metavar="TOML", help="over the controller's other tables")
-    parser.add_argument("--rows", type=Path, help="JSON lines: cells that are in the file are not run again")
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
-    parser.add_argument("--json", action="store_true", help="a JSON object for each cell, instead of the table")
 
 
 def run(chosen: argparse.Namespace) -> int:
@@ -195,22 +188,22 @@ def run(chosen: argparse.Namespace) -> int:
     found = cells(chosen)
     tables = (tomlkit.parse(chosen.axis).unwrap(), tomlkit.parse(chosen.file).unwrap())
     others = reference(chosen.against, found, chosen) if chosen.against else {}
-    kept = Results(chosen.rows, lambda row: (cell_of(row), row["compensation"], row["delay"]))
     setting = (chosen.compensation, chosen.delay)
     work = functools.partial(play, compensation=chosen.compensation, delay=chosen.delay, tables=tables)
-    waiting = [cell for cell in found if (cell, *setting) not in kept]
-    for row in command.parallel(work, waiting, chosen.processes):
-        kept.add(row)
-    rows = [kept[(cell, *setting)] for cell in found]
-    if chosen.json:
-        print("\n".join(json.dumps({**row, "missed": missed(row, others.get(cell_of(row)))}) for row in rows))
-    else:
+
+    def key(row: dict[str, Any]) -> Cell | None:
+        return cell_of(row) if (row["compensation"], row["delay"]) == setting else None
+
+    rows = command.run_rows(work, found, key, chosen)
+    rows = [{**row, "missed": missed(row, others.get(cell_of(row)))} for row in rows]
+
+    def shown() -> list[Table | str]:
         title = f"tracking, ratio to {chosen.against}" if chosen.against else "tracking"
-        Console(width=130).print(table(rows, others, title))
-        for row in rows:
-            if row.get("reports"):
-                print(f"reported, {cell_of(row)}: {'; '.join(row['reports'])[:300]}")
-    return 1 if any(missed(row, others.get(cell_of(row))) for row in rows) else 0
+        told = [f"reported, {cell_of(row)}: {'; '.join(row['reports'])[:300]}" for row in rows if row.get("reports")]
+        return [table(rows, others, title), *told]
+
+    command.print_tables(rows, chosen, shown)
+    return 1 if any(row["missed"] for row in rows) else 0
 
 
 def cell_of(row: dict[str, Any]) -> Cell:
