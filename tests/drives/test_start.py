@@ -152,7 +152,7 @@ def test_an_emcy_at_boot_is_told_and_tolerated(tmp_path: Path) -> None:
 
 def test_a_slow_boot_is_told_apart_from_a_dead_wire(tmp_path: Path) -> None:
     foreign = Foreign(tmp_path, "boot_time = 3.5")
-    with refused("no answer from", "within 3 s (heard: nobody); check power,", "more boot_timeout"):
+    with refused("no answer from", "within 3 s (heard: no node); check power,", "more boot_timeout"):
         foreign.start()
     foreign.wait(5.0)
     with refused("answered before it was reset, and did not boot up within 3 s; it is slow:", "boot_timeout"):

@@ -135,7 +135,7 @@ def test_energy_that_no_loss_of_friction_explains_is_told_so() -> None:
     """The friction is as the file says, and 40 mN*m more arrive: the sensor's zero, or a compensation above 1."""
     guard = Rig().run(0.2, tau_j=0.04)
     assert guard.count == 1
-    assert "nearly what the model file says" in guard.words
+    assert "agree with the model file" in guard.words
 
 
 def test_a_buzz_takes_the_damping_too() -> None:
@@ -214,7 +214,7 @@ def test_the_times_are_those_that_people_are_told() -> None:
         assert rig.run(0.03).latched is latched
 
 
-@pytest.mark.parametrize(("share", "cause"), [(0.85, "85 % of what"), (0.94, "nearly what the model file says")])
+@pytest.mark.parametrize(("share", "cause"), [(0.85, "85 % of what"), (0.94, "agree with the model file")])
 def test_nine_tenths_of_the_friction_are_nearly_all(share: float, cause: str) -> None:
     guard = Rig(share=share).run(1.0)
     assert guard.count

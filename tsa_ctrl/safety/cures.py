@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from tsa_ctrl.safety.supervisor import Cause
 
-_BRING_UP = "then recover: the nodes are configured anew"
+_BRING_UP = "then recover: the nodes are configured again"
 
 _HELD_UP = "the loop was held up for longer than the drive's time-out: tsa doctor, a lower rate; then recover"
 

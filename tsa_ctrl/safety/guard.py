@@ -158,15 +158,15 @@ class Guard:
         else:
             share = CLEAR
             cause = (
-                "friction and pretension are nearly what the model file says: lower the compensation, and look after "
-                "the zero and the gain of what measures the joint torque"
+                "friction and pretension agree with the model file: lower the compensation, and check "
+                "zero and gain of the joint torque measurement"
             )
         self._drove, self._unwinding = max(0.0, self.share), int(UNWIND / self._period)  # a slow loop has no time
         self._falling = 0.0
         self._take_back(
             Reason.PASSIVITY,
             CAUTIOUS * max(0.0, share - UNSURE),
-            f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than was wanted within "
+            f"passivity: the compensation gave the joint {1e3 * energy:.1f} mJ more than desired within "
             f"{1e3 * since:.0f} ms",
             cause,
         )

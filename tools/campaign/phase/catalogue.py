@@ -33,10 +33,10 @@ class Hazard:
 
 
 NO_TORQUE = "torque ends without warning"
-OLD = "torque by an old measurement"
-OTHER = "another torque than was wanted"
-MOVES = "the joint is moved by what nobody wanted"
-NOBODY = "torque that nobody watches"
+OLD = "torque from an old measurement"
+OTHER = "torque other than commanded"
+MOVES = "unintended joint motion"
+NOBODY = "unsupervised torque"
 
 _LOST = "stale PDO|heartbeat lost|node booted|emergency|drive fault|left operation|left the operational|obey|confirm"
 _MASTER = "second master|node booted|left the operational|stale PDO|emergency|drive fault|left operation"

@@ -202,7 +202,7 @@ def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int
         advice = "check its power, its wiring and node_id, or, if it is only slow, give it more boot_timeout"
     else:
         advice = "check power, wiring, bit rate and node_id, or, if it is only slow, give it more boot_timeout"
-    return f"{bus.name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'nobody'}); {advice}"
+    return f"{bus.name}: no answer from {names} within {node.boot_timeout:g} s (heard: {heard or 'no node'}); {advice}"
 
 
 def _configure(
