@@ -15,7 +15,7 @@ def entry() -> None:
 
 
 if __name__ == "__main__":
-    from tsa_ctrl.system.parent import follow
+    from tsa_ctrl.system.keeper import follow
 
     follow()
     entry()

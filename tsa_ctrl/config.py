@@ -18,7 +18,7 @@ from tsa_ctrl.bus.drive.budget import Load
 from tsa_ctrl.bus.drive.layout import check_node_ids
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
-from tsa_ctrl.bus.drive.scale import drive_scale
+from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bare import why_not as beside
 from tsa_ctrl.control.bending import BendingSettings

@@ -20,8 +20,7 @@ from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.model.parameters import load_model
 from tsa_ctrl.published import catalogue
 from tsa_ctrl.published.catalogue import SETS, File, Published
-from tsa_ctrl.published.convert import cable_tool, drive_recorder, linear_axis
-from tsa_ctrl.published.fetch import fetch
+from tsa_ctrl.published.fetch import cable_tool, drive_recorder, fetch, linear_axis
 
 RECORDED = "Date:;2020\nms;rpm;%\n0.000;99;37.2\n12.800;-99;0.0\n"
 BECOMES = "t,tau_m,omega_m\n0,-0.00366048,-10.3672558\n0.0128,-0,10.3672558\n"

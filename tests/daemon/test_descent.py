@@ -10,7 +10,7 @@ import pytest
 from tests.bus.fake import FakeClock
 from tests.daemon.machine import CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.bus.wire.seam import Frame
-from tsa_ctrl.daemon.descent import descend
+from tsa_ctrl.daemon.operation import descend
 
 
 class BrokenError(RuntimeError):

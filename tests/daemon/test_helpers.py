@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.helpers import Helper
+from tsa_ctrl.daemon.telemetry import Helper
 
 STATUS = 0.02  # s between two looks, as of the loop
 

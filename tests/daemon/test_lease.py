@@ -17,11 +17,11 @@ import msgspec
 import pytest
 
 from tests.daemon.serving import PATIENCE, QUARTERS, description
-from tsa_ctrl.daemon.phase import LoopPhase
+from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.connection import Peer, Role, peer_of, role_of
 from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Reading
-from tsa_ctrl.ipc.peers import Peer, Role, peer_of, role_of
 from tsa_ctrl.ipc.server import HANGS, Server
 
 COMMAND, WATCH = 4001, 4002  # numbers of groups

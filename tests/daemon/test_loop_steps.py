@@ -12,9 +12,9 @@ import pytest
 from tsa_ctrl.bus.settings import SupervisionSettings
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.daemon import loop as module
+from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
-from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command
 from tsa_ctrl.safety.cures import CURES
 from tsa_ctrl.safety.release import ReleaseBudget

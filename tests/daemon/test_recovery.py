@@ -14,9 +14,9 @@ from tests.daemon.machine import Machine
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon import operation
+from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.operation import Operation
-from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import BusError, TsaError, UsageError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "controller.toml"

@@ -22,7 +22,7 @@ from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Recover, Status
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.plant.channel import ask
+from tsa_ctrl.plant.process import ask
 
 pytestmark = [pytest.mark.vcan, pytest.mark.hil, pytest.mark.slow]
 

@@ -22,8 +22,7 @@ from starlette.testclient import TestClient
 from tests.daemon.serving import until
 from tests.dashboard.playing import Played, played
 from tsa_ctrl.dashboard import server
-from tsa_ctrl.dashboard.feed import Feed
-from tsa_ctrl.dashboard.server import application, serve
+from tsa_ctrl.dashboard.server import Feed, application, serve
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
@@ -140,7 +139,7 @@ def test_a_stop_that_the_daemon_rejects_is_an_answer_and_not_a_failure(
     def rejected(path: str, timeout: float) -> None:
         raise UsageError("daemon: stop: user 12345 may only watch here")
 
-    monkeypatch.setattr("tsa_ctrl.dashboard.feed.stop_daemon", rejected)
+    monkeypatch.setattr("tsa_ctrl.dashboard.server.stop_daemon", rejected)
     answer = client.post("/stop", headers=ALLOWED)
     assert (answer.status_code, "may only watch" in answer.json()["error"]) == (403, True)
 

@@ -10,8 +10,8 @@ import pytest
 
 from tsa_ctrl.cli import main
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.hidden import EFFECTS, OFF, draw, motion
+from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.plant.process import check as check_plant

@@ -18,10 +18,10 @@ from tsa_ctrl.bus.wire.link import Interface
 from tsa_ctrl.cli import main
 from tsa_ctrl.cli.demo import LOADS
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.demo import bus_choice, rig, run
-from tsa_ctrl.demo.bus_choice import VIRTUAL, BusChoice, choose
+from tsa_ctrl.demo import rig, run
 from tsa_ctrl.demo.motion import PERIOD, from_file, gait, play_for
 from tsa_ctrl.demo.outcome import Course, Outcome
+from tsa_ctrl.demo.rig import VIRTUAL, BusChoice, choose
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.plant.process import check as check_plant
@@ -84,8 +84,8 @@ def test_any_interface_of_python_can_may_be_asked_for() -> None:
 
 
 def test_without_a_vcan_the_bus_needs_no_rights(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bus_choice, "can_interfaces", dict)
-    monkeypatch.setattr(bus_choice, "make_vcan", denied)
+    monkeypatch.setattr(rig, "can_interfaces", dict)
+    monkeypatch.setattr(rig, "make_vcan", denied)
     assert choose().interface == "udp_multicast"
 
 
@@ -94,13 +94,13 @@ def denied(*arguments: object) -> None:
 
 
 def there(monkeypatch: pytest.MonkeyPatch, *links: Interface) -> None:
-    monkeypatch.setattr(bus_choice, "can_interfaces", lambda: {link.name: link for link in links})
+    monkeypatch.setattr(rig, "can_interfaces", lambda: {link.name: link for link in links})
 
 
 def test_a_vcan_that_is_down_is_brought_up(monkeypatch: pytest.MonkeyPatch) -> None:
     switched: list[tuple[str, bool]] = []
     there(monkeypatch, Interface(False, "vcan", name="vcan3"))
-    monkeypatch.setattr(bus_choice, "set_up", lambda name, up: switched.append((name, up)))
+    monkeypatch.setattr(rig, "set_up", lambda name, up: switched.append((name, up)))
     assert choose() == BusChoice("socketcan", "vcan3")
     assert switched == [("vcan3", True)]
 
@@ -108,7 +108,7 @@ def test_a_vcan_that_is_down_is_brought_up(monkeypatch: pytest.MonkeyPatch) -> N
 def test_a_vcan_that_is_down_and_stays_so_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
     there(monkeypatch, Interface(False, "vcan", name="vcan3"))
-    monkeypatch.setattr(bus_choice, "set_up", denied)
+    monkeypatch.setattr(rig, "set_up", denied)
     assert choose(say=told.append).interface == "udp_multicast"
     assert told == [
         "demo: vcan3 is down and cannot be brought up (Operation not permitted): ip link set vcan3 up; "
@@ -246,7 +246,7 @@ def test_where_real_time_fails_the_demo_goes_on_in_virtual_time_unless_a_bus_was
         return on(bus) if bus.virtual else play
 
     monkeypatch.setattr(run, "runs_on", busy)
-    monkeypatch.setattr(bus_choice, "choose", lambda *_: BusChoice("udp_multicast", "239.0.0.1"))
+    monkeypatch.setattr(rig, "choose", lambda *_: BusChoice("udp_multicast", "239.0.0.1"))
     options = ["--bus", "udp_multicast:239.0.0.1"] if asked else []
     with pytest.raises(SystemExit) as stop:
         main(["demo", "--out", str(tmp_path), "--seconds", "3", "--rate", "500", "--json", *options])

@@ -11,7 +11,7 @@ import pytest
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.cli import main
 from tsa_ctrl.doctor import can_interface, machine
-from tsa_ctrl.doctor.check import Check, Result, judge
+from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.system.realtime import RealtimeSettings
 
 CONFIG = Path(__file__).parents[2] / "config" / "controller.toml"

@@ -13,7 +13,7 @@ from tests.bus.fake import FakeBus
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.link import CanState, Interface
 from tsa_ctrl.doctor import can_interface, machine
-from tsa_ctrl.doctor.check import Check, Result
+from tsa_ctrl.doctor.can_interface import Check, Result
 from tsa_ctrl.system.realtime import RealtimeSettings
 
 GOOD = Interface(

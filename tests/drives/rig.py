@@ -13,8 +13,8 @@ import pytest
 
 from tests.plant.bench import plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings

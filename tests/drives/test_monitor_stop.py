@@ -8,7 +8,7 @@ from tests.drives.test_third_parties import OnDurand
 from tests.monitor.healthy import watched
 from tsa_ctrl.safety.supervisor import Request
 from tsa_ctrl.virtual.lockstep import End
-from tsa_ctrl.virtual.witness import VirtualMonitor
+from tsa_ctrl.virtual.simulation import VirtualMonitor
 
 pytest.importorskip("durand")
 

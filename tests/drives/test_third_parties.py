@@ -22,7 +22,7 @@ from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, SupervisionSettings
-from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import eds_files

@@ -25,7 +25,7 @@ from tests.fuzz.requests import GOOD
 from tests.log.logs import write_log
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.eds import read_eds
-from tsa_ctrl.bus.drive.report import NodeReport, Report, Row
+from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.seam import Frame
@@ -37,7 +37,7 @@ from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.log.waypoints import read_waypoints
 from tsa_ctrl.model.parameters import load_model
-from tsa_ctrl.sensors.parser import LineParser
+from tsa_ctrl.sensors.reader import LineParser
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 
 IDS = (0x181, 0x281, 0x1A0, 0x1C0, 0x081, 0x0A0, 0x701, 0x720, 0x740, 0x581, 0x601, 0x201, 0x080, 0x000, 0x77F,
@@ -171,7 +171,7 @@ class _Feed:
         return {"error": "nobody answers"}
 
     def set(self, name: object, value: object) -> dict[str, Any]:
-        from tsa_ctrl.dashboard.feed import Feed
+        from tsa_ctrl.dashboard.server import Feed
 
         return Feed.set(Feed("/nowhere/tsa.sock"), name, value)
 
@@ -269,7 +269,7 @@ def targets() -> tuple[Target, ...]:
             "frames",
             _frames,
             ("tsa_ctrl.bus.live.rig", "tsa_ctrl.bus.live.axis", "tsa_ctrl.bus.live.read_back",
-             "tsa_ctrl.bus.live.hearing", "tsa_ctrl.bus.canopen.emcy"),
+             "tsa_ctrl.bus.live.read_back", "tsa_ctrl.bus.canopen.emcy"),
             (bytes((17, 4, 8, 0x10, 0x23, 1, 0, 0, 0, 0, 0, 17, 6, 1, 5, 18, 19)),),
             (b"\x11", b"\x12\x13", b"\x09\x08"),
             0.75,
@@ -294,7 +294,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "http",
             _http,
-            ("tsa_ctrl.dashboard.server", "tsa_ctrl.dashboard.feed"),
+            ("tsa_ctrl.dashboard.server", "tsa_ctrl.dashboard.server"),
             _text(
                 f"GET /\n{HOST}\n", f"GET /events\n{HOST}\n", f"GET /?token={TOKEN}\nhost: localhost:{PORT}\n\n",
                 f'POST /set\n{HOST}\n{{"name": "compensation", "value": 0.5}}', f"POST /stop\n{HOST}\n",
@@ -333,7 +333,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "mcap",
             _in_file(".mcap", _log),
-            ("tsa_ctrl.log.reader", "tsa_ctrl.log.unpacked"),
+            ("tsa_ctrl.log.reader", "tsa_ctrl.log.reader"),
             (_mcap(),),
             (b"\x89MCAP0\r\n", b"\x05", b"\x06", b"\x0c", struct.pack("<Q", 1 << 40)),
             0.75,
@@ -349,7 +349,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "serial",
             _serial,
-            ("tsa_ctrl.sensors.parser",),
+            ("tsa_ctrl.sensors.reader",),
             _text("x\n1.5\n-2e3 N\r\n", "0.1 N\n\n12 kg\n"),
             _text("\n", "\r", " N", "-", "1e", "9" * 300),
             0.95,

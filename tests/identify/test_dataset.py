@@ -16,8 +16,8 @@ from tests.log.logs import HEADER, motion, records
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log, load_logs, matches
 from tsa_ctrl.log.convert import convert
-from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.model.parameters import RigidDrive, load_model
 from tsa_ctrl.model.signals import hold_direction
 

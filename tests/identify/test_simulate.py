@@ -15,7 +15,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset, load_log
 from tsa_ctrl.identify.motion import Made, in_words
 from tsa_ctrl.identify.simulate import labels, simulate, simulate_all
-from tsa_ctrl.identify.smoothing.zero_phase import LowPass
+from tsa_ctrl.identify.smoothing.bandwidth import LowPass
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import RigidDrive, load_model
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.record import FIELD_NAMES, FIELDS, Record
 from tsa_ctrl.log.ring import RingWriter
 

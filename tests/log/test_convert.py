@@ -15,8 +15,8 @@ from hypothesis.extra import numpy as hnp
 from tests.log.logs import HEADER, records, write_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import convert
-from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.table import read_table
 
 ONE = LogHeader(axes=("hip",), rate=1000.0, codes=HEADER.codes, started=0.0)

@@ -9,8 +9,8 @@ import pytest
 
 from tests.log.logs import HEADER, records
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.log.course import read_course
 from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.table import read_course
 
 
 def log_of(path: Path, tau_j: float = 1.0, torque_from: int = 1000, count: int = 4000) -> str:

@@ -15,7 +15,7 @@ from tests.log.logs import HEADER, kill_an_owner, push, wait_for
 from tsa_ctrl.cli import main
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import convert
-from tsa_ctrl.log.note import Note
+from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.ring import NOTE_BYTES, RingReader, RingWriter

@@ -11,17 +11,16 @@ import zstandard
 
 from tests.log.logs import write_log
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log import unpacked
-from tsa_ctrl.log.reader import LogFile, _unpacked
+from tsa_ctrl.log import reader
+from tsa_ctrl.log.reader import LogFile, Unpacked, _unpacked
 from tsa_ctrl.log.table import read_table
-from tsa_ctrl.log.unpacked import Unpacked
 
 
 @pytest.fixture
 def strict(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bounds that a small file of this test can reach."""
-    monkeypatch.setattr(unpacked, "ALWAYS", 10_000)
-    monkeypatch.setattr(unpacked, "RATIO", 5)
+    monkeypatch.setattr(reader, "ALWAYS", 10_000)
+    monkeypatch.setattr(reader, "RATIO", 5)
 
 
 @pytest.mark.usefixtures("strict")
@@ -31,7 +30,7 @@ def test_a_log_whose_chunks_unpack_to_more_than_a_log_has_is_refused(
     write_log(tmp_path / "run.mcap")
     with pytest.raises(UsageError, match=r"run\.mcap: unpacks to more than .* which no log does"):
         LogFile(tmp_path / "run.mcap").columns("knee", ["t"])
-    monkeypatch.setattr(unpacked, "ALWAYS", 100_000_000)
+    monkeypatch.setattr(reader, "ALWAYS", 100_000_000)
     assert len(LogFile(tmp_path / "run.mcap").columns("knee", ["t"])["t"]) == 400
 
 

@@ -24,8 +24,7 @@ from tests.monitor.healthy import (
     watched,
     without,
 )
-from tsa_ctrl.monitor.findings import FINDINGS
-from tsa_ctrl.monitor.watch import Frame, Monitor
+from tsa_ctrl.monitor.watch import FINDINGS, Frame, Monitor
 
 AT = 1.0  # s, when the fault begins
 ONCE = {"last": AT}

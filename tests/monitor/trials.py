@@ -11,14 +11,12 @@ import numpy as np
 from tests.virtual.files import controller, plant, write
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.monitoring import watched_of
-from tsa_ctrl.monitor.findings import Stop
-from tsa_ctrl.monitor.watch import Frame
+from tsa_ctrl.monitor.watch import Frame, Stop
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.virtual.lockstep import End
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
-from tsa_ctrl.virtual.simulation import Run
-from tsa_ctrl.virtual.witness import VirtualMonitor
+from tsa_ctrl.virtual.simulation import Run, VirtualMonitor
 
 AT = 0.8  # s of the log, when the fault begins
 RPDO, ENCODER = 0x201, 0x1A0

@@ -10,9 +10,8 @@ import pytest
 
 from tests.plant.bench import Bench, tpdo1
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.plant.channel import ControlSocket, ask
-from tsa_ctrl.plant.console import Console
 from tsa_ctrl.plant.faults import FAULTS, parse_fault
+from tsa_ctrl.plant.process import Console, ControlSocket, ask
 
 STILL = "[[axis]]\nname = 'joint'\ndrive.torque_noise = 0.0\nmotion.kind = 'still'\n"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tsa_ctrl.bus.live.hearing import Hearing
+from tsa_ctrl.bus.live.read_back import Hearing
 from tsa_ctrl.safety.cures import cure
 from tsa_ctrl.safety.unheard import Unheard
 

@@ -13,8 +13,7 @@ from tests.daemon.machine import Machine
 from tests.sensors.lines import Line, wait_for
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.control.estimator import EstimateState
-from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.serial_sensors import AxisSensors
+from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.sensors.parser import MOST_LINE, LineParser
+from tsa_ctrl.sensors.reader import MOST_LINE, LineParser
 from tsa_ctrl.sensors.settings import SerialSensorSettings, check
 
 

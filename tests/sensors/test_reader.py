@@ -15,9 +15,8 @@ from pathlib import Path
 import pytest
 
 from tests.sensors.lines import PATIENCE, Line, wait_for
-from tsa_ctrl.sensors.process import SerialSensors
+from tsa_ctrl.sensors.process import NOTHING, LineState, Reading, SerialSensors, Slots
 from tsa_ctrl.sensors.settings import SerialSensorSettings
-from tsa_ctrl.sensors.slots import NOTHING, LineState, Reading, Slots
 
 
 @pytest.fixture

@@ -11,12 +11,12 @@ import pytest
 from tests.sensors.adapters import AdapterPair
 from tests.sensors.lines import Line, wait_for
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.demo.outcome import course_of
+from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.system.processes import daemon, plant

@@ -8,7 +8,7 @@ import pytest
 from tools.campaign.drive.makes import makes
 from tools.campaign.drive.trial import run_trial
 from tools.campaign.drive.variations import VARIATIONS, Variation
-from tsa_ctrl.plant.quirks import Quirks
+from tsa_ctrl.plant.identity import Quirks
 
 LONG = (  # virtual time
     "answers SDO after 0.4 s",  # for slow answers see tests/drives/test_start.py

@@ -14,7 +14,7 @@ from tests.tune import rig
 from tests.tune.test_command import tsa
 from tests.tune.test_in_virtual_time import RATE, tune
 from tests.virtual.rigs import draw
-from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 from tsa_ctrl.tune.excitation import multi_sine
 from tsa_ctrl.virtual.simulation import simulate_loop

@@ -22,9 +22,8 @@ from tsa_ctrl.identify.diagnosis.report.result import Experiment
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import load_tendon_sheath
 from tsa_ctrl.tune import report
-from tsa_ctrl.tune.controller_file import Key
-from tsa_ctrl.tune.mechanics import LawTuning
-from tsa_ctrl.tune.page import parameter_rows
+from tsa_ctrl.tune.mechanics import Key, LawTuning
+from tsa_ctrl.tune.report import parameter_rows
 from tsa_ctrl.tune.session import Plan, Session
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.tune.controller_file import Key, differ_in_law_alone, with_law
+from tsa_ctrl.tune.mechanics import Key, differ_in_law_alone, with_law
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "controller.toml"
 TWO = """\

@@ -12,7 +12,7 @@ from tests.tune import rig
 from tests.virtual.rigs import draw
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.demo.bus_choice import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 from tsa_ctrl.tune import procedure
 from tsa_ctrl.tune.estimate import Estimate

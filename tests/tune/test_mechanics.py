@@ -35,7 +35,7 @@ from tsa_ctrl.tune.mechanics import (
     rounded,
     stiffened,
 )
-from tsa_ctrl.tune.shake import shaken
+from tsa_ctrl.tune.procedure import shaken
 from tsa_ctrl.tune.swing import Swing
 
 SECONDS = 4.0

@@ -11,7 +11,7 @@ import pytest
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.tune.model_file import backups, diff, last, replace, undo
+from tsa_ctrl.tune.session import backups, diff, last, replace, undo
 
 MODEL, CONTROLLER = "a = 1\nb = 2\n", "rate = 1000\n"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.tune import rig
-from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.model.parameters import load_tendon_sheath

@@ -12,8 +12,7 @@ import pytest
 
 from tests.tune import rig
 from tests.tune.test_in_virtual_time import RATE, SHORT, tune
-from tsa_ctrl.demo.bus_choice import VIRTUAL
-from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.demo.rig import NOMINAL, VIRTUAL
 from tsa_ctrl.errors import TooStillError, UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import load_tendon_sheath

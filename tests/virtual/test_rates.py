@@ -8,8 +8,8 @@ import pytest
 
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import BusChoice
 from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.rig import BusChoice
 
 
 @pytest.mark.parametrize("load", ["imposed", "held", "wearer"])

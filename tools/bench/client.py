@@ -35,9 +35,9 @@ import numpy as np
 from tools import command
 from tsa_ctrl import Client
 from tsa_ctrl.bus.settings import BusSettings
-from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.cli.init import with_values
-from tsa_ctrl.demo.bus_choice import BusChoice, choose
+from tsa_ctrl.demo.rig import BusChoice, choose
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.system.processes import plant, tsa

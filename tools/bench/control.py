@@ -35,8 +35,8 @@ from tools.bench.torque_error import Measures, measure
 from tools.command import Results, Row
 from tsa_ctrl.control.margin import LAG
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait, play_for
+from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model

@@ -24,9 +24,9 @@ from scipy.spatial import cKDTree
 
 from tests.blind import case
 from tools import command
-from tsa_ctrl.log.csv_out import write_columns
-from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.mcap_file import McapFile
+from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.record import FIELD_NAMES
 from tsa_ctrl.system.processes import tsa
 

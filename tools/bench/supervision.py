@@ -25,8 +25,8 @@ from tsa_ctrl.bus.live.read_back import ReadBack
 from tsa_ctrl.control import cycle
 from tsa_ctrl.daemon import loop
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter
 from tsa_ctrl.safety.plausibility import Plausibility

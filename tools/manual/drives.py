@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from tools.campaign.drive.makes import makes
 from tools.campaign.drive.variations import VARIATIONS
-from tsa_ctrl.plant.quirks import Quirks
+from tsa_ctrl.plant.identity import Quirks
 
 _FIELD = re.compile(r"^    (?P<key>[a-z_]+): .+ = (?P<default>[^#]+?)  # (?P<words>.+)$")
 

@@ -21,10 +21,10 @@ import msgspec
 from tsa_ctrl.bus.canopen import cia301, pdo
 from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.parent import child
+from tsa_ctrl.system.keeper import child
 
 PRIORITY = 70  # below the loop, above everything else
 BEAT = 0.02  # s between heartbeats, at the next SYNC

@@ -3,25 +3,72 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import msgspec
 
 from tsa_ctrl.bench.cycles import Measured, measure
-from tsa_ctrl.bench.rate import Bound, bounds, holds, rounded_down
 from tsa_ctrl.bench.responder import standing_in
 from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.connect import open_bus
-from tsa_ctrl.bus.wire.link import is_simulated
+from tsa_ctrl.bus.wire.link import is_simulated, open_bus
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.doctor.can_interface import answering, judged, listen
-from tsa_ctrl.doctor.check import Result
+from tsa_ctrl.doctor.can_interface import Result, answering, judged, listen
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system import realtime
+
+# From measured times to the highest rate with margin, and what sets it. Pure.
+
+HIGHEST = 4000.0  # Hz, of [controller] rate
+LOWEST = 10.0  # Hz
+
+
+@dataclass(frozen=True)
+class Bound:
+    """One thing that bounds the rate, and how."""
+
+    name: str
+    rate: float  # Hz
+    found: str
+
+
+def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, max_load: float) -> tuple[Bound, ...]:
+    """All bounds, the lowest first. `margin`: share of the period that stays free; `collect`: of it for answers."""
+    busy, command = measured.busy.p999, measured.command.p999
+    found = (
+        Bound("cycle", _inverse((1.0 - margin), busy), f"{_us(busy)} from the deadline to the end of a cycle"),
+        Bound("answers", _inverse((1.0 - margin) * collect, command), f"{_us(command)} from SYNC to the command"),
+        Bound("bit rate", bus_rate, f"{100 * max_load:.0f} % of the bit rate in the worst case"),
+        Bound("configuration", HIGHEST, "[controller] rate is at most this"),
+    )
+    return tuple(sorted(found, key=lambda bound: bound.rate))
+
+
+def rounded_down(rate: float) -> float:
+    """Two significant digits, downwards; 0 below the lowest rate that can be configured."""
+    if not rate >= LOWEST:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(rate)) - 1)
+    return math.floor(rate / unit + 1e-9) * unit
+
+
+def holds(measured: Measured, margin: float) -> bool:
+    """Whether cycles at a rate kept to it: no answer lost, none late, and half of the margin still free."""
+    allowed = (1.0 - 0.5 * margin) / measured.rate
+    return measured.lost == 0 and measured.late == 0 and measured.busy.p999 <= allowed
+
+
+def _inverse(share: float, seconds: float) -> float:
+    return share / seconds if seconds > 0.0 else 0.0  # nan: nothing was measured
+
+
+def _us(seconds: float) -> str:
+    return f"{1e6 * seconds:.0f} us (99.9 %)"
+
 
 LOWER = 0.8  # factor of the next try when a rate does not hold
 TRIES = 8

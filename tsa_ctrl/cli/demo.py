@@ -14,9 +14,9 @@ from tsa_ctrl.cli.finite import Finite
 from tsa_ctrl.errors import BusError, UsageError
 
 if TYPE_CHECKING:
-    from tsa_ctrl.demo.bus_choice import BusChoice
     from tsa_ctrl.demo.circle import Circle
     from tsa_ctrl.demo.outcome import Outcome
+    from tsa_ctrl.demo.rig import BusChoice
     from tsa_ctrl.demo.run import Progress
 
 Shown = TypeVar("Shown")
@@ -108,7 +108,7 @@ def command(
 
 def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, asked: bool) -> Shown:
     """What `show` returns on the bus; in virtual time where real time fails on one that nobody asked for."""
-    from tsa_ctrl.demo.bus_choice import VIRTUAL
+    from tsa_ctrl.demo.rig import VIRTUAL
 
     try:
         with _progress(chosen) as say:
@@ -124,7 +124,7 @@ def _shown(show: Callable[[BusChoice, Progress], Shown], chosen: BusChoice, aske
 
 
 def _bus(asked: str | None, virtual: bool) -> BusChoice:
-    from tsa_ctrl.demo.bus_choice import VIRTUAL, choose
+    from tsa_ctrl.demo.rig import VIRTUAL, choose
 
     if not virtual:
         return choose(asked, lambda line: click.echo(line, err=True))

@@ -124,7 +124,7 @@ def _diagnose(
     cutoff: float | None,
 ) -> Diagnosis:
     """Read, diagnose and write, with what is being done on stderr."""
-    from tsa_ctrl.system.forkserver import loading
+    from tsa_ctrl.system.processes import loading
 
     if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to load as all else together
         loading("tsa_ctrl.identify.diagnosis.report.pictures")

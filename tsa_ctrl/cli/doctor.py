@@ -12,7 +12,7 @@ from tsa_ctrl.cli.finite import Finite
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
-    from tsa_ctrl.doctor.check import Check
+    from tsa_ctrl.doctor.can_interface import Check
 
 COLOURS = {"pass": "green", "warn": "yellow", "fail": "red"}
 
@@ -31,7 +31,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
     """
     from tsa_ctrl.config import check_drives, load_configuration
     from tsa_ctrl.doctor import can_interface, machine
-    from tsa_ctrl.doctor.check import Result
+    from tsa_ctrl.doctor.can_interface import Result
     from tsa_ctrl.system.realtime import RealtimeSettings
 
     configuration = None if controller is None else load_configuration(controller)
@@ -57,7 +57,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
 def _write_serial_numbers(configuration: Configuration) -> int:
     """Nothing is commanded: the drives are asked by SDO, and the file before is kept beside."""
     from tsa_ctrl import outputs
-    from tsa_ctrl.bus.wire.connect import open_bus
+    from tsa_ctrl.bus.wire.link import open_bus
     from tsa_ctrl.doctor.serial_numbers import ask, written
 
     file = configuration.file

@@ -40,7 +40,7 @@ class Target:
     def plan(self) -> list[Write]:
         """What the configuration writes to it."""
         from tsa_ctrl.bus.drive.plan import drive_plan
-        from tsa_ctrl.bus.drive.scale import drive_scale
+        from tsa_ctrl.bus.drive.torque_path import drive_scale
 
         scale = drive_scale(self.axis.drive, self.profile, f"axis '{self.axis.name}'")
         return drive_plan(self.axis, self.profile, scale, self.bus, self.period)
@@ -48,7 +48,7 @@ class Target:
     @contextmanager
     def session(self) -> Iterator[Session]:
         from tsa_ctrl.bus.drive.session import Session
-        from tsa_ctrl.bus.wire.connect import open_bus
+        from tsa_ctrl.bus.wire.link import open_bus
 
         bus = open_bus(self.bus)
         try:
@@ -228,7 +228,7 @@ def opened(interface: str, channel: str, bitrate: int) -> Iterator[tuple[Bus, Bu
     """A bus by its name; raises UsageError, BusError."""
     from tsa_ctrl import settings
     from tsa_ctrl.bus.settings import BusSettings
-    from tsa_ctrl.bus.wire.connect import open_bus
+    from tsa_ctrl.bus.wire.link import open_bus
 
     data: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate}
     named = settings.convert(data, BusSettings, "command line")

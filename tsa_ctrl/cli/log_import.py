@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.cli.init import SHIPPED
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.columns import BY_NAME
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign import write as writing
 from tsa_ctrl.log.foreign.mapping import Mapped
 from tsa_ctrl.log.foreign.text import ForeignTable, read_foreign
 from tsa_ctrl.log.foreign.write import Imported
+from tsa_ctrl.log.record import BY_NAME
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def command(
     if line is not None:
         if control is None:
             raise click.UsageError("--ask needs --control SOCKET, the one that the plant was started with")
-        from tsa_ctrl.plant.channel import ask
+        from tsa_ctrl.plant.process import ask
 
         answer = ask(control, line)
         click.echo(answer, err=answer.startswith("error"))

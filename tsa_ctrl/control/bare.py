@@ -12,8 +12,8 @@ import math
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
+from tsa_ctrl.model.effects.lever import unmoved
 from tsa_ctrl.model.effects.specification import Stage
-from tsa_ctrl.model.effects.state import unmoved
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath

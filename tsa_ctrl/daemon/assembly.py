@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from enum import Enum
 
 import msgspec
 
@@ -25,10 +26,9 @@ from tsa_ctrl.control.motion import LONGEST, Motion
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
-from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.protocol import Description, Range, default_path
-from tsa_ctrl.log.header import LogHeader
+from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, wound_by_friction
@@ -46,6 +46,31 @@ from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
+
+# What the loop as a whole does now.
+
+
+class LoopPhase(Enum):
+    """Values are the codes of the status."""
+
+    STARTING = 0  # children run, the bus is brought up
+    SETTLING = 1  # cycles run with torque 0 until all answers come
+    RUNNING = 2
+    FAULTED = 3  # latched; torque 0 until somebody asks for a recovery or a stop
+    STOPPING = 4  # the torque ramps to 0, the drives are disabled
+    RESETTING = 5  # a recovery was asked for
+    ENDED = 6
+
+    @property
+    def up(self) -> bool:
+        """The start is over: with torque, or with a fault that is latched."""
+        return self in (LoopPhase.RUNNING, LoopPhase.FAULTED)
+
+    @property
+    def ending(self) -> bool:
+        """A run may end without a ramp."""
+        return self in (LoopPhase.STOPPING, LoopPhase.ENDED)
+
 
 # J that a friction term may give the joint before a sensor proves the friction. Worn: a tenth of the energy that a
 # person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which hits only the bench.

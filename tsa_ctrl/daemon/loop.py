@@ -13,10 +13,10 @@ from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
+from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.losses import Losses
 from tsa_ctrl.daemon.monitoring import SecondChannel
-from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox

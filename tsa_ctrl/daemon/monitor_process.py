@@ -19,9 +19,8 @@ from select import select
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
-from tsa_ctrl.monitor.findings import Stop, Watched
-from tsa_ctrl.monitor.watch import Frame, Monitor
-from tsa_ctrl.system.parent import child
+from tsa_ctrl.monitor.watch import Frame, Monitor, Stop, Watched
+from tsa_ctrl.system.keeper import child
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 from tsa_ctrl.system.torque_off import OutputSettings, TorqueOff
 

@@ -2,14 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.hidden import SECONDS, Hidden, draw, motion
-from tsa_ctrl.demo.stage import runs_on
+from tsa_ctrl.demo.rig import VIRTUAL, BusChoice
 from tsa_ctrl.errors import BusError
+from tsa_ctrl.system.processes import daemon, plant
+
+# Where the demo's runs take place: plant and daemon as processes on a bus, or both in virtual time.
+
+Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
+
+
+def runs_on(bus: BusChoice) -> Run:
+    """What runs `controller-NAME.toml` on `plant.toml` of a folder, the plant anew, and returns the run's summary."""
+    if bus.virtual:
+        from tsa_ctrl.virtual.stage import play  # the loop and the plant in this process
+
+        return play
+    return _on_the_bus
+
+
+def _on_the_bus(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
+    with plant(folder):
+        return daemon(folder, name, seconds, tick)
+
 
 RATE = 500.0  # Hz: what the diagnosis needs of these motions, at half the time of 1 kHz
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tsa_ctrl.demo.rig import FADE_IN
-from tsa_ctrl.log.course import read_course
+from tsa_ctrl.log.table import read_course
 
 FloatArray = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from functools import partial
 from pathlib import Path
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import BusChoice
+from tsa_ctrl.demo.example import runs_on
 from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.demo.outcome import Course, Outcome, course_of
-from tsa_ctrl.demo.stage import runs_on
+from tsa_ctrl.demo.rig import BusChoice
 
 COMPENSATION = 0.95
 RATE = 1000.0  # Hz

@@ -4,16 +4,52 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.bus.wire.connect import open_bus
-from tsa_ctrl.bus.wire.link import CanState, read
+from tsa_ctrl.bus.wire.link import CanState, open_bus, read
 from tsa_ctrl.bus.wire.seam import Bus
-from tsa_ctrl.doctor.check import Check, Result, judge
 from tsa_ctrl.errors import TsaError
+
+# One finding about the machine: what was found, what is wanted, and the command that mends it.
+
+
+class Result(Enum):
+    """What a check found."""
+
+    PASS = "pass"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True)
+class Check:
+    """`fix` is a command or one sentence; empty for a pass."""
+
+    name: str
+    result: Result
+    found: str
+    wanted: str
+    fix: str = ""
+
+    def to_dict(self) -> dict[str, str]:
+        return {
+            "name": self.name,
+            "result": self.result.value,
+            "found": self.found,
+            "wanted": self.wanted,
+            "fix": self.fix,
+        }
+
+
+def judge(name: str, good: bool, found: str, wanted: str, fix: str, otherwise: Result = Result.WARN) -> Check:
+    """A pass when `good`, else `otherwise` with its fix."""
+    return Check(name, Result.PASS, found, wanted) if good else Check(name, otherwise, found, wanted, fix)
+
 
 MOST_QUEUE = 256  # frames: a longer queue plays stale torque out late
 LISTEN_TIME = 0.5  # s, in which traffic of others is counted

@@ -13,11 +13,11 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from tsa_ctrl.doctor.check import Check, Result, judge
+from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
+from tsa_ctrl.system.processes import unheard_by_children
 from tsa_ctrl.system.realtime import RealtimeSettings
-from tsa_ctrl.system.signals import unheard_by_children
 from tsa_ctrl.system.sleep import sleep_until
 
 GOOD_CLOCKS = ("tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page")

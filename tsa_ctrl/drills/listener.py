@@ -27,15 +27,15 @@ from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword
 from tsa_ctrl.bus.canopen.pdo import DriveLayout
 from tsa_ctrl.bus.drive.layout import layout_of
-from tsa_ctrl.bus.drive.scale import drive_scale
+from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.bus.live.axis import Axis
-from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills.pull import Pull, Watch
 from tsa_ctrl.drills.samples import Said, Sample
 from tsa_ctrl.errors import TsaError
-from tsa_ctrl.system.signals import ignore
+from tsa_ctrl.system.processes import ignore
 
 READY = b"ready\n"
 SILENT = 0.01  # s without a TPDO after which a drive is asked by SDO

@@ -17,7 +17,7 @@ from tsa_ctrl.bus.drive.bring_up import bring_up
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.session import Session
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.bus.wire.connect import open_bus
+from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.daemon.joint_files import JointFiles
 from tsa_ctrl.drills.listener import READY, ZERO_SHARE
@@ -26,7 +26,7 @@ from tsa_ctrl.drills.samples import Said, Sample, Timing, Watchdog, timing, watc
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.safety.shut_down import shut_down
-from tsa_ctrl.system.parent import child, environment, terminal_blocked
+from tsa_ctrl.system.keeper import child, environment, terminal_blocked
 
 STARTED = 60.0  # s until the loop delivers torque
 SETTLED = 0.4  # s of torque before anything is done

@@ -21,8 +21,8 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.redundancy import check_columns
 from tsa_ctrl.identify.units import check_rate, check_sizes
-from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
-from tsa_ctrl.log.mending import mended
+from tsa_ctrl.log.info import mended
+from tsa_ctrl.log.record import BY_NAME, SIGNAL_NAMES
 from tsa_ctrl.log.table import Table, read_table, sha256_of
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps
 from tsa_ctrl.model.parameters import Model, RigidDrive

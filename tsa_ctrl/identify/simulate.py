@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.admit import admit
 from tsa_ctrl.identify.dataset import Dataset
-from tsa_ctrl.log.csv_out import write_columns
+from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.predict import beyond_slack, predict
 

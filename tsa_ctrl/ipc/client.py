@@ -19,7 +19,7 @@ import msgspec
 
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc import pid_file, protocol
-from tsa_ctrl.ipc.peers import user_of
+from tsa_ctrl.ipc.connection import user_of
 from tsa_ctrl.ipc.protocol import AnyRequest, default_path
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes

@@ -10,8 +10,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.ipc.connection import Connection
-from tsa_ctrl.ipc.peers import Role, peer_of, role_of
+from tsa_ctrl.ipc.connection import Connection, Role, peer_of, role_of
 from tsa_ctrl.ipc.protocol import is_socket, make_private, private_folder
 
 CLIENTS = 16  # connections of one role; a further one replaces the one that has been silent longest

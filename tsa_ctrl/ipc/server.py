@@ -27,16 +27,15 @@ import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
-from tsa_ctrl.ipc.connection import Connection, may
+from tsa_ctrl.ipc.connection import Connection, Role, may
 from tsa_ctrl.ipc.lease import Lease
 from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
-from tsa_ctrl.ipc.peers import Role
 from tsa_ctrl.ipc.protocol import AnyRequest, Description
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
 from tsa_ctrl.system.keeper import keep
-from tsa_ctrl.system.signals import ignore
+from tsa_ctrl.system.processes import ignore
 
 IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way

@@ -2,14 +2,45 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.header import LogHeader
 from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
-from tsa_ctrl.system.parent import child
+from tsa_ctrl.system.keeper import child
+from tsa_ctrl.version import __version__
+
+# What stands at the head of a log: where it came from and what its codes mean.
+
+
+@dataclass(frozen=True)
+class LogHeader:
+    """What stands at the head of a log.
+
+    `files` maps the name of each configuration or model file to its text, `codes` the name of a coded field to
+    {code: name}; `started` is the time of t = 0 in s since 1970; `rate` in Hz.
+    """
+
+    axes: tuple[str, ...]
+    rate: float
+    files: dict[str, str] = field(default_factory=dict)
+    codes: dict[str, dict[int, str]] = field(default_factory=dict)
+    started: float = field(default_factory=time.time)
+    version: str = __version__
+
+    def to_json(self) -> str:
+        return json.dumps({**vars(self), "axes": list(self.axes)})
+
+    @staticmethod
+    def from_json(text: str) -> LogHeader:
+        data = json.loads(text)
+        data["axes"] = tuple(data["axes"])
+        data["codes"] = {key: {int(code): name for code, name in names.items()} for key, names in data["codes"].items()}
+        return LogHeader(**data)
+
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
 STARTED = 20.0  # s for the writer to look at the ring

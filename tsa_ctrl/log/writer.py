@@ -18,13 +18,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.log.header import LogHeader
-from tsa_ctrl.log.mcap_file import McapFile
-from tsa_ctrl.log.note import Note
+from tsa_ctrl.log.mcap_file import McapFile, Note
+from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.log.ring import RingReader, WriterState
 from tsa_ctrl.system.keeper import keep
-from tsa_ctrl.system.signals import ignore
+from tsa_ctrl.system.processes import ignore
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost

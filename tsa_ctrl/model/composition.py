@@ -14,11 +14,10 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.effects.custom import Custom
 from tsa_ctrl.model.effects.friction import LoadDependentFriction, TensionDependentFriction
-from tsa_ctrl.model.effects.lever import PulleyEccentricity
+from tsa_ctrl.model.effects.lever import PulleyEccentricity, State
 from tsa_ctrl.model.effects.memory import Backlash, PreslidingHysteresis, TransportDelay
 from tsa_ctrl.model.effects.motor import VelocityLag
 from tsa_ctrl.model.effects.specification import Stage
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import (
     Elongating,
     ElongationCoupling,

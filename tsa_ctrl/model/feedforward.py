@@ -13,8 +13,8 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
 from tsa_ctrl.model.effects.invertible import check_invertible
 from tsa_ctrl.model.effects.joint import ACCELERATION_TIME
+from tsa_ctrl.model.effects.lever import State, unmoved
 from tsa_ctrl.model.effects.memory import PreslidingState
-from tsa_ctrl.model.effects.state import State, unmoved
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath

@@ -13,9 +13,9 @@ import numpy as np
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.composition import Stack, bending_and_pretension, friction_angle
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.memory import Backlash, integrate
 from tsa_ctrl.model.effects.specification import Stage
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.effects.transmission import FourTensions, Transmission
 from tsa_ctrl.model.functions import ARRAYS, BLOCK, Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath

@@ -4,24 +4,156 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.plant.chain import settle
 from tsa_ctrl.plant.chain_layout import build_chain
 from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, wound
 from tsa_ctrl.plant.formula import memory_of, steps_of
-from tsa_ctrl.plant.load import hand_table, load_parameters
 from tsa_ctrl.plant.mechanics import Arrays, advance
 from tsa_ctrl.plant.motion import build_motion
-from tsa_ctrl.plant.readings import MotorCommand, Readings
-from tsa_ctrl.plant.record import COLUMNS
-from tsa_ctrl.plant.settings import AxisSettings, MotionSettings, PhysicsSettings
-from tsa_ctrl.plant.state import DELAY_SAMPLES, PARAMETERS, STATE
+from tsa_ctrl.plant.sensors import MotorCommand, Readings
+from tsa_ctrl.plant.settings import AxisSettings, HandRow, JointSettings, MotionSettings, PhysicsSettings
+from tsa_ctrl.plant.state import DELAY_SAMPLES, PARAMETERS, STATE, Load
+
+# The plant's own record of the truth: one CSV row per axis and period, written while it runs.
+
+COLUMNS: tuple[tuple[str, str], ...] = (
+    ("clock", "s, CLOCK_MONOTONIC"),
+    ("t", "s since the plant's start"),
+    ("axis", "place of the axis, 0 ..."),
+    ("faults", "injected faults that are on"),
+    ("state", "CiA 402 state, bits of the statusword"),
+    ("enabled", "power stage on"),
+    ("command", "N*m at the motor pulley, after the drive's clamp"),
+    ("torque_loop", "N*m, what the drive's current says"),
+    ("tau_m", "N*m that acts on the motor pulley"),
+    ("q_m", "rad"),
+    ("omega_m", "rad/s"),
+    ("q_j", "rad"),
+    ("omega_j", "rad/s"),
+    ("t1", "N"),
+    ("t2", "N"),
+    ("t3", "N"),
+    ("t4", "N"),
+    ("tau_j", "N*m delivered to the load"),
+    ("z", "state of the friction, -1 to 1"),
+    ("theta", "rad"),
+    ("pretension", "N, T_p0"),
+    ("temperature", "deg C"),
+    ("tau_outside", "N*m on the joint by a hand or a push"),
+)
+_FLUSH = 0.25  # s
+
+
+class Record(Protocol):
+    """Where a machine leaves its truth: on disk, or in memory."""
+
+    def due(self, t: float) -> bool: ...
+    def row(self, values: Sequence[float]) -> None: ...
+    def flush(self, clock: float) -> None: ...
+
+
+class Recorder:
+    """Appends rows; what is older than a quarter of a second is in the file even when the process is killed."""
+
+    def __init__(self, path: str | Path, period: float) -> None:
+        self.period = period
+        self._due = -1.0
+        self._flush_due = 0.0
+        try:
+            self._file: TextIO = Path(path).open("w", encoding="ascii", buffering=1 << 20)  # noqa: SIM115
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+        self._file.write(",".join(name for name, _ in COLUMNS) + "\n")
+        self._format = ",".join(["%.6f", "%.6f", "%d", "%d", "%d", "%d"] + ["%.9g"] * (len(COLUMNS) - 6)) + "\n"
+
+    def due(self, t: float) -> bool:
+        """Whether a period has passed at plant time t; a late one is not made up for."""
+        if t < self._due:
+            return False
+        self._due = max(self._due + self.period, t + 0.5 * self.period)
+        return True
+
+    def row(self, values: Sequence[float]) -> None:
+        self._file.write(self._format % tuple(values))
+
+    def flush(self, clock: float) -> None:
+        if clock >= self._flush_due:
+            self._flush_due = clock + _FLUSH
+            self._file.flush()
+
+    def close(self) -> None:
+        self._file.close()
+
+
+# What the joint drives: masses by the name of the load, and the script of a hand that holds it.
+
+
+@dataclass(frozen=True)
+class Mass:
+    """kg*m^2, N*m*s/rad, N*m: of a load unless its settings say otherwise."""
+
+    inertia: float
+    damping: float
+    weight: float
+
+
+PLAIN = Mass(0.02, 0.05, 1.0)
+LIMB = Mass(0.05, 0.1, 4.0)  # a forearm, or a shank without its foot, with its tissue's damping
+_KINDS = {
+    "imposed": Load.IMPOSED,
+    "held": Load.IMPOSED,
+    "free": Load.FREE,
+    "spring": Load.SPRING,
+    "weight": Load.WEIGHT,
+    "limb": Load.WEIGHT,
+    "wearer": Load.WEIGHT,
+}
+# s, N*m/rad, N*m*s/rad, rad: holds, lifts, holds, lets the limb swing, takes it again, pulls it back, holds.
+WEARER: tuple[HandRow, ...] = (
+    (0.0, 15.0, 1.0, 0.0),
+    (1.5, 15.0, 1.0, 0.0),
+    (3.0, 15.0, 1.0, 0.6),
+    (4.0, 15.0, 1.0, 0.6),
+    (4.05, 0.0, 0.0, 0.6),
+    (7.0, 0.0, 0.0, 0.0),
+    (7.5, 15.0, 1.0, 0.0),
+    (9.0, 15.0, 1.0, -0.4),
+    (10.5, 15.0, 1.0, 0.0),
+    (12.0, 15.0, 1.0, 0.0),
+)
+
+
+def load_parameters(joint: JointSettings) -> dict[str, float]:
+    """The load's parameters of the mechanics."""
+    mass = LIMB if joint.load in ("limb", "wearer") else PLAIN
+    return {
+        "load": _KINDS[joint.load],
+        "load_inertia": mass.inertia if joint.inertia is None else joint.inertia,
+        "load_damping": mass.damping if joint.damping is None else joint.damping,
+        "load_stiffness": joint.stiffness,
+        "load_rest": joint.rest_angle,
+        "weight": mass.weight if joint.weight_torque is None else joint.weight_torque,
+        "weight_phase": joint.weight_phase,
+        "hand_factor": 1.0,
+        "hand_repeat": int(joint.hand_repeat),
+    }
+
+
+def hand_table(joint: JointSettings) -> NDArray[np.float64]:
+    """The hand's script, (4, n): s, N*m/rad, N*m*s/rad, rad; n = 0 without a hand."""
+    rows = joint.hand or (WEARER if joint.load == "wearer" else ())
+    return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
+
 
 CURVATURES: Mapping[str, tuple[tuple[float, float], ...]] = {
     "uniform": ((0.0, 0.0), (1.0, 1.0)),

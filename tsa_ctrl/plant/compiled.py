@@ -22,9 +22,7 @@ F = TypeVar("F", bound=Callable[..., object])
 _KERNELS = (
     "compiled.py",
     "state.py",
-    "interpolation.py",
     "effects.py",
-    "lags.py",
     "formula.py",
     "full.py",
     "chain_layout.py",

@@ -9,19 +9,39 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass, field
 
 import msgspec
 
 from tsa_ctrl.plant.cia402 import Command, PowerState, PowerStateMachine, command_of
 from tsa_ctrl.plant.dictionary import AbortCode, Key, SdoAbort
-from tsa_ctrl.plant.drive_faults import DriveFaults
 from tsa_ctrl.plant.drive_objects import AXIS_OFFSET, AxisValues, mode_numbers, shifted, unit_code
 from tsa_ctrl.plant.emergency import EmcyCode
-from tsa_ctrl.plant.nmt import NmtState
 from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.persona import PERSONAS
-from tsa_ctrl.plant.readings import MotorCommand, Readings
+from tsa_ctrl.plant.sensors import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
+from tsa_ctrl.plant.watch import NmtState
+
+# Misbehaviour of a simulated drive that can be switched on.
+
+
+@dataclass(slots=True)
+class DriveFaults:
+    """Misbehaviour of the drive itself that can be switched on."""
+
+    ignore_command: bool = False  # bit 12 low, the target torque is not followed
+    wrong_mode: int | None = None  # value of 0x6061
+    torque_sign: int = 1  # -1: motor wired the wrong way round
+    torque_gain: float = 1.0  # motor torque over the torque that the drive assumes
+    clock_drift: float | None = None  # relative; the drive samples by its internal clock, not at the SYNC
+    most_torque: float | None = None  # of rated torque, limit of an overheated drive: bit 11
+    dead_stage: bool = False  # the power stage has no voltage: no torque, bit 4 low, the state machine goes on
+    torque_off: bool = False  # the input of safe torque off is open
+    turned: int = 1  # -1: position and velocity count the other way
+    inputs: int = 0  # 0x60FD
+    distortions: dict[Key, Callable[[int], int]] = field(default_factory=dict)  # of the reported values
+
 
 CST = 10  # cyclic synchronous torque mode
 _PROFILE_TORQUE = 4  # profile torque mode

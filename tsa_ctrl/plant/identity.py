@@ -4,11 +4,110 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated, Literal
 
-from tsa_ctrl.plant import emergency, storage, sync
-from tsa_ctrl.plant.dictionary import Access, Entry, Type
-from tsa_ctrl.plant.quirks import Quirks
+import msgspec
+from msgspec import Meta
+
+from tsa_ctrl.plant import emergency, sync
+from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDictionary, SdoAbort, Type
 from tsa_ctrl.plant.watch import Consumers, Guarding
+
+# What drives do otherwise than CiA 301 and 402 have it: keys of `[axis.drive]`, each met on a real stack.
+#
+# The default of each is what the standard says; `absent`, `objects` and `read_only` imitate the rest.
+
+NonNegative = Annotated[float, Meta(ge=0.0)]
+Code = Annotated[int, Meta(ge=0, le=0xFFFF)]
+ObjectName = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9]{1,3})?$")]
+ModeName = Literal["pp", "pv", "tq", "csp", "csv", "cst"]
+
+
+class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """Of one drive."""
+
+    # its dictionary
+    objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
+    absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
+    read_only: list[ObjectName] = []  # objects that cannot be written, "0x6007"
+    fixed_mapping: bool = False  # what its PDOs carry cannot be written; it is what this controller wants
+    heartbeat_consumers: Annotated[int, Meta(ge=1, le=8)] = 4  # entries of 0x1016
+    modes: tuple[ModeName, ...] = ("cst",)  # 0x6502, and what 0x6060 takes
+
+    # its start
+    boot_time: NonNegative = 0.0  # s from reset or power-on to the boot-up message
+    starts_itself: bool = False  # operational at once after the boot-up
+    emcy_at_boot: Code = 0  # error code of an EMCY right after the boot-up; 0: none
+    answer_time: NonNegative = 0.0  # s until a request by SDO is answered
+    node_id_unset: bool = False  # it has no node id until LSS gives it one
+    sync_producer: bool = False  # 0x1005 has bit 30 at power-on: it sends SYNC itself, every 10 ms
+
+    # its watchdogs
+    watchdogs: bool = True  # false: it takes its time-outs, reports them, and does nothing else
+    watches_always: bool = False  # 0x6007 = 1 taken literally: a lost heartbeat is a fault, enabled or not
+    rpdo_timer_on_sync: bool = False  # the RPDO event timer is looked at only when a SYNC comes
+    node_guarding: bool = False  # no heartbeat, made or heard: 0x100C, 0x100D and remote frames instead
+    guarding_toggles: bool = True  # false: all answers to node guarding have one toggle bit
+
+    # its commands
+    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs by which they act later than their RPDO's type says
+
+    # its state machine
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 says what 0x6060 is; else 0
+    step_time: NonNegative = 0.0  # s, of each step on the way to operation enabled
+    statusword_bits: Code = 0  # of the maker's, always set: bits 8, 14, 15
+    reports_following: bool = True  # false: bit 12 is always low
+    safe_torque_off: bool = False  # the drive stays in switch on disabled, and says so by bit 4
+    warns_when_enabled: Code = 0  # error code of an EMCY at every enable, without a fault; 0: none
+
+
+# Parameters kept through a power cycle (CiA 301): 0x1010 "save", 0x1011 "load".
+
+SAVE = 0x65766173  # "save", least significant byte first
+LOAD = 0x64616F6C  # "load"
+_ON_COMMAND = 1  # bit 0 of both objects when read
+_PASSING: frozenset[Key] = frozenset({(0x1003, 0), (0x6040, 0), (0x6071, 0)})  # commands are no parameters
+
+
+def entries() -> list[Entry]:
+    """Both objects; one group of parameters, on command."""
+    return [
+        Entry(0x1010, 0, Type.U8, Access.CONST, 1),
+        Entry(0x1010, 1, Type.U32, Access.RW, _ON_COMMAND),
+        Entry(0x1011, 0, Type.U8, Access.CONST, 1),
+        Entry(0x1011, 1, Type.U32, Access.RW, _ON_COMMAND),
+    ]
+
+
+class Storage:
+    """Of one node; `saves` counts, since the plant began: a master that saves wears a memory out."""
+
+    def __init__(self, dictionary: ObjectDictionary) -> None:
+        self._dictionary = dictionary
+        self.saves = 0
+        dictionary.on_write[0x1010, 1] = self._save
+        dictionary.on_write[0x1011, 1] = self._load
+
+    def _save(self, value: int) -> None:
+        if value != SAVE:
+            raise SdoAbort(AbortCode.CANNOT_STORE)
+        dictionary = self._dictionary
+        self.saves += 1
+        for key, entry in dictionary.entries.items():
+            if entry.access is Access.RW and isinstance(entry.default, int) and key not in _PASSING:
+                dictionary.stored[key] = dictionary.values[key]
+        self._forget_command(0x1010)
+
+    def _load(self, value: int) -> None:
+        """The defaults come back with the next reset."""
+        if value != LOAD:
+            raise SdoAbort(AbortCode.CANNOT_STORE)
+        self._dictionary.stored.clear()
+        self._forget_command(0x1011)
+
+    def _forget_command(self, index: int) -> None:
+        for place in (0x1010, 0x1011):
+            self._dictionary.stored.pop((place, 1), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +135,7 @@ def communication_objects(identity: Identity, quirks: Quirks) -> Iterator[Entry]
     yield Entry(0x1008, 0, Type.TEXT, Access.CONST, identity.name)
     yield Entry(0x1009, 0, Type.TEXT, Access.CONST, "simulated")
     yield Entry(0x100A, 0, Type.TEXT, Access.CONST, "1")
-    yield from storage.entries()
+    yield from entries()
     if quirks.node_guarding:
         yield from Guarding.objects()
     else:

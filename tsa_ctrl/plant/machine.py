@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from tsa_ctrl.bus.wire.link import set_up
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, Bus, BusFault, Frame
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.plant.axis import Axis
+from tsa_ctrl.plant.axis import Axis, Record
 from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_node import DriveNode
-from tsa_ctrl.plant.fault_kind import Target
+from tsa_ctrl.plant.fault_kind import Outlet, Target
 from tsa_ctrl.plant.faults import FaultPlan, check_fault
 from tsa_ctrl.plant.node import Node, Send
-from tsa_ctrl.plant.outlet import Outlet
-from tsa_ctrl.plant.record import Record
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
 from tsa_ctrl.plant.settings import AxisSettings, FaultSettings, PlantSettings
 

@@ -26,6 +26,7 @@ from tsa_ctrl.plant.effects import (
     arm,
     friction_coefficient,
     joint_losses,
+    lengths_beside,
     pretension,
     tension_factor,
     track_backlash,
@@ -33,9 +34,133 @@ from tsa_ctrl.plant.effects import (
 )
 from tsa_ctrl.plant.formula import formula
 from tsa_ctrl.plant.full import commit_full, full_tensions
-from tsa_ctrl.plant.interpolation import hand, imposed_motion, table_value
-from tsa_ctrl.plant.lags import sense, torque_loop
-from tsa_ctrl.plant.state import Load
+from tsa_ctrl.plant.state import DELAY_SAMPLES, Load
+
+# Compiled interpolation: tables that change with time, and the imposed motion of a joint.
+
+
+@compiled
+def table_value(table: Any, x: float, before: float) -> float:
+    """Linear interpolation, constant beyond the ends; `before` when the table is empty."""
+    n = table.shape[1]
+    if n == 0:
+        return before
+    if x <= table[0, 0]:
+        return float(table[1, 0])
+    for i in range(1, n):
+        if x < table[0, i]:
+            w = (x - table[0, i - 1]) / (table[0, i] - table[0, i - 1])
+            return float((1.0 - w) * table[1, i - 1] + w * table[1, i])
+    return float(table[1, n - 1])
+
+
+@compiled
+def hand(s: Any, p: Any, table: Any, time: float) -> None:
+    """Stiffness, damping, angle and speed of the hand at `time` s since the start, into the state.
+
+    Stiffness and damping are linear between rows; the angle rests at each of them and goes smoothly between.
+    """
+    n = table.shape[1]
+    if n == 0:
+        return
+    last = table[0, n - 1]
+    if p.hand_repeat and time > last > 0.0:
+        time = time % last
+    i = 1
+    while i < n and time >= table[0, i]:
+        i += 1
+    if i >= n or time <= table[0, 0]:
+        row = n - 1 if i >= n else 0
+        stiffness, damping, s.hand_angle, s.hand_speed = table[1, row], table[2, row], table[3, row], 0.0
+    else:
+        width = table[0, i] - table[0, i - 1]
+        y = (time - table[0, i - 1]) / width
+        stiffness = (1.0 - y) * table[1, i - 1] + y * table[1, i]
+        damping = (1.0 - y) * table[2, i - 1] + y * table[2, i]
+        way = table[3, i] - table[3, i - 1]
+        s.hand_angle = table[3, i - 1] + way * y * y * (3.0 - 2.0 * y)
+        s.hand_speed = way * 6.0 * y * (1.0 - y) / width
+    s.hand_stiffness, s.hand_damping = p.hand_factor * stiffness, p.hand_factor * damping
+
+
+@compiled
+def imposed_motion(p: Any, motion: Any, time: float) -> tuple[float, float, float]:
+    """Angle, speed and acceleration of the imposed motion, `time` s after its beginning; negative: it waits."""
+    last = motion.shape[1] - 1
+    duration = last * p.motion_grid
+    if time <= 0.0:
+        return motion[0, 0], 0.0, 0.0
+    local = time
+    if local >= duration:
+        if not p.motion_repeat:
+            return motion[0, last], 0.0, 0.0
+        local = local % duration
+    g = p.motion_grid
+    i = min(last - 1, int(local / g))
+    x = local / g - i
+    a, b, c, d = motion[0, i], motion[0, i + 1], motion[1, i] * g, motion[1, i + 1] * g
+    e, f = b - a, c + d
+    q = a + x * (c + x * (3.0 * e - 2.0 * c - d + x * (f - 2.0 * e)))
+    w = (c + x * (2.0 * (3.0 * e - 2.0 * c - d) + 3.0 * x * (f - 2.0 * e))) / g
+    acceleration = (2.0 * (3.0 * e - 2.0 * c - d) + 6.0 * x * (f - 2.0 * e)) / (g * g)
+    if time < p.motion_ramp:
+        y = time / p.motion_ramp
+        r, r1, r2 = y * y * (3.0 - 2.0 * y), 6.0 * y * (1.0 - y) / p.motion_ramp, (6.0 - 12.0 * y) / p.motion_ramp**2
+        d0 = q - motion[0, 0]
+        acceleration = r2 * d0 + 2.0 * r1 * w + r * acceleration
+        w = r1 * d0 + r * w
+        q = motion[0, 0] + r * d0
+    return q, w, acceleration
+
+
+# What lies between the torque that is asked and the one that acts, and between the joint and its sensors.
+
+
+@compiled
+def torque_loop(s: Any, p: Any, command: float, enabled: bool, max_speed: float, h: float) -> None:
+    """Current loop with lag and limits; no torque in the direction of motion beyond the drive's speed limit."""
+    target = 0.0
+    s.speed_limited = 0
+    if enabled:
+        target = min(p.peak_torque, max(-p.peak_torque, command))
+        speed = abs(s.omega_m)
+        if speed > max_speed and target * s.omega_m > 0.0:
+            target *= max(0.0, 1.0 - (speed - max_speed) / max(1e-6, 0.05 * max_speed))
+            s.speed_limited = 1
+    gain = 1.0 if p.torque_lag <= 0.0 else 1.0 - math.exp(-h / p.torque_lag)
+    s.torque_loop += (target - s.torque_loop) * gain
+    s.tau_m = s.torque_loop * p.torque_gain
+    if p.ripple != 0.0:
+        s.tau_m += p.ripple * math.sin(p.ripple_cycles * s.q_m + p.ripple_phase)
+
+
+@compiled
+def sense(s: Any, p: Any, ring: Any, h: float) -> None:
+    """Delay of the torque sensor, lag of the encoder, and what lies between encoders and tendons."""
+    if p.sensor_delay > 0.0:
+        n = DELAY_SAMPLES
+        head = (s.ring_head + 1) % n
+        ring[0, head], ring[1, head] = s.t, s.tau_j
+        s.ring_head = head
+        wanted = s.t - p.sensor_delay
+        newer = head
+        value = s.tau_j
+        for back in range(1, n):
+            older = (head - back) % n
+            if ring[0, older] <= wanted:
+                w = (wanted - ring[0, older]) / (ring[0, newer] - ring[0, older])
+                value = (1.0 - w) * ring[1, older] + w * ring[1, newer]
+                break
+            newer = older
+        s.tau_sensed = value
+    else:
+        s.tau_sensed = s.tau_j
+    gain = 1.0 if p.velocity_lag <= 0.0 else 1.0 - math.exp(-h / p.velocity_lag)
+    length, behind = lengths_beside(s, p, h)
+    s.q_m_seen = s.q_m + length / p.r_m
+    s.q_lagged += (s.q_j - behind - s.q_lagged) * gain
+    s.omega_lagged += (s.omega_j - s.omega_lagged) * gain
+
 
 _IMPOSED, _SPRING, _WEIGHT = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT)
 _ITERATIONS = 150

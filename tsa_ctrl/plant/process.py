@@ -4,26 +4,134 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import json
 import os
 import signal
+import socket
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import FrameType
 
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
-from tsa_ctrl.errors import BusError
-from tsa_ctrl.plant.axis import Axis
-from tsa_ctrl.plant.channel import ControlSocket
-from tsa_ctrl.plant.console import Console
+from tsa_ctrl.errors import BusError, UsageError
+from tsa_ctrl.plant.axis import Axis, Recorder
 from tsa_ctrl.plant.eds import eds, file_names
-from tsa_ctrl.plant.faults import check_fault
+from tsa_ctrl.plant.faults import CHANGES, FAULTS, check_fault, parse_fault
 from tsa_ctrl.plant.machine import Machine, build_axes
 from tsa_ctrl.plant.node import Node
-from tsa_ctrl.plant.record import Recorder
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
+
+# Run-time control of a simulated machine: a local datagram socket, one line in, one line back.
+
+_LINE = 4096  # bytes, more is cut off
+
+
+class ControlSocket:
+    """Bound to `path`, for this user only. `poll` answers what has arrived and never waits."""
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        with contextlib.suppress(FileNotFoundError):
+            if self._path.is_socket():
+                self._path.unlink()
+        before = os.umask(0o177)
+        try:
+            self._socket.bind(str(path))
+        except OSError as error:
+            self._socket.close()
+            raise UsageError(f"{path}: no socket can be made here ({error.strerror}); choose another place") from None
+        finally:
+            os.umask(before)
+
+    def poll(self, answer: Callable[[str], str]) -> None:
+        """Answer each line that has arrived; a client that is gone is no matter."""
+        while True:
+            try:
+                data, sender = self._socket.recvfrom(_LINE)
+            except BlockingIOError:
+                return
+            reply = answer(data.decode("utf-8", "replace").strip())
+            if sender:
+                with contextlib.suppress(OSError):
+                    self._socket.sendto(reply.encode(), sender)
+
+    def close(self) -> None:
+        self._socket.close()
+        self._path.unlink(missing_ok=True)
+
+
+def ask(path: str | Path, line: str, timeout: float = 2.0) -> str:
+    """Send one line to a running machine and return its answer; raises BusError when there is none."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as client:
+        client.settimeout(timeout)
+        client.bind("")  # Linux gives it an abstract address
+        try:
+            client.sendto(line.encode(), str(path))
+            return client.recv(1 << 16).decode()
+        except OSError as error:
+            reason = error.strerror or "no answer in time"
+            raise BusError(f"{path}: no simulated machine answers ({reason}); start tsa plant with --control") from None
+
+
+# The commands that a running simulated machine takes: faults, and a look at its state.
+
+KINDS = {**FAULTS, **CHANGES}
+HELP = "NAME [axis=AXIS] [node=drive|encoder|torque_sensor] [value=NUMBER] [duration=SECONDS] [at=SECONDS]"
+
+
+class Console:
+    """Answers `ok CLOCK` (CLOCK_MONOTONIC in s, when it was done), `error: ...`, or what was asked."""
+
+    def __init__(self, machine: Machine, channel: ControlSocket) -> None:
+        self._machine = machine
+        self._channel = channel
+        self._now = 0.0
+
+    def poll(self, now: float) -> None:
+        self._now = now
+        self._channel.poll(self.answer)
+
+    def answer(self, line: str) -> str:
+        """One command: a fault, `clear` (all faults end), `state` (JSON), `list` or `help`."""
+        if line in ("", "help"):
+            return f"{HELP}; or clear, state, list"
+        if line == "list":
+            return "\n".join(f"{name}: {kind.doc}{_value(name)}" for name, kind in KINDS.items())
+        if line == "state":
+            return self._state()
+        if line == "clear":
+            return f"ok {self._now:.6f} {self._machine.faults.clear(self._now)} ended"
+        try:
+            axis, fault = parse_fault(line)
+            self._machine.begin_fault(axis, fault, self._now)
+        except UsageError as error:
+            return f"error: {error}"
+        return f"ok {self._now:.6f}"
+
+    def _state(self) -> str:
+        axes = [
+            {
+                "name": unit.axis.name,
+                "power": unit.drive.machine.state.name.lower(),
+                "nmt": {kind: node.state.name.lower() for kind, node in unit.by_kind.items()},
+                **unit.axis.values(),
+            }
+            for unit in self._machine.axes
+        ]
+        return json.dumps({"clock": self._now, "faults": self._machine.faults.active, "axes": axes})
+
+    def close(self) -> None:
+        self._channel.close()
+
+
+def _value(name: str) -> str:
+    kind = KINDS[name]
+    return f" (value: {kind.unit}, default {kind.value:g})" if kind.unit else ""
+
 
 SDO_REQUEST, SDO_ANSWER = 0x600, 0x580  # of the default server channel, CiA 301
 DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))  # initiate upload of 0x1000:0

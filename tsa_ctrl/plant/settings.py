@@ -12,7 +12,7 @@ from msgspec import Meta
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import check_effects
-from tsa_ctrl.plant.quirks import Quirks
+from tsa_ctrl.plant.identity import Quirks
 
 NodeId = Annotated[int, Meta(ge=1, le=127)]
 Positive = Annotated[float, Meta(gt=0.0)]

@@ -4,9 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, ObjectDictionary, SdoAbort, Type
-from tsa_ctrl.plant.nmt import NmtState
+
+# NMT of CiA 301: states and commands. The plant has its own, so that it checks the controller's.
+
+
+class NmtState(IntEnum):
+    """Values as in the heartbeat."""
+
+    BOOT_UP = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class NmtCommand(IntEnum):
+    """Command specifier of NMT (CiA 301, 7.2.8.3.1)."""
+
+    START = 1
+    STOP = 2
+    ENTER_PRE_OPERATIONAL = 128
+    RESET_NODE = 129
+    RESET_COMMUNICATION = 130
+
 
 _TOGGLE = 0x80
 

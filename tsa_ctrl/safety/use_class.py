@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from tsa_ctrl.bus.live.stop_input import StopBit
+from tsa_ctrl.bus.live.read_back import StopBit
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings
 from tsa_ctrl.safety.limiter import LimiterSettings
 

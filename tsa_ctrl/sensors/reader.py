@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import select
 import signal
 import sys
@@ -17,10 +18,69 @@ import time
 import msgspec
 import serial
 
-from tsa_ctrl.sensors.parser import LineParser
+from tsa_ctrl.sensors.process import LineState, Reading, Slots
 from tsa_ctrl.sensors.settings import SerialSensorSettings
-from tsa_ctrl.sensors.slots import LineState, Reading, Slots
-from tsa_ctrl.system.signals import ignore
+from tsa_ctrl.system.processes import ignore
+
+# Bytes of an ASCII line protocol to values: pure, bounded, and forgiving of noise, cuts and half lines.
+
+MOST_LINE = 256  # bytes: longer is noise, thrown away up to the next line end
+_END = re.compile(rb"[\r\n]+")
+
+
+class LineParser:
+    """Feed bytes, get SI values. The first, possibly cut, line after a (re)connection is never used."""
+
+    def __init__(self, settings: SerialSensorSettings) -> None:
+        self._pattern = re.compile(settings.pattern)
+        self._unit = settings.unit
+        self._scale = settings.scale
+        self._offset = settings.offset
+        self._low = settings.low
+        self._high = settings.high
+        self._rest = b""
+        self._synchronised = False
+        self.rejected = 0
+
+    def reset(self) -> None:
+        """The connection was cut: what is half read is worth nothing."""
+        self._rest = b""
+        self._synchronised = False
+
+    def feed(self, data: bytes) -> list[float]:
+        """Values of the complete lines in `data` and what was left before, oldest first."""
+        pieces = _END.split(self._rest + data)
+        self._rest = pieces.pop()
+        if len(self._rest) > MOST_LINE:
+            self._rest = b""
+            self._synchronised = False
+            self.rejected += 1
+        values = []
+        for line in pieces:
+            if not self._synchronised:
+                self._synchronised = True
+                continue
+            if not line:
+                continue
+            value = self._value(line)
+            if value is None:
+                self.rejected += 1
+            else:
+                values.append(value)
+        return values
+
+    def _value(self, line: bytes) -> float | None:
+        if len(line) > MOST_LINE:
+            return None
+        match = self._pattern.search(line.decode("ascii", errors="replace"))
+        if match is None or (self._unit and match["unit"] != self._unit):
+            return None
+        try:
+            value = float(match["value"]) * self._scale + self._offset
+        except (TypeError, ValueError):
+            return None
+        return value if math.isfinite(value) and self._low <= value <= self._high else None
+
 
 RETRY = 0.5  # s between attempts to open a port
 TICK = 0.05  # s: how often the parent's life and the line's silence are looked at

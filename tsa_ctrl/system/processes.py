@@ -4,18 +4,90 @@ from __future__ import annotations
 
 import contextlib
 import json
+import multiprocessing
+import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from multiprocessing import forkserver
+from multiprocessing.context import BaseContext
 from pathlib import Path
 from typing import Any
 
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.parent import environment
-from tsa_ctrl.system.signals import postponed
+from tsa_ctrl.system.keeper import environment
+
+# The process that workers are forked from, which loads what they need while this one does something else.
+
+# Signals of a process: those that are not its concern, and those that shall wait.
+
+
+def ignore(*numbers: signal.Signals) -> None:
+    """These reach the whole group of a terminal; what they mean for this process is decided by another one."""
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """Ctrl-C never reaches a process that this thread starts in the block; its parent, which ends it, has it after it.
+
+    By the mask, which a new program keeps from its first instruction: a handler of its own comes a second too late,
+    and until then it would end with a traceback. The tracker of multiprocessing would undo the mask as it starts.
+    """
+    from multiprocessing import resource_tracker  # most processes have no children
+
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def postponed() -> Iterator[None]:
+    """SIGINT and SIGTERM are handled when the block is left.
+
+    By handlers: a mask is one thread's own, and a signal takes any thread that lets it through. Beside the main thread
+    nothing is to be done, as Python runs handlers in that one alone.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda got, _: caught.append(got)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for waiting in dict.fromkeys(caught):
+            signal.raise_signal(waiting)
+
+
+LEAN = "tsa_ctrl.system.lean"
+
+
+def loading(module: str) -> BaseContext:
+    """What starts workers with `module` imported, from a process that imports it from now on; the first call counts.
+
+    A fork of this process would take its threads' locks along. Linear algebra takes one thread in all of them, which
+    would only get in each other's way.
+    """
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([LEAN, module])
+    with unheard_by_children():
+        forkserver.ensure_running()
+    return context
+
 
 READY_TIME = 120.0  # s: the plant compiles its physics on the first start of a machine
 END_TIME = 15.0  # s

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, NoReturn, TypeVar
 
-from tsa_ctrl.system.parent import end_with_parent
+from tsa_ctrl.system.keeper import end_with_parent
 
 A = TypeVar("A")
 B = TypeVar("B")

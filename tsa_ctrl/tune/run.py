@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
-from tsa_ctrl.log.columns import SIGNAL_NAMES
-from tsa_ctrl.log.course import read_course
-from tsa_ctrl.log.table import sha256_of
+from tsa_ctrl.log.record import SIGNAL_NAMES
+from tsa_ctrl.log.table import read_course, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform

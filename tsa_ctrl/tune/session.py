@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import functools
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,16 +16,14 @@ from tsa_ctrl import settings
 from tsa_ctrl.config import AxisSettings, load_configuration
 from tsa_ctrl.daemon.joint_files import admitted
 from tsa_ctrl.doctor import can_interface
-from tsa_ctrl.doctor.check import Result
+from tsa_ctrl.doctor.can_interface import Result
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.model.feedforward import Feedforward
-from tsa_ctrl.outputs import untaken
-from tsa_ctrl.system.processes import daemon
-from tsa_ctrl.tune import model_file
+from tsa_ctrl.outputs import backups, untaken
+from tsa_ctrl.system.processes import daemon, postponed
 from tsa_ctrl.tune.by_stretch import why_not_told
-from tsa_ctrl.tune.controller_file import differ_in_law_alone, moved, with_law
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,
     OTHER_FREQUENCIES,
@@ -33,11 +32,71 @@ from tsa_ctrl.tune.excitation import (
     from_file,
     most_torque,
 )
-from tsa_ctrl.tune.mechanics import law_tuning
-from tsa_ctrl.tune.page import write_page
+from tsa_ctrl.tune.mechanics import differ_in_law_alone, law_tuning, moved, with_law
 from tsa_ctrl.tune.pictures import draw
 from tsa_ctrl.tune.procedure import PROBE_SECONDS, Ask, Outcome, Procedure, Progress, Settings, from_logs
+from tsa_ctrl.tune.report import write_page
 from tsa_ctrl.tune.run import Play, RigRunner
+
+# The files' way: what would change as a diff, the old ones kept beside them, and back again.
+#
+# A tuning keeps all files that it replaces under one number, `NAME.~N~`, above those of all files that it may replace.
+# A signal waits until all of them are written.
+
+
+def diff(path: Path, text: str) -> str:
+    """Unified diff from the file to `text`."""
+    before = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    return "".join(difflib.unified_diff(before, text.splitlines(keepends=True), path.name, f"{path.name} (new)"))
+
+
+@postponed()
+def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path, Path]:
+    """Write each text to its path, by renaming; returns where the files that were there are kept.
+
+    Their number is above all that these paths and those `beside` have. When one cannot be written, none is.
+    """
+    number = 1 + max((n for path in (*texts, *beside) for n in backups(path)), default=0)
+    kept = {path: path.with_name(f"{path.name}.~{number}~") for path in texts}
+    before = {path: path.read_text(encoding="utf-8") for path in texts}
+    written = []
+    try:
+        for path, text in texts.items():
+            settings.write_text(kept[path], before[path])
+            settings.write_text(path, text)
+            written.append(path)
+    except BaseException:
+        for path in written:
+            settings.write_text(path, before[path])
+        for other in kept.values():
+            other.unlink(missing_ok=True)
+        raise
+    return kept
+
+
+def last(path: Path, *others: Path) -> dict[Path, Path]:
+    """The newest kept file of `path`, and what was kept of the others with it; raises UsageError when there is none."""
+    old = backups(path)
+    if not old:
+        raise UsageError(f"{path}: nothing to undo, no {path.name}.~N~ is beside it")
+    number = max(old)
+    found = {path: old[number]}
+    for other in others:
+        kept = backups(other)
+        if number in kept and max(kept) > number:
+            raise UsageError(f"{other}: was replaced again since, see {kept[max(kept)].name}; undo that first")
+        if number in kept:
+            found[other] = kept[number]
+    return found
+
+
+@postponed()
+def undo(kept: Mapping[Path, Path]) -> None:
+    """Put kept files back in place."""
+    for path, old in kept.items():
+        settings.write_text(path, old.read_text(encoding="utf-8"))
+    for old in kept.values():
+        old.unlink()
 
 
 @dataclass(frozen=True)
@@ -132,7 +191,7 @@ class Session:
         Raises UsageError when there are none, or when the controller's was edited since.
         """
         controller = self._configuration.path
-        kept = model_file.last(self.path, controller)
+        kept = last(self.path, controller)
         if controller in kept:
             before = kept[controller].read_text(encoding="utf-8")
             if not differ_in_law_alone(before, self._configuration.text, self.axis.name):
@@ -140,7 +199,7 @@ class Session:
                     f"{controller}: was edited since the tuning, so it is not put back; set [axis.law] to that of "
                     f"{kept[controller].name}, remove that file, and undo again"
                 )
-        model_file.undo(kept)
+        undo(kept)
         return kept
 
     def plan_dict(self) -> dict[str, Any]:
@@ -252,7 +311,7 @@ class Session:
 
     def difference(self, outcome: Outcome) -> str:
         """Diff of the files."""
-        return "".join(model_file.diff(path, text) for path, text in self.changes(outcome).items())
+        return "".join(diff(path, text) for path, text in self.changes(outcome).items())
 
     def worth_writing(self, outcome: Outcome) -> bool:
         """Whether the new file did better, and the loop can use it."""
@@ -280,7 +339,7 @@ class Session:
     def write(self, outcome: Outcome) -> dict[Path, Path | None]:
         """Write the files; returns where those before are kept, None for new ones."""
         if self._plant is None:
-            return dict(model_file.replace(self.changes(outcome), beside=(self._configuration.path,)))
+            return dict(replace(self.changes(outcome), beside=(self._configuration.path,)))
         texts = self._simulated(outcome)
         for path, text in texts.items():
             settings.write_text(path, text)

@@ -4,31 +4,215 @@ from __future__ import annotations
 
 import contextlib
 import gc
+from array import array
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.daemon.assembly import control_axes, log_header, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
+from tsa_ctrl.daemon.monitor_process import REPEAT, Report
 from tsa_ctrl.daemon.monitoring import SecondChannel, watched_of
 from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
-from tsa_ctrl.outputs import keep, refuse_inputs
+from tsa_ctrl.log.process import LogHeader
+from tsa_ctrl.log.record import FIELD_NAMES
+from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter
+from tsa_ctrl.log.writer import LogWriter
+from tsa_ctrl.monitor.watch import Frame, Monitor, Watched
+from tsa_ctrl.outputs import keep, move_into, refuse_inputs
+from tsa_ctrl.plant.axis import COLUMNS, Recorder
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
-from tsa_ctrl.virtual.lockstep import Wire
-from tsa_ctrl.virtual.records import EVERY, Records
+from tsa_ctrl.virtual.lockstep import End, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
-from tsa_ctrl.virtual.truth import Truth
-from tsa_ctrl.virtual.witness import VirtualMonitor
+
+# The daemon's records of a simulated run: in memory, and as the log file that a real run writes.
+
+EVERY = 0.5  # s between two looks at the ring, which holds 2 s at the highest rate
+FILE = "tsa.mcap"
+
+
+class Records:
+    """The reading side of the loop's ring; `ring` is the loop's."""
+
+    def __init__(self, axes: int, folder: Path | None, header: LogHeader) -> None:
+        """`folder`: where the log file goes, if anywhere. Raises UsageError when it cannot be there."""
+        self.ring = RingWriter(axes)
+        self.path: Path | None = None
+        self._reader = RingReader(self.ring.fd)
+        self._blocks: list[list[NDArray[np.float64]]] = [[] for _ in range(axes)]
+        self._writer: LogWriter | None = None
+        if folder is not None:
+            self.path, self._beside = folder / FILE, folder / f".{FILE}.part"
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                self._beside.unlink(missing_ok=True)
+                self._beside.touch()
+                self._beside.unlink()
+            except OSError as error:
+                raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
+            # Without a date of its own: the same run gives the same bytes.
+            self._writer = LogWriter(RingReader(self.ring.fd), self._beside, replace(header, started=0.0))
+
+    def drain(self, now: float) -> None:
+        """Take what the loop has written, at `now` s of the simulated time."""
+        for axis, blocks in enumerate(self._blocks):
+            blocks.append(self._reader.read(axis))
+        if self._writer is not None:
+            self._writer.step(now)
+
+    def end(self, now: float) -> None:
+        """The loop is over: complete the file and give it its name. Raises UsageError when it cannot be written."""
+        self.drain(now)
+        if self._writer is None or self.path is None:
+            return
+        self._writer.end()
+        health = LogHealth(self.ring)
+        try:
+            if health.trouble:
+                raise OSError(0, health.trouble)
+            move_into(self._beside, self.path)
+        except OSError as error:
+            raise UsageError(f"{self.path}: cannot be written ({error.strerror}); choose another --out") from None
+
+    @property
+    def written(self) -> int:
+        """Records in the file."""
+        return LogHealth(self.ring).written
+
+    def columns(self, axis: int) -> dict[str, NDArray[np.float64]]:
+        """The log of one axis by column name, each (n,); nan where there is no value."""
+        table = np.concatenate(self._blocks[axis])
+        return {name: table[:, i].copy() for i, name in enumerate(FIELD_NAMES)}
+
+    def close(self) -> None:
+        """Give the memory back, and leave no file behind that was not ended."""
+        if self.path is not None:
+            with contextlib.suppress(OSError):
+                self._beside.unlink(missing_ok=True)
+        self._reader.close()
+        self.ring.close()
+
+
+# The plant's own record of the truth, kept in memory: the columns of `tsa plant --record`.
+
+NAMES = tuple(name for name, _ in COLUMNS)
+_PLACE = NAMES.index("axis")
+
+
+class Truth:
+    """Takes the rows of a machine, one per axis and period, and writes them to a file besides when there is one."""
+
+    def __init__(self, axes: int, period: float, path: Path | None = None) -> None:
+        """`period`: s between two rows. Raises UsageError when `path` cannot be written."""
+        self.period = period
+        self._path = path
+        self._beside = None if path is None else path.with_name(f".{path.name}.part")
+        self._due = -1.0
+        self._rows = [array("d") for _ in range(axes)]
+        self._file = None if self._beside is None else Recorder(self._beside, period)
+
+    def due(self, t: float) -> bool:
+        """Whether a period has passed at plant time t; a late one is not made up for."""
+        if t < self._due:
+            return False
+        self._due = max(self._due + self.period, t + 0.5 * self.period)
+        return True
+
+    def row(self, values: Sequence[float]) -> None:
+        self._rows[int(values[_PLACE])].extend(values)
+        if self._file is not None:
+            self._file.row(values)
+
+    def flush(self, clock: float) -> None:
+        """Nothing is lost in memory."""
+
+    def finish(self) -> None:
+        """Give the file its name; raises UsageError."""
+        if self._file is None or self._beside is None or self._path is None:
+            return
+        try:
+            self._file.close()
+            move_into(self._beside, self._path)
+        except OSError as error:
+            raise UsageError(f"{self._path}: cannot be written ({error.strerror}); choose another --record") from None
+
+    def close(self) -> None:
+        """Leave nothing behind that was not finished; may be called twice."""
+        if self._file is not None and self._beside is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+                self._beside.unlink(missing_ok=True)
+
+    def columns(self, place: int) -> dict[str, NDArray[np.float64]]:
+        """The truth of one axis by column name, each (n,)."""
+        table = np.frombuffer(self._rows[place], dtype=np.float64).reshape(-1, len(NAMES))
+        return {name: table[:, i].copy() for i, name in enumerate(NAMES)}
+
+
+# The monitor in virtual time: the same object as in the process, with its own end of the wire.
+
+TICK = 1e-3  # s between two checks for missing frames
+
+
+class VirtualMonitor:
+    """Receive every frame of a wire from now on. It acts like the process, unless it is only a witness."""
+
+    def __init__(self, wire: Wire, watched: Watched, acts: bool = True) -> None:
+        self.report = Report()
+        self.monitor = Monitor(watched)
+        self._wire, self._end, self._acts = wire, End(wire), acts
+        self._number, self._due, self._open = 0, 0.0, True
+        self._told: set[str] = set()
+        wire.listeners.append(self._hear)
+        wire.at(wire.now, self._tick)
+
+    def fault(self, now: float) -> str | None:
+        """Return why there must be no torque."""
+        return f"monitor: {self.monitor.stop}" if self.report.stop is not None else None
+
+    def news(self) -> list[str]:
+        """Return notices since the last call."""
+        new = [str(notice) for name, notice in self.monitor.notices.items() if name not in self._told]
+        self._told |= set(self.monitor.notices)
+        return new
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self._open = False
+        self._wire.listeners.remove(self._hear)
+
+    def _hear(self, frame: Frame, now: float) -> None:
+        self._follow(now, frame)
+
+    def _tick(self, now: float) -> None:
+        if self._open:
+            self._follow(now, None)
+            self._wire.at(now + TICK, self._tick)
+
+    def _follow(self, now: float, frame: Frame | None) -> None:
+        monitor = self.monitor
+        if monitor.step(frame, now) is None or not self._acts or self.report.confirmed or now < self._due:
+            return
+        self._due = now + REPEAT
+        confirmed = monitor.confirmed
+        for can_id, data in monitor.action(0 if confirmed else self._number):
+            self._wire.send(self._end, can_id, data)
+        self._number += 1
+        self.report = Report(monitor.stop, confirmed)
+
 
 RIGHTS = "none needed"
 LONGEST = 86_400.0  # s

@@ -8,8 +8,8 @@ from tests.bus.local_nodes import I16, U8, U32, Bench, bench, drive
 from tests.bus.nodes import axis_nodes
 from tsa_ctrl.bus.drive import checks
 from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile, Identity, Units
-from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.bus.wire.seam import BusFault
 from tsa_ctrl.errors import BusError, UsageError

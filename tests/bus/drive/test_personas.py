@@ -11,10 +11,10 @@ import pytest
 
 from tests.plant.bench import Bench, plant_file
 from tsa_ctrl.bus.drive.bring_up import bring_up
+from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import load_profile
-from tsa_ctrl.bus.drive.report import Report
-from tsa_ctrl.bus.drive.scale import drive_scale
+from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings
 from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.errors import TsaError

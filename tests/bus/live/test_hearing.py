@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tsa_ctrl.bus.live.hearing import Hearing
+from tsa_ctrl.bus.live.read_back import Hearing
 
 CYCLES = 2000
 

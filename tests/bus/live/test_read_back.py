@@ -9,9 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from tsa_ctrl.bus.canopen.objects import Object, Type
-from tsa_ctrl.bus.drive.report import NodeReport, Report, Row
-from tsa_ctrl.bus.live.hearing import Hearing
-from tsa_ctrl.bus.live.read_back import Heard, Held, ReadBack, held_by
+from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
+from tsa_ctrl.bus.live.read_back import Heard, Hearing, Held, ReadBack, held_by
 
 TIMER, CLAMP = Object(0x1400, 5, Type.U16, "RPDO event timer"), Object(0x6072, 0, Type.U16, "max torque")
 HELD = (Held(1, TIMER, 20), Held(1, CLAMP, 3000))

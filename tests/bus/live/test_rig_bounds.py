@@ -10,8 +10,8 @@ from tests.bus.fake import FakeBus, FakeClock
 from tests.bus.nodes import Responder, axis_nodes, cycle, one_axis_rig
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.objects import Object, Type
+from tsa_ctrl.bus.drive.checks import NodeReport, Report, Row
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.report import NodeReport, Report, Row
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, SupervisionSettings
 from tsa_ctrl.bus.wire.seam import BusFault, Frame

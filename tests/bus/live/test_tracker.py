@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.bus.live.tracker import PositionTracker
+from tsa_ctrl.bus.live.axis import PositionTracker
 
 COUNTS = 4096
 

@@ -11,8 +11,8 @@ from tools.command import CONFIG
 from tsa_ctrl.bus.drive.backup import Difference, compare, wanted_by
 from tsa_ctrl.bus.drive.plan import drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
-from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.drive.session import Session
+from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.plant.settings import DriveKind
 
 _PDOS = range(0x1400, 0x1C00)

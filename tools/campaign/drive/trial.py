@@ -16,11 +16,10 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.setpoint import SetPointSettings
-from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.assembly import LoopPhase, control_axes, tuners_of
 from tsa_ctrl.daemon.events import Event, Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.operation import Operation
-from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox

@@ -17,12 +17,12 @@ from tools.bench.control import true_model
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.bus_choice import VIRTUAL
 from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.curvature import NAMED, Points, Profile, centred
 from tsa_ctrl.model.parameters import TendonSheath, save_model
+from tsa_ctrl.plant.axis import COLUMNS, Record
 from tsa_ctrl.plant.process import check
-from tsa_ctrl.plant.record import COLUMNS, Record
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import Run

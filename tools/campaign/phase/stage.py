@@ -18,11 +18,10 @@ from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import MOMENTS, Draw, Trial
 from tools.campaign.phase.rigs import FADE_IN, controller_of, plant_of
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.assembly import LoopPhase, control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.operation import Operation
-from tsa_ctrl.daemon.phase import LoopPhase
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox

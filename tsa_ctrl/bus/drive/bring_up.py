@@ -8,14 +8,18 @@ questions by SDO; what fails later is answered by NMT to the nodes that were add
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
 
 from tsa_ctrl.bus.canopen import cia301, objects
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
-from tsa_ctrl.bus.canopen.objects import Write
+from tsa_ctrl.bus.canopen.objects import Object, Write
 from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.checks import (
     Node,
+    NodeReport,
+    Report,
     check_drive,
     check_encoder,
     check_identity,
@@ -31,16 +35,106 @@ from tsa_ctrl.bus.drive.disarm import disarm
 from tsa_ctrl.bus.drive.layout import check_node_ids, layout_of
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan, encoder_plan, torque_sensor_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.report import NodeReport, Report
-from tsa_ctrl.bus.drive.scale import drive_scale
 from tsa_ctrl.bus.drive.session import Session, another_master
-from tsa_ctrl.bus.drive.signs import check_signs
-from tsa_ctrl.bus.drive.torque_path import check_torque_path
-from tsa_ctrl.bus.drive.twins import check_twins
+from tsa_ctrl.bus.drive.torque_path import check_torque_path, drive_scale
 from tsa_ctrl.bus.drive.writing import further_rpdos, with_consumer, write_all
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
-from tsa_ctrl.errors import BusError, StoppedError, TsaError
+from tsa_ctrl.errors import BusError, StoppedError, TsaError, UsageError
+
+# What a drive itself makes of signs and positions (0x607E, 0x608F, 0x6091, 0x6092), against the configuration.
+#
+# Another tool may have turned them since the configuration was measured; a sign that is wrong pushes where it should
+# give way. Only what a drive has is compared, and nothing is changed here: `polarity` in [axis.drive] has 0x607E
+# written.
+
+_TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 0x607E
+
+
+def check_signs(session: Session, node: Node) -> None:
+    """Raises UsageError where a drive's polarity, or what it counts per revolution, is not what was configured."""
+    _check_polarity(session, node)
+    _check_counts(session, node)
+
+
+def _check_polarity(session: Session, node: Node) -> None:
+    written = any(extra.index == objects.POLARITY.index for extra in node.profile.extra)
+    if written or node.axis.drive.polarity is not None:
+        return
+    found = _look(session, node, objects.POLARITY)
+    turned = [name for bit, name in _TURNED if found is not None and found & bit]
+    if turned:
+        raise UsageError(
+            f"{node.name}: polarity (0x607E) is 0x{found:02X}, the drive turns the sign of {' and '.join(turned)}; "
+            f"write polarity = 0x{found:02X} in [axis.drive], if torque_sign and position_sign were found with that, "
+            "or polarity = 0 to have it written, and find the signs anew"
+        )
+
+
+def _check_counts(session: Session, node: Node) -> None:
+    """Positions are increments of the encoder, or units of a feed constant behind the drive's own gear."""
+    increments = _share(session, node, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
+    gear = _share(session, node, objects.GEAR_MOTOR, objects.GEAR_SHAFT) or Fraction(1)
+    feed = _share(session, node, objects.FEED, objects.FEED_SHAFT)
+    wanted = node.axis.drive.counts_per_revolution
+    if gear != 1 and (feed is None or feed / gear != wanted):
+        raise UsageError(
+            f"{node.name}: its gear ratio (0x6091) is {gear}, so what a position of it means is not known; set it to 1 "
+            f'with the maker\'s tool, or write absent = ["{objects.GEAR_MOTOR.name}"] in {node.profile_file}, if it '
+            "leaves 0x6064 and 0x6071 as the motor's, and be sure of counts_per_revolution in [axis.drive]"
+        )
+    known = [float(value) for value in (increments, None if feed is None else feed / gear) if value is not None]
+    if known and wanted not in known:
+        shown = " or ".join(f"{value:g}" for value in dict.fromkeys(known))
+        raise UsageError(
+            f"{node.name}: it counts {shown} in a revolution of the motor (0x608F, 0x6092), the configuration says "
+            f'{wanted}; correct counts_per_revolution in [axis.drive], or write absent = ["'
+            f'{objects.ENCODER_INCREMENTS.name}", "{objects.FEED.name}"] in {node.profile_file}, if its 0x6064 counts '
+            "otherwise"
+        )
+
+
+def _share(session: Session, node: Node, first: Object, second: Object) -> Fraction | None:
+    """One object by the other; None where the drive does not have both, or says nothing by them."""
+    above, below = _look(session, node, first), _look(session, node, second)
+    return Fraction(above, below) if above and below else None
+
+
+def _look(session: Session, node: Node, entry: Object) -> int | None:
+    return node.look(session, entry) if node.profile.has(entry) else None
+
+
+# Equal drives: only their serial numbers tell them apart, and exchanged ids would exchange the joints.
+
+
+def check_twins(nodes: Sequence[Node], reports: Sequence[NodeReport]) -> None:
+    """Two drives of one make and model have their serial numbers in the configuration; raises UsageError.
+
+    Where the drives themselves have no serial numbers that differ, that is noted: nothing tells them apart.
+    """
+    drives = {node.node_id: (node, report) for node, report in zip(nodes, reports, strict=True) if _is_drive(node)}
+    for (one, first), (other, second) in itertools.combinations(drives.values(), 2):
+        if _model(first) != _model(second):
+            continue
+        serials = [report.identity.get(objects.SERIAL_NUMBER.name) for report in (first, second)]
+        if None in serials or serials[0] == serials[1]:
+            for report in (first, second):
+                report.notes.append("an equal drive is on this bus, and no serial number (0x1018:4) tells them apart")
+        elif one.settings.serial_number is None or other.settings.serial_number is None:
+            raise UsageError(
+                f"{one.name} and {other.name} are equal drives: with their ids exchanged the joints would be; write "
+                f"serial_number = {serials[0]} into the [axis.drive] of the one and serial_number = {serials[1]} into "
+                "that of the other, or let tsa doctor CONTROLLER.toml --serial-numbers do it"
+            )
+
+
+def _is_drive(node: Node) -> bool:
+    return node.role is Role.DRIVE
+
+
+def _model(report: NodeReport) -> tuple[int | None, ...]:
+    return tuple(report.identity.get(entry.name) for entry in (objects.VENDOR_ID, objects.PRODUCT_CODE))
+
 
 START_TIMEOUT = 2.0  # s, until a heartbeat says "operational"
 

@@ -12,7 +12,7 @@ from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
 from tsa_ctrl.bus.drive.layout import layout_of
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.scale import PER_MILLE, DriveScale
+from tsa_ctrl.bus.drive.torque_path import PER_MILLE, DriveScale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
 from tsa_ctrl.errors import UsageError
 

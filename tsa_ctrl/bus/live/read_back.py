@@ -13,16 +13,108 @@ from __future__ import annotations
 import itertools
 import math
 import struct
+from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.cia301 import SDO_REQUEST
 from tsa_ctrl.bus.canopen.objects import Object
-from tsa_ctrl.bus.drive.report import Report
-from tsa_ctrl.bus.live.hearing import Hearing
-from tsa_ctrl.bus.live.stop_input import StopInput
+from tsa_ctrl.bus.drive.checks import Report
+from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.bus.wire.seam import Bus
+
+# Which command a drive heard last: what its 0x6071 holds, asked for now and then, against what was sent to it.
+#
+# A command that is lost on its way, or in a drive that looks at its PDOs too seldom, tells nothing: the RPDO timer
+# counts only those that are lost in a row. How far behind its question an answer may lie is the drive's own, a SYNC or
+# a cycle of its firmware, and is learned as the least that was ever seen; a little more (JITTER) is no loss. What
+# rests, or comes back to a value that it had, shows nothing, and does no harm either.
+
+# commands beyond its usual that a drive may show late: its PDOs and its SDO server are often two tasks, neither in step
+# with SYNC; two periods are no danger either, and a drive that hears each fifth command passes them half the time
+JITTER = 2
+HISTORY = 64  # commands that are remembered: more than a drive may miss before its RPDO timer ends, at 1 kHz
+
+
+class Hearing:
+    """One drive's. Digits of 0x6071, as they are sent.
+
+    Attributes: `sent` (those since the last question, the newest last; whoever sends appends), `asked` (answers since
+    the start), `unheard` (of them those that held a command older than they may), `too_many` (of these within a
+    second).
+    """
+
+    def __init__(self) -> None:
+        self.sent: deque[int] = deque(maxlen=HISTORY)
+        self.asked = 0
+        self.unheard = 0
+        self.too_many = 1
+        self._known: list[int] = []
+        self._usual = HISTORY
+
+    def begin(self, too_many: int) -> None:
+        """The drive was configured anew, and may be another one."""
+        self.too_many = too_many
+        self._usual = HISTORY
+
+    def ask(self) -> None:
+        """A question goes out now."""
+        self._known = [*self._known, *self.sent][-HISTORY:]
+        self.sent.clear()
+
+    def answered(self, value: int) -> None:
+        """The answer to the last question."""
+        self.asked += 1
+        since = list(self.sent)
+        everything = [*self._known, *since]
+        ages = [age for age, digits in enumerate(reversed(everything)) if digits == value]
+        if not ages:  # never sent: rounded or clamped there
+            return
+        if ages[-1] < len(everything) - 1:  # else it may be of a command before these
+            self._usual = min(self._usual, ages[-1])
+        self.unheard += ages[0] - len(since) > self._usual + JITTER
+
+
+# The emergency stop at a drive's digital inputs (0x60FD), read by SDO while the loop runs.
+#
+# No PDO has room for it: the two that a drive sends are full. It is a second path. The first one is the drive's own
+# safe-torque-off input, which needs no software.
+
+UNREAD = 0.25  # s without an answer, after which the state of the stop is unknown; a slow drive answers within 0.05
+
+
+@dataclass(frozen=True)
+class StopBit:
+    """Where the stop is wired."""
+
+    bit: int  # of 0x60FD
+    level: int  # of that bit while the stop is pressed, 0 or 1
+
+
+class StopInput:
+    """The stop of one axis; writes its state to the axis' image."""
+
+    def __init__(self, node_id: int, entry: Object, wiring: StopBit, image: Image) -> None:
+        """`entry`: 0x60FD of the axis."""
+        self.node_id = node_id
+        self.entry = entry
+        self._wiring = wiring
+        self._image = image
+        self._due = math.inf  # s, when the state becomes unknown
+
+    def asked(self, now: float) -> None:
+        """Judge how long no answer has come, at each question; `now` in s."""
+        self._due = min(self._due, now + UNREAD)
+        if now >= self._due and self._image.pressed is None:
+            self._image.pressed = f"{self._image.nodes[0]}: no answer about {self.entry} for {UNREAD:g} s"
+
+    def answered(self, value: int) -> None:
+        """Take the value of 0x60FD."""
+        self._due = math.inf
+        pressed = value >> self._wiring.bit & 1 == self._wiring.level
+        self._image.pressed = f"{self._image.nodes[0]}: bit {self._wiring.bit} of {self.entry}" if pressed else None
+
 
 INTERVAL = 0.02  # s between two questions at `BITRATE`: question and answer are 1.3 % of the bus then
 # s between two questions for a command, no multiple of any cycle: else the same of those that a drive hears by turns

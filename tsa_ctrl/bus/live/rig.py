@@ -14,11 +14,10 @@ from functools import partial
 from tsa_ctrl.bus.canopen import cia301
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand, NmtState
 from tsa_ctrl.bus.canopen.objects import DIGITAL_INPUTS
+from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.drive.report import Report
 from tsa_ctrl.bus.live.axis import Axis, Handler, Inbox
-from tsa_ctrl.bus.live.read_back import Heard, ReadBack, held_by
-from tsa_ctrl.bus.live.stop_input import StopBit, StopInput
+from tsa_ctrl.bus.live.read_back import Heard, ReadBack, StopBit, StopInput, held_by
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.seam import ERROR_FLAG, REMOTE_FLAG, Bus, BusFault, ErrorClass, Frame, describe
 from tsa_ctrl.system.sleep import Lead

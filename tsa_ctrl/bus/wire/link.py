@@ -9,6 +9,7 @@ import sys
 from dataclasses import dataclass
 from enum import IntEnum
 
+from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.netlink import (
     CREATE,
     DUMP,
@@ -21,7 +22,9 @@ from tsa_ctrl.bus.wire.netlink import (
     attributes,
     request,
 )
-from tsa_ctrl.errors import BusError
+from tsa_ctrl.bus.wire.seam import Bus
+from tsa_ctrl.bus.wire.socketcan import SocketCan
+from tsa_ctrl.errors import BusError, UsageError
 
 _IFF_UP = 1
 _ARPHRD_CAN = 280  # linux/if_arp.h
@@ -174,3 +177,26 @@ def _pair(data: bytes | None) -> tuple[int, int] | None:
 
 def _state(value: int | None) -> CanState | None:
     return CanState(value) if value is not None and value in CanState._value2member_map_ else None
+
+
+# Open the bus that the settings name.
+
+
+def open_bus(settings: BusSettings) -> Bus:
+    """A raw socket for "socketcan", python-can for everything else; raises BusError when it is not ready."""
+    if settings.interface == "socketcan":
+        if settings.options:
+            raise UsageError(
+                f'[bus] options: {", ".join(settings.options)} mean nothing to interface "socketcan"; remove them '
+                "(the bit rate of a SocketCAN interface is set with 'ip link')"
+            )
+        bus = SocketCan(settings.channel, settings.send_queue)
+        try:
+            check(settings.channel, settings.bitrate)
+        except BaseException:
+            bus.close()
+            raise
+        return bus
+    from tsa_ctrl.bus.wire.python_can import PythonCan  # python-can is slow to import, and not needed on a raw socket
+
+    return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)

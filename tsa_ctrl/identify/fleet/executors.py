@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.system.forkserver import loading
-from tsa_ctrl.system.parent import end_with_parent
-from tsa_ctrl.system.signals import ignore
+from tsa_ctrl.system.keeper import end_with_parent
+from tsa_ctrl.system.processes import ignore, loading
 
 CONNECT = 10.0  # s to reach a scheduler
 

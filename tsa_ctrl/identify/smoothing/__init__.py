@@ -3,7 +3,7 @@
 Every verb that derives a velocity or an acceleration does it by this one (`identify.motion`).
 """
 
+from tsa_ctrl.identify.smoothing.bandwidth import LowPass
 from tsa_ctrl.identify.smoothing.smoother import Smoothed, smoothed
-from tsa_ctrl.identify.smoothing.zero_phase import LowPass
 
 __all__ = ["LowPass", "Smoothed", "smoothed"]

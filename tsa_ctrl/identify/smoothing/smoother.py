@@ -13,10 +13,8 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from tsa_ctrl.identify.smoothing.averaged import plateau
-from tsa_ctrl.identify.smoothing.bandwidth import Choice, Noise, choose, motion_density
-from tsa_ctrl.identify.smoothing.spectrum import band_densities, bands
-from tsa_ctrl.identify.smoothing.zero_phase import LowPass, filtered
+from tsa_ctrl.identify.smoothing.averaged import band_densities, bands, plateau
+from tsa_ctrl.identify.smoothing.bandwidth import Choice, LowPass, Noise, choose, filtered, motion_density
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.system.twin import at_once
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.columns import BY_NAME, SIGNAL_NAMES
 from tsa_ctrl.log.foreign.text import ForeignTable, Shape
+from tsa_ctrl.log.record import BY_NAME, SIGNAL_NAMES
 
 DATE = "date"  # the unit of a column of dates and times
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from tsa_ctrl import outputs, settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.columns import BY_NAME
-from tsa_ctrl.log.csv_out import write_columns
+from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.foreign.mapping import Mapped, dump_map
 from tsa_ctrl.log.foreign.text import ForeignTable
+from tsa_ctrl.log.record import BY_NAME
 
 POINTS = 4000  # drawn per curve
 Columns = Mapping[str, NDArray[np.float64]]

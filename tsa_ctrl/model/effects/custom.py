@@ -18,8 +18,8 @@ from typing import Annotated, ClassVar, Literal, cast
 import numpy as np
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.specification import Columns, Parameter, Setting, Shown, Specification, Stage
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.expression import Program, parse
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import Array, F

@@ -11,6 +11,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear, one
 from tsa_ctrl.model.effects.specification import (
     Draw,
@@ -23,7 +24,6 @@ from tsa_ctrl.model.effects.specification import (
     non_negative,
     positive,
 )
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import Array, F, Functions
 
 NOISE_TO_SPEED = 4.0  # a speed scale below so many times the velocity noise is not resolved

@@ -16,7 +16,7 @@ import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects.custom import NAMES, Custom
-from tsa_ctrl.model.effects.state import unmoved
+from tsa_ctrl.model.effects.lever import unmoved
 from tsa_ctrl.model.expression import Remember
 from tsa_ctrl.model.functions import Array
 

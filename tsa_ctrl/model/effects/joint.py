@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import INF, Coordinate, Scales, Value, Variant, linear
 from tsa_ctrl.model.effects.specification import (
     Draw,
@@ -17,7 +18,6 @@ from tsa_ctrl.model.effects.specification import (
     Twins,
     non_negative,
 )
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import Array, F, Functions
 
 ACCELERATION_TIME = 0.010  # s, low-pass on the derivative of omega_j; slower than the loop, faster than a joint

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import (
     FEW_SAMPLES,
     INF,
@@ -30,7 +31,6 @@ from tsa_ctrl.model.effects.specification import (
     Twins,
     non_negative,
 )
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import Array, F, Functions
 
 MOST_CYCLES = 40  # of torque ripple per motor turn that are looked for

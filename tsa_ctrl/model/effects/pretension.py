@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear
 from tsa_ctrl.model.effects.specification import (
     Draw,
@@ -21,7 +22,6 @@ from tsa_ctrl.model.effects.specification import (
     non_negative,
     positive,
 )
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import Array, F, Functions
 
 LEAST_BENDING = 0.01  # of the bending angle: a path length that varies less says nothing of the stiffness

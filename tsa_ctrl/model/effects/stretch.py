@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, geometric, linear, one
 from tsa_ctrl.model.effects.specification import (
     Motion,
@@ -20,7 +21,6 @@ from tsa_ctrl.model.effects.specification import (
     Twins,
     positive,
 )
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import Array, F, Functions
 
 _BOTH_ANGLES = (("q_m",), ("q_j",))

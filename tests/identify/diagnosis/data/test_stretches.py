@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 from scipy.ndimage import binary_closing, binary_opening
 
-from tsa_ctrl.identify.diagnosis.data.stretches import joined, long
+from tsa_ctrl.identify.diagnosis.data.direction import joined, long
 
 masks = arrays.arrays(np.bool_, st.integers(1, 60))
 

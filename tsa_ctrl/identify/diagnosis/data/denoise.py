@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.motion import SURE, directed, with_sure_signs
 from tsa_ctrl.identify.smoothing import Smoothed
-from tsa_ctrl.identify.smoothing.averaged import plateau
+from tsa_ctrl.identify.smoothing.averaged import band_densities, bands, plateau
 from tsa_ctrl.identify.smoothing.smoother import TOP
-from tsa_ctrl.identify.smoothing.spectrum import band_densities, bands
 from tsa_ctrl.model.effects.memory import resolution
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals, low_pass

@@ -24,9 +24,9 @@ from tsa_ctrl.identify.diagnosis.rivals.stretch import (
     solved,
 )
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
+from tsa_ctrl.model.effects.lever import State
 from tsa_ctrl.model.effects.search import Scales, Value, Variant
 from tsa_ctrl.model.effects.specification import Specification
-from tsa_ctrl.model.effects.state import State
 from tsa_ctrl.model.functions import ARRAYS, Array
 from tsa_ctrl.model.signals import hold_direction
 from tsa_ctrl.model.stretch import compliances
