@@ -35,6 +35,7 @@ RESPONSE = 2.8e-3  # rad, limit of the first rule; 1.6e-3 is the most of 84 heal
 BOUND = 9e-3  # rad, limit of the second rule; 5.3e-3 is the most of the same rigs
 HEAVY = 6e-4  # kg*m^2, motor inertia that is assumed where it is not known
 LIGHT = 0.2  # 1, uncertainty of a known motor inertia
+TURN = 1e-3  # rad of elongation; smaller strokes are noise or ringing. RESPONSE covers one stroke and its reversal
 NOISE = 6e-3  # N*m, fluctuation of a reported torque that moves no motor
 LASTING = 1e-3  # s that a residual must last, smoothed as it is: a motor that turned rings through it
 
@@ -77,6 +78,7 @@ class Elongation:
         self._turn = 1.0 / max(half * (1.0 - give.friction), 1e-9)
         self._slide = 2.0 / ((1.0 + give.friction) * (1.0 + give.doubt) * give.wound + BACKLASH + give.play)
         self._creep = CREEP * period
+        self._quick = _QuickTurns(compliance)
         self._smooth = 1.0 - math.exp(-period / max(SMOOTH, SAMPLES * period))
         self.reset()
 
@@ -102,10 +104,12 @@ class Elongation:
         """
         if self._torque != self._torque:
             self._torque = self._torque_seen = torque
+            self._quick.begin(torque)
             self._motor, self._speed = angle, speed
             self._joint = self._joint_seen = joint
         smooth, doubt, compliance = self._smooth, self._doubt, self._compliance
-        self._change += smooth * (speed - self._speed - self._change)
+        step = speed - self._speed
+        self._change += smooth * (step - self._change)
         self._speed = speed
         self._torque += smooth * (torque - self._torque)
         moved = smooth * (angle - self._motor)
@@ -123,10 +127,8 @@ class Elongation:
         if pull > self._domain or pull < -self._domain:
             unsure += compliance * (abs(pull) - self._domain)
         rest = self._motor - led - compliance * pull
-        if turned > 0.0:
-            up, down, loss = turned, doubt * turned, doubt * turned
-        else:
-            up, down, loss = -doubt * turned, -turned, -doubt * turned
+        rise, fall = self._quick.update(torque - self._inertia * step, turned, smooth)
+        up, down, loss = rise + doubt * fall, fall + doubt * rise, doubt * (rise + fall)
         drift = self._creep
         if went > 0.0:
             up += went
@@ -175,6 +177,47 @@ class Elongation:
         if high < self._bottom:
             self._bottom, self._bottom_pull = high, pull
         return beyond if beyond > 0.0 else None
+
+
+class _QuickTurns:
+    """Add the part of quick torque reversals that the low-pass hides.
+
+    At each reversal of the torque friction locks the motor, so f changes by the whole stroke. The low-pass is linear.
+    Therefore the strokes of the unfiltered torque, filtered afterwards, bound the filtered f.
+    """
+
+    def __init__(self, compliance: float) -> None:
+        """Prepare; `compliance` in rad/(N*m)."""
+        self._compliance = compliance
+        self.begin(0.0)
+
+    def begin(self, torque: float) -> None:
+        """Begin with this torque, N*m."""
+        self._seen = self._compliance * torque
+        self._rise = self._fall = 0.0  # rad in a cycle, filtered
+        self._more_rise = self._more_fall = 0.0  # rad, by which they exceed those of the filtered torque
+
+    def update(self, torque: float, turned: float, smooth: float) -> tuple[float, float]:
+        """Return the rad by which f may rise and fall in this cycle.
+
+        Args:
+            torque: N*m on the tendons, unfiltered.
+            turned: rad by which the filtered torque changed the elongation.
+            smooth: share of the low-pass in a cycle.
+        """
+        seen, stretch = self._seen, self._compliance * torque
+        went = (
+            stretch - TURN - seen if stretch > seen + TURN else stretch + TURN - seen if stretch < seen - TURN else 0.0
+        )
+        self._seen += went
+        self._rise += smooth * (max(0.0, went) - self._rise)
+        self._fall += smooth * (max(0.0, -went) - self._fall)
+        rise, fall = max(0.0, turned), max(0.0, -turned)
+        more = max(self._more_rise + self._rise - rise, -2.0 * TURN)
+        self._more_rise = min(0.0, more)
+        less = max(self._more_fall + self._fall - fall, -2.0 * TURN)
+        self._more_fall = min(0.0, less)
+        return rise + max(0.0, more), fall + max(0.0, less)
 
 
 class Velocity:
