@@ -327,6 +327,15 @@ def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> No
         assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
 
 
+def test_the_joint_gets_as_much_as_tendons_transmit_that_slide() -> None:
+    """All bends at the joint, x = 0.8: cosh 0.8 = 1.34 times the ratio of the pulleys."""
+    slope = math.cosh(0.8)
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=slope), str)
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=slope), float)
+    said = run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=2.0 * slope)
+    assert f"the pulleys give {slope * GEARED:.2f}" in str(said)
+
+
 def test_a_joint_that_is_moved_accuses_no_motor_of_giving_more() -> None:
     """There friction turns with the motion, and what it gives back follows the torque."""
     assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=2.0, omega_j=0.3), float)

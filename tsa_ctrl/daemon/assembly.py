@@ -31,7 +31,7 @@ from tsa_ctrl.ipc.protocol import Description, Range, default_path
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, wound_by_friction
+from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre
 from tsa_ctrl.observer.by_elongation import ElongationTorque
 from tsa_ctrl.observer.by_model import ModelTorque
@@ -220,7 +220,8 @@ def sense_of(settings: AxisSettings, model: TendonSheath, period: float) -> Sens
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     counts = math.hypot(*counts_of(settings, geared))  # they round by chance
     stiffness = least_stiffness(model) if settings.plausibility.slip is None else 0.0
-    return Sense(settings.limits.torque, geared, period, wound_by_friction(model), counts, stiffness)
+    slope = max(1.0, *(sliding(model, sigma).slope / geared for sigma in (-1.0, 1.0)))
+    return Sense(settings.limits.torque, geared, period, wound_by_friction(model), counts, stiffness, slope)
 
 
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:

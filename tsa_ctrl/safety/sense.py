@@ -2,7 +2,8 @@
 
 A torque stretches the tendons, so motor and joint move apart: q_m - (r_J/r_M) q_j follows tau_M with the sign of the
 stiffness. This holds for a locked and for a moving joint and for every load. A joint torque sensor also follows tau_M.
-On a locked joint its gain is at most r_J/r_M, because friction only reduces it there. On a moving joint friction
+On a locked joint its gain is at most that of sliding tendons: r_J/r_M, or r_J/r_M cosh x if all bends are at the
+joint, because the friction decreases with the tensions there. On a moving joint friction
 reverses with the motion, not with the torque, and the gain may be larger after a reversal. The sensor is therefore used
 on a locked joint only.
 
@@ -53,7 +54,7 @@ SLOW = 50.0  # rad/s of the stretch, RMS, up to which that is said: nearer to it
 GIVING = 0.04  # s: a heavy motor that a wearer shakes looks so for 0.025, on tendons that are a fifth softer
 SHOWN = 0.5  # correlation from which the sense is right, or wrong
 CLEAR = 0.8  # correlation from which it is said how much the joint gets
-EXCESS = 1.3  # of r_J/r_M tau_M that the joint may get
+EXCESS = 1.3  # of the largest gain that the joint may get
 FAR = 3.0  # of it: no torque constant is that wrong, but a hand that begins to move a limb makes it look so
 STILL = 0.05  # rad/s of a joint that is held: three times the noise of a 16 bit encoder's velocity
 AT_REST = 4.0 * DRIFT  # s that the joint is held before its sensor is compared: the band forgets how it stopped
@@ -86,12 +87,13 @@ class Sense:
         wound: float = 0.0,
         counts: float = 0.0,
         stiffness: float = 0.0,
+        slope: float = 1.0,
     ) -> None:
         """`limit`: of the limiter, N*m; `geared`: r_J/r_M; `period`: s.
 
         `wound`: rad at the motor, by which friction stretches the tendons from one way of sliding to the other;
         `counts`: rad at the motor, of one count of each encoder; `stiffness`: N*m/rad that the motor meets, 0 where
-        that is not known well enough to judge by it.
+        that is not known well enough to judge by it; `slope`: largest d tau_J/d tau_M, over r_J/r_M.
         """
         self._stiffness = stiffness
         self._strong = (STRONG * RIPPLE * limit) ** 2
@@ -100,7 +102,7 @@ class Sense:
         self._finest = COUNTED * counts
         self._least = (RIPPLE * limit) ** 2
         self._arrives = (geared * RIPPLE * limit) ** 2
-        self._geared = geared
+        self._gain = geared * slope
         self._way = WOUND * wound
         self._travel_step = geared * period
         self._period = period
@@ -247,10 +249,10 @@ class Sense:
             )
         gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
         follows = _correlation(self._held_tj, self._held_tt * self._held_jj) > CLEAR
-        if self._excessive.update(now, follows and EXCESS * self._geared < gain < FAR * self._geared):
+        if self._excessive.update(now, follows and EXCESS * self._gain < gain < FAR * self._gain):
             return (
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
-                f"{self._geared:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
+                f"{self._gain:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
             )
         return None
 
