@@ -3,13 +3,13 @@
 Usage: tools/run bench/control [--joints held weight ...] [--shapes uniform ...] [--delay 1] [--inertia 1e-4] [--json]
        [--rows FILE] [--brief] [--angles 0.05 0.8 ...] [--off 0.2]
 The real loop on the plant with distributed tendons, in virtual time: the same command prints the same figures. Laws:
-none (compensation 0), (3.55) with the nominal file, the files of `tsa tune` and `tsa tune --extended` for an imposed
-joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
+none (compensation 0, true file), (3.55) with the nominal file, files of `tsa tune` and `tsa tune --extended` for an
+imposed joint, and the true parameters. Errors are the plant's truth less the set-point, after the fade-in; "jerk" is
 the RMS rate of the error around reversals; "at rest" the joint's RMS speed at set-point 0 after the motion.
 --rows FILE: rows of the file are not run again, and the table has old and new rows. --brief: one row for each shape and
 joint with "RMS, 99 %, peak; jerk" of each law. --angles: friction angles x of the plant, each with sufficient limits of
 torque and rate. --off: relative error of friction and stiffness of the nominal file; the pretension has the opposite
-error.
+error. A fault that ended a run is printed below the table.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.torque_error import Measures, measure
+from tools.bench.torque_error import measure
 from tools.command import Results, Row
 from tsa_ctrl.control.margin import LAG
 from tsa_ctrl.demo import rig
@@ -113,7 +113,7 @@ def controller(folder: Path, law: str, rate: float) -> rig.Tables:
         tables["axis"][0]["model"] = f"{law}/out/nominal.toml"
         return dict(tables)
     shares = {"none": 0.0, "(3.55)": NOMINAL_SHARE, "true": TRUE_SHARE}
-    return rig.controller(VIRTUAL, "run", rate, "true.toml" if law == "true" else "nominal.toml", shares[law])
+    return rig.controller(VIRTUAL, "run", rate, "nominal.toml" if law == "(3.55)" else "true.toml", shares[law])
 
 
 def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) -> str:
@@ -130,9 +130,7 @@ def tune(folder: Path, law: str, axis: dict[str, Any], rate: float, case: Case) 
     return "" if run.returncode == 0 else run.stderr.strip().splitlines()[-1]
 
 
-def play(
-    folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int, case: Case = DEMO
-) -> Measures:
+def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, cycles: int, case: Case = DEMO) -> Row:
     """One law on one joint: some periods of the set-point, then none."""
     played = play_for(joint)
     seconds = played.seconds if joint == "wearer" else rig.FADE_IN + cycles * float(played.t[-1])
@@ -152,7 +150,11 @@ def play(
         seconds + TO_REST + rest,
         changes=[Change("setpoint_gain", 0.0, end)],
     )
-    return measure(result.axes[0], end, end + TO_REST)
+    run = result.axes[0]
+    found: Row = {"stopped": f"at {run.until:.2f} s: {run.faults[0]}"} if run.faults else {}
+    if not run.error.size:  # a fault during the fade-in
+        return found
+    return {**dataclasses.asdict(measure(run, end, end + TO_REST)), **found}
 
 
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:
@@ -179,7 +181,10 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
                         continue
                     if (shape, joint, law, x) not in kept:
                         found = play(folder, joint, axis, law, arguments.rate, arguments.cycles, case)
-                        kept.add({"shape": shape, "joint": joint, "law": law, "x": x, **dataclasses.asdict(found)})
+                        if "rms" not in found:
+                            yield {"shape": shape, "law": law, "x": x, "failed": f"{joint}, stopped {found['stopped']}"}
+                            continue
+                        kept.add({"shape": shape, "joint": joint, "law": law, "x": x, **found})
                     yield kept[shape, joint, law, x]
 
 
@@ -253,4 +258,7 @@ def main() -> int:
             found.append(row)
     if not arguments.json:
         console.print(brief(found) if arguments.brief else whole(found))
+        for row in found:
+            if "stopped" in row:
+                console.print(f"{row['shape']}, {row['joint']}, {row['law']}: stopped {row['stopped']}")
     return 0
