@@ -16,7 +16,7 @@ from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding, transmitted_by
+from tsa_ctrl.model.sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchState
 from tsa_ctrl.safety.guard import Guard
@@ -110,7 +110,8 @@ class ControlAxis:
         limiter.ceiling = self.sense.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
-        self._nominal_half_loop = abs(sliding(model).motor_half_loop)
+        self._sliding = sliding_by(model)
+        self._nominal_half_loop = abs(self._sliding(1.0, *self._nominal).motor_half_loop)
         self._measures_wrap_angle = isinstance(estimator, ConfigurationMap)
         self._transmitted = transmitted_by(model)
         self._has_torque_sensor = has_torque_sensor
@@ -333,6 +334,6 @@ class ControlAxis:
             self._used = parameters
             self.law.set_parameters(*parameters)
             if isinstance(self.estimator, Fixed):  # a client's word proves no friction beyond the file's
-                half_loop = abs(sliding(self.model, 1.0, *parameters).motor_half_loop)
+                half_loop = abs(self._sliding(1.0, *parameters).motor_half_loop)
                 self.law.confirmed = min(1.0, self._nominal_half_loop / half_loop) if half_loop > 0.0 else 1.0
             self.joint_torque.set_parameters(*parameters)

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from tsa_ctrl.control.attribution import Split
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, sooner_down
 from tsa_ctrl.model.parameters import TendonSheath
-from tsa_ctrl.model.sliding import sliding
+from tsa_ctrl.model.sliding import sliding_by
 from tsa_ctrl.model.stretch import stretch_line
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
@@ -46,7 +46,7 @@ class ByStretch:
         """`period` in s."""
         self.use = bool(settings.use)
         self._contradicted = contradicted
-        self._model = model
+        self._sliding = sliding_by(model)
         self._observer = observer
         self._split = Split(model, settings.attribute, False, settings.bounds)
         self._nominal = (model.friction_angle, model.pretension)
@@ -101,7 +101,7 @@ class ByStretch:
             return
         if not observer.friction_deviation < CERTAIN:
             return
-        half_loop = sliding(self._model, 1.0, observer.friction_angle, observer.pretension).half_loop
+        half_loop = self._sliding(1.0, observer.friction_angle, observer.pretension).half_loop
         if self._went >= self._least:
             self._shown[self._way] = half_loop
         angle, pretension, inside = self._split.solve(half_loop)
@@ -113,5 +113,5 @@ class ByStretch:
 
     def _fallback(self) -> tuple[float, float]:
         """The model file's values, but no more than was used last: it cannot be said which of them is wrong."""
-        used = sliding(self._model, 1.0, self.friction_angle, self.pretension).half_loop
+        used = self._sliding(1.0, self.friction_angle, self.pretension).half_loop
         return self._nominal if used > self._split.nominal else (self.friction_angle, self.pretension)
