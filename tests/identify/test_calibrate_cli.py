@@ -97,7 +97,7 @@ def test_the_file_that_is_written_loads_again_and_says_where_it_came_from(folder
 def test_text_says_what_is_not_parted_and_how_to_settle_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert tsa("low.csv", "--model", "a.toml") == 0
     out = capsys.readouterr().out
-    assert "half loop torque" in out
+    assert "friction torque" in out
     assert "NOT parted" in out
     assert "to settle it" in out
     assert "held-out" in out

@@ -164,7 +164,7 @@ def _show(result: Calibration, nominal: TendonSheath) -> None:
 
     table = Table("quantity", "nominal", "value", "95 % interval", "unit", title="identified by these logs")
     rows = (
-        ("half loop torque", None, result.half_loop_torque),
+        ("friction torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
         ("friction angle", nominal.friction_angle, result.friction_angle),
         ("pretension", nominal.pretension, result.pretension),

@@ -116,10 +116,12 @@ def _bent(logs: Sequence[Dataset], model: TendonSheath, found: Bends, certified_
     result = calibrate(logs, bent, certified_gain=certified_gain)
     notes = [*result.notes]
     if form is not Form.GIVEN:
+        given = f"the file has it at {bending_centre(model):.2f}"
+        if COUPLING not in model.effects:
+            given = "the file's transmission (3.55) has all bends at the joint"
         notes.append(
             f"the angles of motor and joint show the centre of the bending at {found.centre.value:.2f} of the sheath's "
-            f"length from the motor ({found.centre.low:.2f} to {found.centre.high:.2f}), the file has it at "
-            f"{bending_centre(model):.2f}: {form.value}"
+            f"length from the motor ({found.centre.low:.2f} to {found.centre.high:.2f}); {given}: {form.value}"
         )
     return Estimate(
         model=result.model,

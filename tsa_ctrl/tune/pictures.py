@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
+from tsa_ctrl.tune.estimate import sliding_error
 from tsa_ctrl.tune.procedure import Outcome, Verification
 from tsa_ctrl.tune.run import longest
 
@@ -24,12 +25,12 @@ def draw(outcome: Outcome, folder: Path) -> list[tuple[str, Path]]:
     """Write all pictures; (what it shows, file) of each."""
     log = longest(outcome.logs)
     pictures = [
-        ("Measured joint torque and what the two files predict", _fit(log, outcome, folder / "fit.png")),
-        ("What the two files leave unexplained", _residual(log, outcome, folder / "residual.png")),
+        ("Measured joint torque and the predictions of the two files", _fit(log, outcome, folder / "fit.png")),
+        ("Residual of the two files", _residual(log, outcome, folder / "residual.png")),
     ]
     if outcome.verification is not None:
         file = _verification(outcome.verification, folder / "verification.png")
-        pictures.append(("On a motion that was not used for the fit", file))
+        pictures.append(("Verification on another motion", file))
     return pictures
 
 
@@ -58,17 +59,16 @@ def _fit(log: Dataset, outcome: Outcome, file: Path) -> Path:
 
 def _residual(log: Dataset, outcome: Outcome, file: Path) -> Path:
     figure = Figure(figsize=(9.0, 6.0), layout="constrained")
-    axes = figure.subplots(2, 2, sharey=True)
+    axes = figure.subplots(2, 2)
     against = (("time (s)", "t"), ("joint speed (rad/s)", "omega_j"), ("motor torque (N·m)", "tau_m"), ("", ""))
     for name, model, colour in _models(outcome):
         residual = 1e3 * (log["tau_j"] - predict(model, log.signals()))
-        rms = float(np.sqrt(np.mean(np.square(residual))))
+        rms = 1e3 * sliding_error([log], model)
         for place, (label, column) in zip(axes.flat[:3], against, strict=False):
-            place.plot(log[column], residual, ".", ms=0.8, color=colour, label=f"{name}: RMS {rms:.0f} mN·m")
+            place.plot(log[column], residual, ".", ms=0.8, color=colour, label=f"{name}: sliding RMS {rms:.0f} mN·m")
             place.set_xlabel(label)
         axes.flat[3].hist(residual, bins=80, color=colour, alpha=0.6)
-    axes.flat[3].set_xlabel("samples")
-    for place in (axes[0, 0], axes[1, 0]):
+    for place in axes.flat[:3]:
         place.set_ylabel("residual (mN·m)")
     axes.flat[3].set(xlabel="residual (mN·m)", ylabel="samples")
     return _saved(figure, file)

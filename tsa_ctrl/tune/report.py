@@ -65,7 +65,7 @@ def parameter_rows(outcome: Outcome) -> list[tuple[str, str, str, str, str]]:
     rows: list[tuple[str, float | None, Quantity]] = [
         ("friction angle", nominal.friction_angle, result.friction_angle),
         ("pretension", nominal.pretension, result.pretension),
-        ("half loop torque", None, result.half_loop_torque),
+        ("friction torque", None, result.half_loop_torque),
         ("slope", None, result.slope),
         *((name.replace("_", " "), None, found) for name, found in outcome.estimate.parameters.items()),
     ]
