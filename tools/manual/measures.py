@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 TSA = str(Path(sys.executable).with_name("tsa"))
 
@@ -31,30 +31,25 @@ class Measure:
     per_second: bool = False  # what is read, over the time that the command took
 
 
-def _json(*path: str | int, factor: float = 1.0) -> Callable[[str], float]:
-    def read(text: str) -> float:
-        found: Any = json.loads(text)
-        for key in path:
-            found = found[key]
-        return factor * float(found)
-
-    return read
+def _reduction(text: str) -> float:
+    """Return the demo's reduction in %."""
+    return float(json.loads(text)["reduction_percent"])
 
 
 def _on_vcan(text: str) -> float:
-    """The demo's reduction in %, of a run that was one on a vcan."""
+    """Return the demo's reduction in %, of a run on a vcan."""
     bus = json.loads(text)["bus"]
     if not str(bus).startswith("vcan"):
         raise ValueError(f"the demo ran on {bus}: this machine has no vcan, or is too slow for it")
-    return _json("reduction_percent")(text)
+    return _reduction(text)
 
 
-def _found(pattern: str, factor: float = 1.0) -> Callable[[str], float]:
+def _found(pattern: str) -> Callable[[str], float]:
     def read(text: str) -> float:
         match = re.search(pattern, text)
         if match is None:
             raise ValueError(f"'{pattern}' is not in what was printed")
-        return factor * float(match[1].replace(",", ""))
+        return float(match[1].replace(",", ""))
 
     return read
 
@@ -78,201 +73,111 @@ def _of_floor(text: str) -> float:
     return float(ways["ours"]["cycle_p50"]) / float(ways["raw socket"]["cycle_p50"])
 
 
-def _demo(load: str) -> tuple[str, ...]:
-    return (TSA, "demo", "--virtual", "--load", load, "--json", "--out", "{out}")
+def _tool(words: str) -> tuple[str, ...]:
+    return ("{root}/tools/run", *shlex.split(words))
 
 
-OUT = ("--out", "{out}")
-CONTROL_LAWS = ("none", "(3.55)", "true")
 LOADS = ("imposed", "held", "spring", "weight", "free", "limb", "wearer")
+_FIRST = "first ten minutes, a bare Python 3.11 and the wheel alone"
+_SHORT = "bench/diagnose --short --families {} --seed {} --out {{out}}"
+_OUTSIDE = "causes outside the catalogue, of {} draws: {}"
 
 
-def _drawn(name: str, words: str, families: tuple[str, ...], pattern: str, unit: str, seed: str = "8000") -> Measure:
-    """A line of the blind benchmark on short logs of these families."""
-    line = ("{root}/tools/run", "bench/diagnose", "--short", "--families", *families, "--seed", seed, *OUT)
-    return Measure(name, words, line, _found(pattern), unit, deterministic=True, long=True)
+def _quick() -> Iterator[Measure]:
+    """Yield the figures that take seconds."""
+    for load in LOADS:
+        words = f"demo, joint {load}: error of the joint torque less than without compensation"
+        line: tuple[str, ...] = (TSA, "demo", "--virtual", "--load", load, "--json", "--out", "{out}")
+        yield Measure(f"demo-{load}", words, line, _reduction, "%", deterministic=True)
+    check = _tool("package/check --python python3.11")
+    for name, words, pattern in (
+        ("install", "pip install", "pip install"),
+        ("picture", "first picture, functions compiled in it", r"tsa demo --virtual\b.*?"),
+        ("example", "an example log made and diagnosed", r"tsa diagnose --example\b.*?"),
+    ):
+        yield Measure(f"first-{name}", f"{_FIRST}: {words}", check, _found(rf"{pattern}\s+0\s+([0-9.]+) s"), "s")
+    size = _found(r"environment after it all .*\b(\d+)\s+bare")
+    yield Measure("first-size", "the environment after that, on disk", check, size, "MB", deterministic=True)
+    words = "virtual time of `tsa simulate-loop` with the example files, over real time"
+    line = (TSA, "simulate-loop", "{config}/controller.toml", "{config}/plant.toml", "--seconds", "20", "--json")
+    yield Measure("virtual-speed", words, line, lambda text: 20.0, "times", per_second=True)
+    words = "demo on a real vcan, at the rate that the machine keeps: error less than without compensation"
+    yield Measure("demo-vcan", words, ("{root}/tools/demo", "--json", "--out", "{out}"), _on_vcan, "%")
 
 
-MEASURES: tuple[Measure, ...] = (
-    *(
-        Measure(
-            f"demo-{load}",
-            f"demo, joint {load}: error of the joint torque less than without compensation",
-            _demo(load),
-            _json("reduction_percent"),
-            "%",
-            deterministic=True,
-        )
-        for load in LOADS
-    ),
-    *(
-        Measure(
-            f"first-{name}",
-            f"first ten minutes, a bare Python 3.11 and the wheel alone: {words}",
-            ("{root}/tools/run", "package/check", "--python", "python3.11"),
-            _found(rf"{pattern}\s+0\s+([0-9.]+) s"),
-            "s",
-        )
-        for name, words, pattern in (
-            ("install", "pip install", "pip install"),
-            ("picture", "first picture, functions compiled in it", r"tsa demo --virtual\b.*?"),
-            ("example", "an example log made and diagnosed", r"tsa diagnose --example\b.*?"),
-        )
-    ),
-    Measure(
-        "first-size",
-        "the environment after that, on disk",
-        ("{root}/tools/run", "package/check", "--python", "python3.11"),
-        _found(r"environment after it all .*\b(\d+)\s+bare"),
-        "MB",
-        deterministic=True,
-    ),
-    Measure(
-        "virtual-speed",
-        "virtual time of `tsa simulate-loop` with the example files, over real time",
-        (TSA, "simulate-loop", "{config}/controller.toml", "{config}/plant.toml", "--seconds", "20", "--json"),
-        lambda text: 20.0,
-        "times",
-        per_second=True,
-    ),
-    Measure(
-        "demo-vcan",
-        "demo on a real vcan, at the rate that the machine keeps: error less than without compensation",
-        ("{root}/tools/demo", "--json", "--out", "{out}"),
-        _on_vcan,
-        "%",
-    ),
-    *(
-        Measure(
-            f"control-{joint}-{name}",
-            f"evenly bent, joint {joint}, {words}: RMS error of the joint torque",
-            ("{root}/tools/run", "bench/control", "--shapes", "uniform", "--laws", *CONTROL_LAWS, "--json"),
-            _rms(joint, law),
-            "mN·m",
-            deterministic=True,
-            long=True,
-        )
-        for joint in LOADS
+def _same() -> Iterator[tuple[str, str, str, Callable[[str], float], str]]:
+    """Yield the figures that take minutes and are the same at each run: name, words, tool, reader and unit."""
+    for joint in LOADS:
         for law, name, words in (
             ("none", "none", "no compensation"),
             ("(3.55)", "nominal", "(3.55) with the nominal file"),
             ("true", "true", "true parameters"),
+        ):
+            said = f"evenly bent, joint {joint}, {words}: RMS error of the joint torque"
+            line = "bench/control --shapes uniform --laws none '(3.55)' true --json"
+            yield f"control-{joint}-{name}", said, line, _rms(joint, law), "mN·m"
+    for name, words, pattern in (
+        (
+            "simplified",
+            "(3.55) against distributed tendons while sliding, of 761 mN·m",
+            r"simplified \(3\.55\)\s*│\s*[\d.]+\s*│\s*([\d.]+)",
+        ),
+        (
+            "full",
+            "(3.53) against distributed tendons while sliding",
+            r"full \(3\.53\), sliding\s*│\s*[\d.]+\s*│\s*([\d.]+)",
+        ),
+        ("elements-10", "distributed plant, 10 elements against 160", r"│ 10\s*│\s*([\d.]+)"),
+        ("elements-40", "the same, 40 elements", r"│ 40\s*│\s*([\d.]+)"),
+    ):
+        yield f"tendons-{name}", words, "bench/tendons --out {out}", _found(pattern), "mN·m"
+    words = "variations of drives that are brought up, or refused with the reason"
+    yield "drives", words, "campaign/drives", _found(r"variations, (\d+) as they must be"), "as they must be"
+    words = "combinations of joint, friction, pretension, shape and gain that swing nowhere or are stopped in time"
+    line = "campaign/runaway changes --sensors sensor"
+    yield "runaway", words, line, _found(r"runs, (\d+) as they must be"), "as they must be"
+    both = _found(r"two effects: both named, nothing else\s+>= \d+%\s+(\d+)/60 ")
+    words = "two effects hidden, 60 draws: both named, nothing else"
+    yield "pairs-both", words, _SHORT.format("pair", 8000), both, "of 60"
+    for name, words, pattern, of in (
+        ("noticed", "noticed", "outside the catalogue: noticed", 42),
+        ("wrong", "a single wrong name beside it", "outside the catalogue: a confident name", 42),
+        ("formula", "a formula takes 70 % of what is left", "a formula takes 70 % of what is left", 42),
+        ("instant", "the same of a function of an instant", "a function of an instant: the same", 18),
+        ("filter", "the same of what has a filter's memory", "a filter's memory of the load: the same", 9),
+        ("clock", "the same of what a clock tells", "by a clock: the same", 6),
+    ):
+        read = _found(rf"{pattern}\s+[<>]= \d+%\s+(\d+)/{of} ")
+        yield f"outside-{name}", _OUTSIDE.format(of, words), _SHORT.format("outside:3", 9600), read, f"of {of}"
+    unique = _found(r"plain drive, one effect: named uniquely\s+>= \d+%\s+(\d+)/137 ")
+    words = "plain drives, one effect hidden, of 137 draws: named uniquely"
+    yield "plain-unique", words, _SHORT.format("rigid", 8000), unique, "of 137"
+
+
+def _long() -> Iterator[Measure]:
+    """Yield the figures that take minutes and depend on the machine."""
+    words = "60 s at 1 kHz diagnosed, from the command to the report"
+    read = _found(r": ([\d.]+) s, of which")
+    yield Measure("diagnose-speed", words, _tool("bench/diagnose --speed"), read, "s", long=True)
+    line = _tool("bench/hour --seconds 600 --kinds csv")
+    for name, words, pattern in (
+        ("wall", "from the command to the report", r"MB, ([\d.]+) s, of which"),
+        ("processor", "seconds of one processor", r"of which ([\d.]+) s"),
+    ):
+        said = f"600 s at 1 kHz diagnosed, {words}"
+        yield Measure(f"ten-minutes-{name}", said, line, _found(pattern), "s", long=True)
+    for kind, words in (("csv", "a table of 6 columns"), ("mcap", "the daemon's own log")):
+        said = f"an hour at 1 kHz diagnosed, {words}: peak of memory, all processes"
+        yield Measure(
+            f"hour-{kind}", said, _tool("bench/hour"), _found(rf"{kind}: .*: peak ([\d.]+) MB"), "MB", long=True
         )
-    ),
-    *(
-        Measure(
-            f"tendons-{name}",
-            words,
-            ("{root}/tools/run", "bench/tendons", "--out", "{out}"),
-            _found(pattern),
-            "mN·m",
-            deterministic=True,
-            long=True,
-        )
-        for name, words, pattern in (
-            (
-                "simplified",
-                "(3.55) against distributed tendons while sliding, of 761 mN·m",
-                r"simplified \(3\.55\)\s*│\s*[\d.]+\s*│\s*([\d.]+)",
-            ),
-            (
-                "full",
-                "(3.53) against distributed tendons while sliding",
-                r"full \(3\.53\), sliding\s*│\s*[\d.]+\s*│\s*([\d.]+)",
-            ),
-            ("elements-10", "distributed plant, 10 elements against 160", r"│ 10\s*│\s*([\d.]+)"),
-            ("elements-40", "the same, 40 elements", r"│ 40\s*│\s*([\d.]+)"),
-        )
-    ),
-    Measure(
-        "drives",
-        "variations of drives that are brought up, or refused with the reason",
-        ("{root}/tools/run", "campaign/drives"),
-        _found(r"variations, (\d+) as they must be"),
-        "as they must be",
-        deterministic=True,
-        long=True,
-    ),
-    Measure(
-        "runaway",
-        "combinations of joint, friction, pretension, shape and gain that swing nowhere or are stopped in time",
-        ("{root}/tools/run", "campaign/runaway", "changes", "--sensors", "sensor"),
-        _found(r"runs, (\d+) as they must be"),
-        "as they must be",
-        deterministic=True,
-        long=True,
-    ),
-    Measure(
-        "diagnose-speed",
-        "60 s at 1 kHz diagnosed, from the command to the report",
-        ("{root}/tools/run", "bench/diagnose", "--speed"),
-        _found(r": ([\d.]+) s, of which"),
-        "s",
-        long=True,
-    ),
-    *(
-        Measure(
-            f"ten-minutes-{name}",
-            f"600 s at 1 kHz diagnosed, {words}",
-            ("{root}/tools/run", "bench/hour", "--seconds", "600", "--kinds", "csv"),
-            _found(pattern),
-            "s",
-            long=True,
-        )
-        for name, words, pattern in (
-            ("wall", "from the command to the report", r"MB, ([\d.]+) s, of which"),
-            ("processor", "seconds of one processor", r"of which ([\d.]+) s"),
-        )
-    ),
-    *(
-        Measure(
-            f"hour-{kind}",
-            f"an hour at 1 kHz diagnosed, {words}: peak of memory, all processes",
-            ("{root}/tools/run", "bench/hour"),
-            _found(rf"{kind}: .*: peak ([\d.]+) MB"),
-            "MB",
-            long=True,
-        )
-        for kind, words in (("csv", "a table of 6 columns"), ("mcap", "the daemon's own log"))
-    ),
-    _drawn(
-        "pairs-both",
-        "two effects hidden, 60 draws: both named, nothing else",
-        ("pair",),
-        r"two effects: both named, nothing else\s+>= \d+%\s+(\d+)/60 ",
-        "of 60",
-    ),
-    *(
-        _drawn(
-            f"outside-{name}",
-            f"causes outside the catalogue, of {of} draws: {words}",
-            ("outside:3",),
-            rf"{pattern}\s+[<>]= \d+%\s+(\d+)/{of} ",
-            f"of {of}",
-            seed="9600",
-        )
-        for name, words, pattern, of in (
-            ("noticed", "noticed", "outside the catalogue: noticed", 42),
-            ("wrong", "a single wrong name beside it", "outside the catalogue: a confident name", 42),
-            ("formula", "a formula takes 70 % of what is left", "a formula takes 70 % of what is left", 42),
-            ("instant", "the same of a function of an instant", "a function of an instant: the same", 18),
-            ("filter", "the same of what has a filter's memory", "a filter's memory of the load: the same", 9),
-            ("clock", "the same of what a clock tells", "by a clock: the same", 6),
-        )
-    ),
-    _drawn(
-        "plain-unique",
-        "plain drives, one effect hidden, of 137 draws: named uniquely",
-        ("rigid",),
-        r"plain drive, one effect: named uniquely\s+>= \d+%\s+(\d+)/137 ",
-        "of 137",
-    ),
-    Measure(
-        "cycle",
-        "cycle of one axis to that of a raw socket, medians",
-        ("{root}/tools/vcan", "tools/run", "bench/cycle", "--json"),
-        _of_floor,
-        "of the floor",
-        long=True,
-    ),
+    line = ("{root}/tools/vcan", "tools/run", "bench/cycle", "--json")
+    words = "cycle of one axis to that of a raw socket, medians"
+    yield Measure("cycle", words, line, _of_floor, "of the floor", long=True)
+
+
+MEASURES: tuple[Measure, ...] = (
+    *_quick(),
+    *(Measure(name, words, _tool(line), read, unit, True, True) for name, words, line, read, unit in _same()),
+    *_long(),
 )
