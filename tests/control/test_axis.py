@@ -30,6 +30,12 @@ def wanted(axis: ControlAxis) -> Request:
     return axis.request
 
 
+def use(axis: ControlAxis, friction_angle: float, pretension: float) -> None:
+    """Have the estimator determine these parameters, and the law use them."""
+    axis.estimator.friction_angle, axis.estimator.pretension, axis.estimator.use = friction_angle, pretension, True
+    axis.adapt()
+
+
 def test_a_new_axis_wants_nothing_and_did_nothing(axis: ControlAxis) -> None:
     """Its terms are what a descent or a record before the first cycle reads."""
     assert (wanted(axis), axis.ramp) == (Request.DISABLE, 1.0)
@@ -69,7 +75,6 @@ def test_a_release_keeps_what_is_not_being_stopped(axis: ControlAxis) -> None:
 @pytest.mark.parametrize("again", [False, True])
 def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, again: bool) -> None:
     """Every one of them: from one period below full to exactly 0, and only there the drive is disabled."""
-    axis._period, axis._stop_time = 2.0**-10, 2.0**-6
     if again:
         axis.enable()
         axis.stop()
@@ -78,16 +83,15 @@ def test_a_stop_ramps_by_time_from_the_cycle_that_sees_it(axis: ControlAxis, aga
     axis.enable()
     assert axis.since_enable(16.0) == 0.0
     axis.stop()
-    seen = []
-    for cycle in range(1, 17):
-        assert axis.since_enable(16.0 + cycle * 2.0**-10) == cycle * 2.0**-10
-        seen.append((axis.ramp, wanted(axis)))
-    assert seen == [(1.0 - n / 16, Request.ENABLE) for n in range(1, 16)] + [(0.0, Request.DISABLE)]
+    for cycle in range(1, 300):
+        assert axis.since_enable(16.0 + 1e-3 * cycle) == pytest.approx(1e-3 * cycle)
+        assert (axis.ramp, wanted(axis)) == (pytest.approx(1.0 - cycle / 300), Request.ENABLE)
+    axis.since_enable(16.301)
+    assert (axis.ramp, wanted(axis)) == (0.0, Request.DISABLE)
 
 
 def test_lost_cycles_do_not_lengthen_the_ramp(axis: ControlAxis) -> None:
     """One that comes after its end finds 0, never a negative share."""
-    axis._period, axis._stop_time = 2.0**-10, 2.0**-6
     axis.enable()
     axis.stop()
     axis.since_enable(16.0)
@@ -126,11 +130,13 @@ def test_release_forgets_everything(axis: ControlAxis, monkeypatch: pytest.Monke
         monkeypatch.setattr(getattr(axis, part), "reset", lambda part=part: reset.append(part))
     axis.since_enable(1.0)
     axis.terms.tau_j_des = 0.7
-    axis._take_over((0.1, 20.0))
+    told: list[tuple[float, float]] = []
+    monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
+    use(axis, 0.1, 20.0)
     axis.release()
     assert sorted(reset) == sorted(PARTS)
     assert axis.terms.tau_j_des == 0.0
-    assert axis._used == axis._nominal == (axis.model.friction_angle, axis.model.pretension)
+    assert told == [(0.1, 20.0), (axis.model.friction_angle, axis.model.pretension)]
     reset.clear()
     axis.release()  # once is enough
     assert reset == []
@@ -268,7 +274,7 @@ def test_the_law_follows_an_estimate_that_changed_by_a_thousandth(
     """Of what it uses, either parameter, either way; and each value is handed over once."""
     told: list[tuple[float, float]] = []
     monkeypatch.setattr(axis.law, "set_parameters", lambda angle, pretension: told.append((angle, pretension)))
-    axis._take_over((0.2, 40.0))
+    use(axis, 0.2, 40.0)
     estimate = [0.2, 40.0]
     estimate[part] *= 1.0 + change
     axis.estimator.use = True
@@ -285,9 +291,9 @@ def test_an_estimate_that_may_not_be_used_is_not(axis: ControlAxis, monkeypatch:
     nominal = (axis.model.friction_angle, axis.model.pretension)
     axis.estimator.friction_angle, axis.estimator.pretension, axis.estimator.use = 0.1, 20.0, False
     axis.adapt()
-    axis._take_over(nominal)
     assert told == []
-    axis._take_over((0.2, 40.0))
+    use(axis, 0.2, 40.0)
+    axis.estimator.use = False
     axis.adapt()
     assert told == [(0.2, 40.0), nominal]
 
