@@ -56,12 +56,16 @@ def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> No
     parser.set_defaults(**defaults)
 
 
-def drawn(items: Sequence[Item], chosen: argparse.Namespace) -> list[Item]:
-    """Return --sample of the items, in an order drawn by --seed; all without it. A missing seed is drawn."""
+def seeded(chosen: argparse.Namespace) -> None:
+    """Draw the seed where --seed gives none."""
     if chosen.seed is None:
         chosen.seed = secrets.randbelow(10**6)
-    count = min(chosen.sample, len(items)) or len(items)
-    return random.Random(chosen.seed).sample(items, count) if chosen.sample else list(items)
+
+
+def drawn(items: Sequence[Item], chosen: argparse.Namespace) -> list[Item]:
+    """Return --sample of the items, in an order drawn by --seed; all of them without it."""
+    seeded(chosen)
+    return random.Random(chosen.seed).sample(items, min(chosen.sample, len(items))) if chosen.sample else list(items)
 
 
 def process(module: str, *arguments: str) -> list[str]:

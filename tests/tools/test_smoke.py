@@ -33,7 +33,6 @@ LINES = {
 }
 LONG = {
     "bench/calibrate --logs 9 --jobs 1": "share of 95 % intervals",
-    "bench/bending --rigs 1": "worst",
     "bench/diagnose --short --families none:1 --jobs 1 --out {out}/rows.jsonl": "none",
     "bench/hour --seconds 60 --kinds csv": "MB",
     "bench/measured --list": "above its limit",

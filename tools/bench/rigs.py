@@ -261,7 +261,7 @@ def main() -> int:
     command.share(parser, "rigs first seed rows processes json", rigs=6)
     parser.add_argument("--keep", type=Path, help="folder for the files of each rig")
     arguments = parser.parse_args()
-    command.drawn([], arguments)  # the seed
+    command.seeded(arguments)
     asked = [(arguments.seed, number) for number in range(arguments.first, arguments.first + arguments.rigs)]
     work = functools.partial(made, arguments.keep)
     rows = command.run_rows(work, asked, lambda row: (row["seed"], row["rig"]), arguments)

@@ -34,7 +34,6 @@ COMMANDS: Mapping[str, str] = {
     "supervision": "tools/run bench/supervision",
     "checks": "tools/run bench/checks --sensors encoder --set-points sine",
     "checks-sensor": "tools/run bench/checks --sensors sensor --set-points sine",
-    "bending": "tools/run bench/bending",
     "trend": "tools/run bench/trend",
     "client": "tools/run bench/client --seconds 15",
     "circle": "tools/vcan tools/run bench/circle --seconds 14",

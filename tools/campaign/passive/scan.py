@@ -217,7 +217,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(chosen: argparse.Namespace) -> int:
     """Run the chosen cells and print them; 1 if a cell missed a goal."""
-    command.drawn([], chosen)  # the seed
+    command.seeded(chosen)
     drawn = {name: getattr(chosen, name) for name in ("centre", "delay", "motor_bits", "joint_bits")}
     fixed = {name: value for name, value in drawn.items() if value is not None}
     names = (chosen.sensors, chosen.loads, chosen.set_points, chosen.of, chosen.shares)
