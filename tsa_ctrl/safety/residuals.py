@@ -206,18 +206,29 @@ class _QuickTurns:
             smooth: share of the low-pass in a cycle.
         """
         seen, stretch = self._seen, self._compliance * torque
-        went = (
-            stretch - TURN - seen if stretch > seen + TURN else stretch + TURN - seen if stretch < seen - TURN else 0.0
-        )
-        self._seen += went
-        self._rise += smooth * (max(0.0, went) - self._rise)
-        self._fall += smooth * (max(0.0, -went) - self._fall)
-        rise, fall = max(0.0, turned), max(0.0, -turned)
-        more = max(self._more_rise + self._rise - rise, -2.0 * TURN)
-        self._more_rise = min(0.0, more)
-        less = max(self._more_fall + self._fall - fall, -2.0 * TURN)
-        self._more_fall = min(0.0, less)
-        return rise + max(0.0, more), fall + max(0.0, less)
+        up = down = rise = fall = 0.0
+        if stretch > seen + TURN:
+            up = stretch - TURN - seen
+        elif stretch < seen - TURN:
+            down = seen - stretch - TURN
+        self._seen += up - down
+        self._rise += smooth * (up - self._rise)
+        self._fall += smooth * (down - self._fall)
+        if turned > 0.0:
+            rise = turned
+        else:
+            fall = -turned
+        more, less = self._more_rise + self._rise - rise, self._more_fall + self._fall - fall
+        if more > 0.0:
+            rise += more
+            more = 0.0
+        if less > 0.0:
+            fall += less
+            less = 0.0
+        least = -2.0 * TURN
+        self._more_rise = more if more > least else least
+        self._more_fall = less if less > least else least
+        return rise, fall
 
 
 class Velocity:
