@@ -6,6 +6,7 @@ import os
 import random
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,12 @@ def test_wrong_use_is_one_line(command: list[str], environment: dict[str, str], 
     assert done.stdout == b""
     assert done.stderr.decode().startswith(f"tools/vcan: {message}")
     assert done.stderr.count(b"\n") == 1
+
+
+def test_the_guests_first_process_needs_the_standard_library_alone() -> None:
+    call = [sys.executable, "-ES", "-c", f"import sys; sys.path[0] = {str(ROOT)!r}; import tools.guest.init"]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow

@@ -8,8 +8,8 @@ import struct
 import sys
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
-from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.netlink import (
     CREATE,
     DUMP,
@@ -25,6 +25,9 @@ from tsa_ctrl.bus.wire.netlink import (
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.errors import BusError, UsageError
+
+if TYPE_CHECKING:  # the first process of the guest of tools/vcan imports this module with the standard library alone
+    from tsa_ctrl.bus.settings import BusSettings
 
 _IFF_UP = 1
 _ARPHRD_CAN = 280  # linux/if_arp.h
