@@ -40,7 +40,7 @@ def test_another_kind_of_file_is_named_with_the_kind_that_is_wanted(given: str, 
     if given == wanted:
         READERS[wanted](CONFIG / given)
         return
-    with pytest.raises(UsageError, match=f"this is {KINDS[given]}; {KINDS[wanted]} is wanted here$"):
+    with pytest.raises(UsageError, match=f"this is {KINDS[given]}; {KINDS[wanted]} is required here$"):
         READERS[wanted](CONFIG / given)
 
 

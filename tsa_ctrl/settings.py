@@ -69,7 +69,7 @@ def convert(data: dict[str, Any], kind: type[T], where: str | Path) -> T:
         check_filled([(where, data, kind)])
         found, wanted = file_kind(data), FILES.get(kind.__name__)
         if found is not None and wanted is not None and found != wanted:
-            raise UsageError(f"{where}: this is {found}; {wanted} is wanted here") from None
+            raise UsageError(f"{where}: this is {found}; {wanted} is required here") from None
         raise UsageError(f"{where}: {explain(str(error), kind, data)}") from None
 
 

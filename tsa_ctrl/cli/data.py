@@ -17,7 +17,7 @@ def command() -> None:
 @command.command("list", epilog="Example: tsa data list")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def list_(as_json: bool) -> None:
-    """What there is, under which licence, and what lies here already."""
+    """List the sets, their licences, and the sets already here."""
     from tsa_ctrl.published.catalogue import SETS, folder
 
     place = folder()
@@ -41,7 +41,7 @@ def list_(as_json: bool) -> None:
 @click.option("--from", "address", help="Another address with the same files.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout and nothing else.")
 def fetch(name: str, out: Path | None, address: str | None, as_json: bool) -> None:
-    """Get the set NAME, check it byte for byte, and convert it to our columns in SI."""
+    """Fetch the set NAME, check it byte for byte, and convert its columns to SI."""
     from tsa_ctrl.published import catalogue
     from tsa_ctrl.published.fetch import fetch as fetched
 

@@ -83,7 +83,7 @@ def _show(found: list[Check]) -> None:
     from rich.table import Table
 
     console = Console()
-    table = Table("check", "result", "found", "wanted")
+    table = Table("check", "result", "found", "required")
     for check in found:
         result = f"[{COLOURS[check.result.value]}]{check.result.value}[/]"
         table.add_row(escape(check.name), result, escape(check.found), escape(check.wanted))

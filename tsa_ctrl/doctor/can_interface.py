@@ -117,7 +117,7 @@ def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check
     try:
         bus = open_bus(settings)
     except TsaError as error:
-        yield Check("bus", Result.FAIL, str(error), wanted, "mend the lines above, or [bus] interface and channel")
+        yield Check("bus", Result.FAIL, str(error), wanted, "fix the lines above, or [bus] interface and channel")
         return
     try:
         yield judged(bus, listen(bus), wanted)

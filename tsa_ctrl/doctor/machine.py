@@ -145,7 +145,7 @@ def _in_a_process(settings: RealtimeSettings, rate: float, seconds: float) -> tu
         worst < 0.3 * period,
         f"p50 {p50:.0f}, p99 {p99:.0f}, worst {worst:.0f} us in {len(late)} cycles at {rate:g} Hz",
         f"worst below {0.3 * period:.0f} us (30 % of the period)",
-        "mend the lines above, stop other load, or lower [controller] rate",
+        "fix the lines above, stop other load, or lower [controller] rate",
         Result.FAIL if p99 > 0.3 * period else Result.WARN,
     )
     return scheduling, memory, lateness
