@@ -20,7 +20,6 @@ from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.torque_path import drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.control.bare import why_not as beside
 from tsa_ctrl.control.bending import BendingSettings
 from tsa_ctrl.control.by_tension import why_not as no_tension
 from tsa_ctrl.control.choice import chosen
@@ -28,6 +27,7 @@ from tsa_ctrl.control.direction import DirectionSettings
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.plan import Limits, Plan, plan_of, reversal_speed
+from tsa_ctrl.control.recursive import why_not as beside
 from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile

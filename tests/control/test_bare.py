@@ -7,9 +7,8 @@ import pytest
 
 from tests.blind.memory import bristle, first_order_lag
 from tests.model.actuator import ACTUATOR
-from tsa_ctrl.control.bare import Bare
 from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample
-from tsa_ctrl.control.recursive import Recursive
+from tsa_ctrl.control.recursive import Bare, Recursive
 
 PERIOD = 1e-3
 EXPRESSION = "0.4*(tau - lag(tau, 0.2)) + 0.03*dahl(tau, 0.3)"

@@ -12,9 +12,8 @@ import pytest
 
 from tests.control.sliding import PERIOD, actuator
 from tests.virtual.joints import GAIT, play, sine
-from tsa_ctrl.control.attribution import Attribution
 from tsa_ctrl.control.by_stretch import ByStretch
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample
+from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample
 from tsa_ctrl.observer.stretch import StretchObserver, StretchState
 
 X, TENSION = 0.26, 45.0

@@ -8,8 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, TREMOR, Direction, DirectionSettings
-from tsa_ctrl.control.motion import Motion
+from tsa_ctrl.control.direction import LEAST_ZONE, NOISE, TREMOR, Direction, DirectionSettings, Motion
 
 PERIOD = 1e-3
 COUNT = 2.0 * math.pi / (1 << 20)  # rad

@@ -11,10 +11,16 @@ import pytest
 from tests.control.sliding import PERIOD, R_J, R_M, Sliding, actuator
 from tests.model.capstan import Pair
 from tests.model.test_curvature import S_BENT
-from tsa_ctrl.control.attribution import Attribution, Split
-from tsa_ctrl.control.bare import why_not
-from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, EstimatorSettings, Fixed, Sample
-from tsa_ctrl.control.recursive import Recursive
+from tsa_ctrl.control.estimator import (
+    Attribution,
+    ConfigurationMap,
+    EstimateState,
+    EstimatorSettings,
+    Fixed,
+    Sample,
+    Split,
+)
+from tsa_ctrl.control.recursive import Recursive, why_not
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.parameters import TendonSheath
 

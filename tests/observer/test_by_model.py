@@ -7,7 +7,7 @@ import math
 import pytest
 
 from tests.control.sliding import PERIOD, R_J, R_M, actuator
-from tsa_ctrl.observer.by_model import STILL, ModelTorque
+from tsa_ctrl.observer.joint_torque import STILL, ModelTorque
 
 X, TENSION = 0.26, 45.0
 

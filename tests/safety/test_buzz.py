@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tsa_ctrl.safety.buzz import Buzz
+from tsa_ctrl.safety.guard import Buzz
 
 PERIOD = 1e-3
 LEVEL = 0.03  # N*m RMS

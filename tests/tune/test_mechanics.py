@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tests.tune.shaken import LAG, PERIOD, play, true_delay
 from tests.virtual.rigs import Drawn, draw
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.control.margin import gain_margin
+from tsa_ctrl.control.plan import gain_margin
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset

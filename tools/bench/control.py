@@ -33,7 +33,7 @@ from rich.table import Table
 from tools import command
 from tools.bench.torque_error import measure
 from tools.command import Results, Row
-from tsa_ctrl.control.margin import LAG
+from tsa_ctrl.control.plan import LAG
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.motion import gait, play_for
 from tsa_ctrl.demo.rig import VIRTUAL

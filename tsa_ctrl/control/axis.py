@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from tsa_ctrl.bus.canopen.cia402 import PowerState, decode
@@ -12,7 +12,6 @@ from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.compensation_limit import CompensationLimit
 from tsa_ctrl.control.estimator import ConfigurationMap, Estimator, Fixed, Sample
-from tsa_ctrl.control.instruments import Instruments
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.setpoint import SetPoint
 from tsa_ctrl.model.parameters import TendonSheath
@@ -25,6 +24,44 @@ from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 from tsa_ctrl.safety.unheard import Unheard
+
+# Joint torque, tendon tensions and sheath bending of one axis: from a node on the bus, or from sensors beside it.
+
+Source = Callable[[float], float]  # monotonic time now (s) -> SI value, nan when there is none that is young enough
+
+
+class Instruments:
+    """What one axis' instruments say in this cycle; nan where there is none, or its value is too old."""
+
+    __slots__ = ("_image", "_t1", "_t3", "_tau_j", "_theta", "t1", "t3", "tau_j", "theta")
+
+    temperature = math.nan  # K: no instrument measures it yet
+
+    def __init__(self, image: Image) -> None:
+        self._image = image
+        self._tau_j: Source | None = None
+        self._t1: Source | None = None
+        self._t3: Source | None = None
+        self._theta: Source | None = None
+        self.tau_j = math.nan  # N*m, joint torque
+        self.t1 = math.nan  # N, motor-side tension of tendon a
+        self.t3 = math.nan  # N, motor-side tension of tendon b
+        self.theta = math.nan  # rad, bending of the sheath
+
+    def connect(self, sources: Mapping[str, Source]) -> None:
+        """Take "tau_j", "t1", "t3" or "theta" from these instead of from the bus."""
+        self._tau_j, self._t1, self._t3, self._theta = (sources.get(name) for name in ("tau_j", "t1", "t3", "theta"))
+
+    def update(self, now: float) -> None:
+        """Read all, at monotonic `now` in s; about a microsecond for each source."""
+        self.tau_j = self._image.tau_j if self._tau_j is None else self._tau_j(now)
+        if self._t1 is not None:
+            self.t1 = self._t1(now)
+        if self._t3 is not None:
+            self.t3 = self._t3(now)
+        if self._theta is not None:
+            self.theta = self._theta(now)
+
 
 BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times the angle and 1.8 times the pretension
 _TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})

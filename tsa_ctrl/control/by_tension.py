@@ -19,9 +19,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 
-from tsa_ctrl.control.attribution import Attribution
-from tsa_ctrl.control.bare import Bare
-from tsa_ctrl.control.estimator import EstimateState, EstimatorSettings, Sample, sooner_down
+from tsa_ctrl.control.estimator import Attribution, EstimateState, EstimatorSettings, Sample, sooner_down
+from tsa_ctrl.control.recursive import Bare
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import elongations

@@ -37,8 +37,7 @@ import msgspec
 from msgspec import Meta
 
 from tsa_ctrl.control.damping import Damping
-from tsa_ctrl.control.direction import Direction
-from tsa_ctrl.control.motion import Motion
+from tsa_ctrl.control.direction import Direction, Motion
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.slip import Slip
 from tsa_ctrl.control.turn import Turn

@@ -11,18 +11,16 @@ import msgspec
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
-from tsa_ctrl.control.attribution import Attribution
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound, bound_of
 from tsa_ctrl.control.by_stretch import ByStretch
 from tsa_ctrl.control.by_tension import ByTension
 from tsa_ctrl.control.compensation_limit import CompensationLimit
-from tsa_ctrl.control.direction import Direction
-from tsa_ctrl.control.estimator import ConfigurationMap, EstimateState, Estimator, Fixed
+from tsa_ctrl.control.direction import LONGEST, Direction, Motion
+from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Law
 from tsa_ctrl.control.live import Tuner, parameters_of
-from tsa_ctrl.control.motion import LONGEST, Motion
 from tsa_ctrl.control.plan import Plan
 from tsa_ctrl.control.recursive import Recursive
 from tsa_ctrl.control.setpoint import SetPoint
@@ -34,8 +32,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre
 from tsa_ctrl.observer.by_elongation import ElongationTorque
-from tsa_ctrl.observer.by_model import ModelTorque
-from tsa_ctrl.observer.joint_torque import JointTorque
+from tsa_ctrl.observer.joint_torque import JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.readiness import loose_lines
