@@ -99,6 +99,7 @@ def test_both_encoders_that_stick_while_the_joint_moves_are_found(tmp_path: Path
         "reported_offset value=0.2",
         pytest.param("pretension value=0.5", marks=pytest.mark.soak),
         pytest.param("friction value=1.3", marks=pytest.mark.soak),
+        "friction value=0.1",
     ],
 )
 def test_the_band_contains_the_joint_torque_though_the_reported_torque_is_wrong(tmp_path: Path, fault: str) -> None:

@@ -322,7 +322,7 @@ class ControlAxis:
         if self._has_torque_sensor:
             return self.instruments.tau_j
         stretch = self.joint_torque.stretch
-        return stretch.torque if stretch is not None and stretch.state is StretchState.TOLD else math.nan
+        return self.joint_torque.torque if stretch is not None and stretch.state is StretchState.TOLD else math.nan
 
     def _watch(self) -> None:
         """Let the guard see what the compensation does, and follow what it asks for."""

@@ -43,7 +43,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
 
     No value weakens the protection that the files give. A limit stays at or below the file's value. The zone can only
     be widened. An estimate in use stays in use. A release alone restores the guard's share.
-    A parameter without bounds belongs to another kind of estimator, or source of bending, than this axis has.
+    A parameter without bounds cannot be set on this axis; its text names the key that permits it.
     """
     law, limiter, estimator, model = axis.law, axis.limiter, axis.estimator, axis.model
     fixed = isinstance(estimator, Fixed)
@@ -57,15 +57,18 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
     zone = max(LEAST_ZONE, axis.direction.zone)
     damps = (0.0, law.plan.damping) if law.plan.damping > 0.0 else _NONE
     why = "" if fixed else '; the estimator determines it, kind = "fixed" in [axis.estimator] lets a client set it'
+    damped = "" if damps is not _NONE else "; give [axis.law] motor_inertia"
+    used = "" if use is not _NONE else "; an estimate in use stays in use, and a fixed value is no estimate"
+    bent = "" if bends is not _NONE else '; source = "command" in [axis.bending] lets a client set it'
     p, inf = Parameter, math.inf
     return (
         p("compensation", "1", 0.0, 1.2, 0.5, "share of the friction term that is compensated", law, "compensation"),
         p("slew", "N*m/s", 1.0, 10_000.0, inf, "fastest change of the friction term", law, "slew"),
-        p("damping", "N*m*s/rad", *damps, inf, "of the motor's swing on its tendons", law.damping, "gain"),
+        p("damping", "N*m*s/rad", *damps, inf, f"of the motor's swing on its tendons{damped}", law.damping, "gain"),
         p("friction_angle", "1", *angles, 0.5 * angle, f"x = mu Theta{why}", estimator, "friction_angle"),
         p("pretension", "N", *tensions, 0.5 * pretension, f"T_p0{why}", estimator, "pretension"),
-        p("use_estimate", "1", *use, inf, "whether the law uses the estimates", estimator, "use"),
-        p("bending_angle", "rad", *bends, 2.0, "commanded Theta, without joint terms", axis.bending, "commanded"),
+        p("use_estimate", "1", *use, inf, f"whether the law uses the estimates{used}", estimator, "use"),
+        p("bending_angle", "rad", *bends, 2.0, f"commanded Theta, without joints{bent}", axis.bending, "commanded"),
         p("direction_zone", "rad/s", zone, 10.0, inf, "joint speed that counts as 0", axis.direction, "zone"),
         p("setpoint_gain", "1", -2.0, 2.0, 0.5, "scales the set-point", axis.set_point, "gain"),
         p("back_off", "1", 0.0, 1.0, inf, "of the guard; 1 releases its latch", axis.guard, "back_off", restores=True),

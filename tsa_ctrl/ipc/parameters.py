@@ -26,9 +26,7 @@ def change(
     for number, known in enumerate(ranges):
         if known.name == parameter:
             if known.low is None or known.high is None:
-                raise UsageError(
-                    f"'{parameter}' cannot be set with this axis' estimator; see estimator.kind ({known.doc})"
-                )
+                raise UsageError(f"'{parameter}' cannot be set on this axis: {known.doc}")
             check_bounds(parameter, value, known.low, known.high, known.unit)
             before = mailbox.status()[1][index][1][number]
             answer = {"axis": description.axes[index], "name": parameter, "unit": known.unit}

@@ -45,7 +45,7 @@ LengthChange = Annotated[
     float, Meta(ge=0.0, le=0.5, description="m; travel of a tensioner; divide millimetres by 1000")
 ]
 Pretension = Annotated[
-    float, Meta(ge=0.0, le=20e3, description="N; more than the weight of 2 t; gram-force times 0.00981, kgf times 9.81")
+    float, Meta(ge=0.0, le=20e3, description="N; 20 kN is the weight of 2 t; gram-force times 0.00981, kgf times 9.81")
 ]
 Share = Annotated[float, Meta(ge=0.0, le=10.0, description="1, a factor minus 1; divide per cent by 100")]
 

@@ -36,7 +36,6 @@ class ElongationTorque:
         friction = abs(sliding(model).half_loop)
         centre = compliance_centre(model)
         doubt = model.bending_centre_uncertainty
-        self._least_friction = (1.0 - model.friction_angle_uncertainty) * (1.0 - model.pretension_uncertainty)
         self._most_friction = (1.0 + model.friction_angle_uncertainty) * (1.0 + model.pretension_uncertainty)
         self._per_stretch = 2.0 * model.tendon_stiffness * model.joint_pulley_radius
         self._at_joint = friction * min(1.0, centre + doubt)
@@ -84,9 +83,9 @@ class ElongationTorque:
         # Bounds of z times the friction over the file's value.
         forward, backward = self._most_friction, -self._most_friction
         if slid > self._way:
-            backward = self._least_friction
+            backward = 0.0  # friction may be lost at any time, so the file gives no lower bound of it
         elif slid < -self._way:
-            forward = -self._least_friction
+            forward = 0.0
         stretch = self._motor - self._joint
         drift = self._creep + GEARING * abs(went)
         self._zero_low -= drift

@@ -130,7 +130,7 @@ def commands(axes: Sequence[str], tuners: Sequence[Tuner], changes: Iterable[Cha
             raise UsageError(f"no parameter '{name}'; known are {', '.join(p.name for p in parameters)}")
         known = parameters[number]
         if known.low is None or known.high is None:
-            raise UsageError(f"'{name}' cannot be set with this axis' estimator; see estimator.kind")
+            raise UsageError(f"'{name}' cannot be set on this axis: {known.doc}")
         if not known.low <= change.value <= known.high:
             raise UsageError(
                 f"{name} {change.value:g} {known.unit} is out of bounds; "
