@@ -138,7 +138,7 @@ class EstimatorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 
 @dataclass(slots=True)
 class Sample:
-    """What one cycle tells an estimator; nan where it is not measured. An axis fills the same one in each cycle."""
+    """The inputs of an estimator in one cycle; nan if not measured. An axis reuses the same object in each cycle."""
 
     sigma: float  # 1, direction of the tendon
     omega_j: float  # rad/s

@@ -22,7 +22,7 @@ from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.system.notify import Notifier
 
-# Looks after the processes beside the loop, and says it when one of them hangs, was replaced, or is gone for good.
+# Supervises the processes next to the loop, and reports when one of them hangs, was replaced, or has ended.
 
 SILENT = 1.0  # s without a sign of life until that is said: each leaves five a second and more
 

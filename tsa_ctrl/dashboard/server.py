@@ -37,7 +37,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client, stop_daemon
 from tsa_ctrl.ipc.protocol import Recover, Set, Status
 
-# What the page is told and may ask, over the daemon's local socket: nothing that happens here delays the loop.
+# Data and requests of the page, over the daemon's local socket: nothing here delays the loop.
 
 TIMEOUT = 2.0  # s for an answer
 STOP_TIMEOUT = 0.5  # s: a working server answers within milliseconds; after that the daemon gets SIGTERM

@@ -19,7 +19,7 @@ Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # f
 
 
 def runs_on(bus: BusChoice) -> Run:
-    """What runs `controller-NAME.toml` on `plant.toml` of a folder, the plant anew, and returns the run's summary."""
+    """Return a function that runs `controller-NAME.toml` of a folder on a new plant, and returns the run's summary."""
     if bus.virtual:
         from tsa_ctrl.virtual.stage import play  # the loop and the plant in this process
 

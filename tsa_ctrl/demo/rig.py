@@ -37,9 +37,9 @@ VIRTUAL = BusChoice("socketcan", "vcan0", virtual=True)
 
 
 def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: None) -> BusChoice:
-    """The bus asked for (a CAN interface, or INTERFACE:CHANNEL of python-can), else the best there is.
+    """Return the requested bus (a CAN interface, or INTERFACE:CHANNEL of python-can), else the best available one.
 
-    A vcan that is down is brought up; where this user may not, `say` is told, and another bus is taken. Raises
+    A vcan that is down is brought up; if this user may not, `say` reports it, and another bus is used. Raises
     UsageError when a CAN interface that was asked for does not exist or is down.
     """
     there = can_interfaces()

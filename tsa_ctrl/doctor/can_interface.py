@@ -15,7 +15,7 @@ from tsa_ctrl.bus.wire.link import CanState, open_bus, read
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import TsaError
 
-# One finding about the machine: what was found, what is wanted, and the command that mends it.
+# One finding about the machine: the found and the required state, and the command that fixes it.
 
 
 class Result(Enum):

@@ -13,12 +13,12 @@ from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
 from tsa_ctrl.system.keeper import child
 from tsa_ctrl.version import __version__
 
-# What stands at the head of a log: where it came from and what its codes mean.
+# The header of a log: its origin and the meaning of its codes.
 
 
 @dataclass(frozen=True)
 class LogHeader:
-    """What stands at the head of a log.
+    """The header of a log.
 
     `files` maps the name of each configuration or model file to its text, `codes` the name of a coded field to
     {code: name}; `started` is the time of t = 0 in s since 1970; `rate` in Hz.

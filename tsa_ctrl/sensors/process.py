@@ -22,7 +22,7 @@ _READING = struct.Struct("=ddQQq")  # value, monotonic time in s, values, reject
 
 
 class LineState(IntEnum):
-    """What the reading process says of its line."""
+    """The state of a serial line, reported by its reading process."""
 
     STARTING = 0
     READING = 1

@@ -52,7 +52,7 @@ _TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 
 
 
 def check_signs(session: Session, node: Node) -> None:
-    """Raises UsageError where a drive's polarity, or what it counts per revolution, is not what was configured."""
+    """Raise UsageError if a drive's polarity or its counts per revolution differ from the configuration."""
     _check_polarity(session, node)
     _check_counts(session, node)
 

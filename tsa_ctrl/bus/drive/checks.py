@@ -16,12 +16,12 @@ from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, Session
 from tsa_ctrl.bus.settings import AxisNodes, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
-# What a bring-up found at each node and what it changed there.
+# The findings and changes of a bring-up at each node.
 
 
 @dataclass(frozen=True)
 class Row:
-    """One object written: what the node had, and what it has now. `after` is None for an object that it lacks."""
+    """One written object with its values before and after. `after` is None for an object that the node lacks."""
 
     entry: Object
     before: int | None
@@ -41,7 +41,7 @@ class Row:
 
 @dataclass
 class NodeReport:
-    """What was found at one node, and what was written to it."""
+    """The findings at one node, and the objects written to it."""
 
     name: str  # axis, role and node id
     node_id: int = 0
