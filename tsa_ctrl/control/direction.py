@@ -196,7 +196,7 @@ class Direction:
         self._since += self._period
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
-            if not self._little_since_turn():
+            if not abs(motion.angle - self._turned_at) < self._little:
                 self._edge = stretch
             slip = self._radius * omega + self._give * rate
             if slip * self.sigma <= 0.0 and slip != 0.0:

@@ -203,7 +203,10 @@ class JointTorque:
         self._soft = self._soft + self._period if enabled and soft else 0.0
         if self.elongation is not None and fresh:
             self.elongation.update(image.q_m, image.q_j, command)
-        self._combine()
+        if stretch.confirmation.confirmed and not self._faulty:
+            self.torque, self.low, self.high = stretch.torque, stretch.low, stretch.high
+        else:
+            self._combine()
         if tau_j == tau_j and stretch.state is StretchState.TOLD and fresh:
             forget = self._forget
             self.difference += forget * (tau_j - stretch.torque - self.difference)

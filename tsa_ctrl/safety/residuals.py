@@ -165,8 +165,8 @@ class Elongation:
         self._top -= loss + drift
         self._bottom += loss + drift
         fell, rose = self._top - high - self._bound, low - self._bottom - self._bound
-        beyond = max(falls, rises, fell, rose)
-        if beyond > 0.0:
+        beyond = falls > 0.0 or rises > 0.0 or fell > 0.0 or rose > 0.0
+        if beyond:
             self.reversed = (
                 against
                 or (fell > 0.0 and pull > self._top_pull + NOISE)
@@ -176,7 +176,7 @@ class Elongation:
             self._top, self._top_pull = low, pull
         if high < self._bottom:
             self._bottom, self._bottom_pull = high, pull
-        return beyond if beyond > 0.0 else None
+        return max(falls, rises, fell, rose) if beyond else None
 
 
 class _QuickTurns:
