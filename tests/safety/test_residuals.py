@@ -94,19 +94,6 @@ def test_a_step_of_a_motor_that_rings_on_its_tendons_stops_nothing() -> None:
         assert check.update(2.0 if n else 0.0, angle, speed, 0.3) is None
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6])
-def test_a_torque_that_turns_on_tendons_with_much_friction_stops_nothing(share: float) -> None:
-    """The tendons give a share of tau/K beyond the friction, which a motor that turns back meets all at once."""
-    give = Give(stiffness=STIFFNESS, wound=0.095, domain=1.8, play=0.0)
-    check, torque, slid = Elongation(give, PERIOD), 0.0, 0.0
-    for n in range(3000):
-        t = n * PERIOD
-        goal = 2.0 * math.sin(2.0 * t) if t < 2.0 else 1.7 * (1.0 if (t // 0.024) % 2.0 == 0.0 else -1.0)
-        torque += min(0.2, max(-0.2, goal - torque))  # up to 0.2 N*m in a cycle, back after a few
-        slid = min(torque + share, max(torque - share, slid))  # the motor is held until friction has turned
-        assert check.update(torque, slid / STIFFNESS, 0.0, 0.0) is None, t
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_an_encoder_that_sticks_is_found_by_what_the_motor_does_without_torque(sign: float) -> None:
     """At 2 rad/s and 0.1 N*m: within 10 ms, which are 20 mrad."""

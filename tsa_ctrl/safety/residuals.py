@@ -35,7 +35,6 @@ RESPONSE = 2.8e-3  # rad, limit of the first rule; 1.6e-3 is the most of 84 heal
 BOUND = 9e-3  # rad, limit of the second rule; 5.3e-3 is the most of the same rigs
 HEAVY = 6e-4  # kg*m^2, motor inertia that is assumed where it is not known
 LIGHT = 0.2  # 1, uncertainty of a known motor inertia
-TURN = 1e-3  # rad of elongation; smaller strokes are noise or ringing. RESPONSE covers one stroke and its reversal
 NOISE = 6e-3  # N*m, fluctuation of a reported torque that moves no motor
 LASTING = 1e-3  # s that a residual must last, smoothed as it is: a motor that turned rings through it
 
@@ -78,7 +77,6 @@ class Elongation:
         self._turn = 1.0 / max(half * (1.0 - give.friction), 1e-9)
         self._slide = 2.0 / ((1.0 + give.friction) * (1.0 + give.doubt) * give.wound + BACKLASH + give.play)
         self._creep = CREEP * period
-        self._quick = _QuickTurns(compliance)
         self._smooth = 1.0 - math.exp(-period / max(SMOOTH, SAMPLES * period))
         self.reset()
 
@@ -104,7 +102,6 @@ class Elongation:
         """
         if self._torque != self._torque:
             self._torque = self._torque_seen = torque
-            self._quick.begin(torque)
             self._motor, self._speed = angle, speed
             self._joint = self._joint_seen = joint
         smooth, doubt, compliance = self._smooth, self._doubt, self._compliance
@@ -127,7 +124,7 @@ class Elongation:
         if pull > self._domain or pull < -self._domain:
             unsure += compliance * (abs(pull) - self._domain)
         rest = self._motor - led - compliance * pull
-        rise, fall = self._quick.update(torque - self._inertia * step, turned, smooth)
+        rise, fall = (turned, 0.0) if turned > 0.0 else (0.0, -turned)
         up, down, loss = rise + doubt * fall, fall + doubt * rise, doubt * (rise + fall)
         drift = self._creep
         if went > 0.0:
@@ -177,58 +174,6 @@ class Elongation:
         if high < self._bottom:
             self._bottom, self._bottom_pull = high, pull
         return max(falls, rises, fell, rose) if beyond else None
-
-
-class _QuickTurns:
-    """Add the part of quick torque reversals that the low-pass hides.
-
-    At each reversal of the torque friction locks the motor, so f changes by the whole stroke. The low-pass is linear.
-    Therefore the strokes of the unfiltered torque, filtered afterwards, bound the filtered f.
-    """
-
-    def __init__(self, compliance: float) -> None:
-        """Prepare; `compliance` in rad/(N*m)."""
-        self._compliance = compliance
-        self.begin(0.0)
-
-    def begin(self, torque: float) -> None:
-        """Begin with this torque, N*m."""
-        self._seen = self._compliance * torque
-        self._rise = self._fall = 0.0  # rad in a cycle, filtered
-        self._more_rise = self._more_fall = 0.0  # rad, by which they exceed those of the filtered torque
-
-    def update(self, torque: float, turned: float, smooth: float) -> tuple[float, float]:
-        """Return the rad by which f may rise and fall in this cycle.
-
-        Args:
-            torque: N*m on the tendons, unfiltered.
-            turned: rad by which the filtered torque changed the elongation.
-            smooth: share of the low-pass in a cycle.
-        """
-        seen, stretch = self._seen, self._compliance * torque
-        up = down = rise = fall = 0.0
-        if stretch > seen + TURN:
-            up = stretch - TURN - seen
-        elif stretch < seen - TURN:
-            down = seen - stretch - TURN
-        self._seen += up - down
-        self._rise += smooth * (up - self._rise)
-        self._fall += smooth * (down - self._fall)
-        if turned > 0.0:
-            rise = turned
-        else:
-            fall = -turned
-        more, less = self._more_rise + self._rise - rise, self._more_fall + self._fall - fall
-        if more > 0.0:
-            rise += more
-            more = 0.0
-        if less > 0.0:
-            fall += less
-            less = 0.0
-        least = -2.0 * TURN
-        self._more_rise = more if more > least else least
-        self._more_fall = less if less > least else least
-        return rise, fall
 
 
 class Velocity:
