@@ -165,6 +165,20 @@ def test_a_set_point_that_has_changed_has_a_credit_of_its_own(set_point: float) 
     assert chosen.credit.share == 1.0
 
 
+@pytest.mark.parametrize("way", [0.6, 0.9])
+def test_a_partly_spent_credit_is_filled_by_a_changed_set_point_too(way: float) -> None:
+    """A joint that stops on a small remainder would otherwise rest for ever, and its friction stay unproven."""
+    chosen = limit(Proof())
+    move(chosen, way, set_point=0.3)
+    left = chosen.credit.share
+    assert 0.0 < left < 0.9
+    rest(chosen, 5.0, 0.3)
+    assert chosen.credit.share == left
+    rest(chosen, 0.2, -0.3)
+    assert chosen.credit.share == 1.0
+    assert move(chosen, -4.0, set_point=-0.3) < 1.01 * 0.4
+
+
 def test_a_changing_set_point_suspends_the_account_where_nothing_can_be_proven() -> None:
     blind = limit(Proof(usable=False))
     move(blind, 10.0, set_point=0.3, rate=1.0)

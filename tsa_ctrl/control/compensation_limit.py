@@ -14,7 +14,8 @@ sensor's excess over the set-point. Where friction is proven, low is close to hi
 An empty credit reduces the term to 0. If the term returned while the joint rests, it would start the motion again. The
 credit is therefore filled again only if the joint is moved without the term: after a rest, or for longer than the joint
 can move on its momentum. Motion in the direction of the set-point's torque does not count, because that torque may have
-caused it. A changed set-point also fills the credit once the joint rests: each request has one credit.
+caused it. A changed set-point also fills the credit once the joint rests, whether the credit is empty or partly spent:
+each request has one credit.
 
 Without a sensor at the joint nothing is ever proven. There a changing set-point suspends the account, because a person
 requests motion.
@@ -63,7 +64,7 @@ class EnergyCredit:
     def _forget(self) -> None:
         self._rest = self._moved = self._moving = 0.0
         self._rested = False
-        self._asked = 0.0  # N*m, the set-point that emptied the credit
+        self._asked = 0.0  # N*m, the set-point at which the credit was spent last
 
     @property
     def share(self) -> float:
@@ -81,30 +82,31 @@ class EnergyCredit:
             request: N*m by which a set-point must change to ask for motion again.
             suspended: True if nothing is spent in this cycle.
         """
+        if velocity == 0.0:
+            self._moving = 0.0
+            self._rest += self._period
+            if self._rest > RESTED:
+                self._rested = True
+                if self.share < 1.0 and abs(tau_j_des - self._asked) > request:
+                    self._fill(max(1.0, self._left / self._capacity))
+            return
+        self._rest = 0.0
         way = abs(velocity) * self._period
         spent = unproven * way
         if spent < 0.0:
             self._left = min(self._size, self._left - spent)
             if self.withdrawn and self._left > KNEE * self._size:
                 self._fill(1.0)
-        elif not self.withdrawn:
+        elif self.withdrawn:
+            if tau_j_des * velocity <= 0.0:
+                self._moved_without(way)
+        else:
             if not suspended:
                 self._left -= spent
             if self._left <= EMPTY * self._size:
                 self.withdrawn = True
                 self._forget()
-                self._asked = tau_j_des
-        elif velocity == 0.0:
-            self._moving = 0.0
-            self._rest += self._period
-            if self._rest > RESTED:
-                self._rested = True
-                if abs(tau_j_des - self._asked) > request:
-                    self._fill(1.0)
-        else:
-            self._rest = 0.0
-            if tau_j_des * velocity <= 0.0:
-                self._moved_without(way)
+            self._asked = tau_j_des
 
     def _moved_without(self, way: float) -> None:
         self._moving += self._period
