@@ -16,8 +16,9 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import BusSettings, SupervisionSettings
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.settings import load_plant
+from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.safety.shut_down import shut_down
-from tsa_ctrl.safety.supervisor import Cause, Phase, Request, Supervisor
+from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor
 from tsa_ctrl.virtual.lockstep import Wire
 
 PERIOD = 0.004  # s

@@ -13,6 +13,7 @@ import pytest
 from tests.daemon.machine import Machine
 from tsa_ctrl.control.axis import BENT, ControlAxis
 from tsa_ctrl.control.estimator import Sample
+from tsa_ctrl.safety.causes import Cause, Fault, Finding
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.supervisor import Phase, Request
 
@@ -162,7 +163,7 @@ def test_a_set_point_counts_from_when_its_client_wanted_it(
 class Calls(list[tuple[Any, ...]]):
     """What an axis asked of its parts after a command, in order."""
 
-    def __init__(self, axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, wrong: str | None = None) -> None:
+    def __init__(self, axis: ControlAxis, monkeypatch: pytest.MonkeyPatch, wrong: Finding | None = None) -> None:
         super().__init__()
         asked = {"law": "applied", "plausibility": "update", "estimator": "update", "guard": "update"}
         for part, method in asked.items():
@@ -227,7 +228,7 @@ def test_what_is_learned_in_a_cycle_is_used_from_the_next_on(
 
 def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """They are not compared, and the estimator is told that it may not admit them."""
-    calls = Calls(axis, monkeypatch, wrong="nonsense")
+    calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.image.fresh = False
     axis.follow(2.0)
     assert [call[0] for call in calls] == ["law", "estimator", "guard"]
@@ -237,7 +238,7 @@ def test_stale_measurements_contradict_nobody(axis: ControlAxis, monkeypatch: py
 
 def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """Theta and the instruments are read all the same, for the log; the rest is reset."""
-    calls = Calls(axis, monkeypatch, wrong="nonsense")
+    calls = Calls(axis, monkeypatch, wrong=Finding(Cause.MOVED_APART, "nonsense"))
     axis.terms.permitted, axis.terms.reason = False, Reason.OVER_SPEED
     axis.follow(2.0)
     assert calls == []
@@ -248,10 +249,11 @@ def test_without_permission_nobody_learns(axis: ControlAxis, monkeypatch: pytest
 
 def test_a_contradiction_trips_in_its_words(axis: ControlAxis, monkeypatch: pytest.MonkeyPatch) -> None:
     """And the time is that of the cycle."""
-    Calls(axis, monkeypatch, wrong="a tendon is torn")
+    finding = Finding(Cause.MOVED_APART, "a tendon is torn")
+    Calls(axis, monkeypatch, wrong=finding)
     axis.follow(2.0)
     assert axis.supervisor.fault is not None
-    assert (axis.supervisor.fault.detail, axis.supervisor.fault.time) == ("a tendon is torn", 2.0)
+    assert axis.supervisor.fault == Fault(*finding, 2.0)
 
 
 @pytest.mark.parametrize("reason", Reason)
@@ -262,8 +264,8 @@ def test_over_speed_and_what_is_not_finite_trip(
     Calls(axis, monkeypatch)
     axis.terms.reason = reason
     axis.follow(2.0)
-    words = {Reason.OVER_SPEED: "over-speed at the limiter", Reason.NOT_FINITE: "not-finite at the limiter"}
-    assert (axis.supervisor.fault.detail if axis.supervisor.fault else None) == words.get(reason)
+    causes = {Reason.OVER_SPEED: Cause.OVER_SPEED, Reason.NOT_FINITE: Cause.NOT_FINITE}
+    assert (axis.supervisor.fault.cause if axis.supervisor.fault else None) == causes.get(reason)
 
 
 @pytest.mark.parametrize("part", [0, 1])

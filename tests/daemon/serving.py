@@ -36,7 +36,7 @@ def description(path: Path, axes: list[str]) -> Description:
         phases=[phase.name.lower() for phase in LoopPhase],
         set_point_limit=[2.0, *(None for _ in axes[1:])],
         figures={"bus": "vcan0"},
-        cures={"stale PDO": "look at the bus"},
+        remedies={"stale_pdo": "look at the bus"},
         set_point_timeout=[0.2 for _ in axes],
     )
 

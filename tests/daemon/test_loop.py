@@ -16,6 +16,7 @@ from tests.daemon.machine import BARE, CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
+from tsa_ctrl.safety.causes import Cause, Finding
 
 Build = Callable[..., Machine]
 
@@ -323,7 +324,8 @@ class Disobedient(Drive):
 def test_a_drive_that_does_not_obey_is_stopped_by_nmt(tmp_path: Path) -> None:
     """It stays enabled while told to leave: 50 ms later, and again, the NMT command that makes it react by itself."""
     machine = Machine(tmp_path, CONSTANT, drive=Disobedient())
-    machine.drive.at_sync[310] = lambda: machine.axis.supervisor.trip("a limit", machine.bus.clock.now)
+    found = Finding(Cause.NOT_FINITE, "a limit")
+    machine.drive.at_sync[310] = lambda: machine.axis.supervisor.trip(found, machine.bus.clock.now)
     machine.drive.at_sync[500] = lambda: machine.loop.stop("test")
     machine.run()
     stops = [data for can_id, data in machine.bus.sent if can_id == 0x000]
@@ -371,7 +373,9 @@ def test_what_is_not_finite_trips(build: Build) -> None:
     machine = build(CONSTANT)
     machine.drive.at_sync[500] = lambda: setattr(machine.axis.law, "compensation", math.nan)
     machine.run(seconds=1.0)
-    assert "not-finite" in str(machine.events.first_fault)
+    fault = machine.events.first_fault
+    assert fault is not None
+    assert fault.cause_id == "not_finite"
     assert not any(machine.drive.torques[500:])
 
 

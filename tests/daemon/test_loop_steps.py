@@ -16,9 +16,9 @@ from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command
-from tsa_ctrl.safety.cures import CURES
+from tsa_ctrl.safety.causes import Cause, Fault
 from tsa_ctrl.safety.release import ReleaseBudget
-from tsa_ctrl.safety.supervisor import Cause, Fault, Phase, Request
+from tsa_ctrl.safety.supervisor import Phase, Request
 from tsa_ctrl.system.histogram import BINS
 
 START = 5_000_000_000  # ns
@@ -249,7 +249,7 @@ def test_the_time_of_torque_or_fault_ends_a_run(bench: Bench, fails: bool) -> No
 def test_a_start_without_answers_is_given_up_after_3_s(bench: Bench) -> None:
     bench.axes[0].image.fresh = False
     bench.run(3500)
-    text = f"the nodes do not answer every SYNC; {CURES['stale PDO']}"
+    text = f"the nodes do not answer every SYNC; {Cause.STALE_PDO.remedy}"
     assert bench.loop.cause == text
     assert bench.loop.cycles == pytest.approx(3000 + SETTLED, abs=4)
     assert [event[1:] for event in bench.texts()] == [("", text, True)]
@@ -346,8 +346,8 @@ def test_faults_and_what_the_guard_took_back_become_events_once(bench: Bench) ->
     [
         ("wait", 10, "the test"),
         ("exit", 10, "fault: stale PDO: x"),
-        ("exit", 2, f"fault: stale PDO: x; {CURES['stale PDO']}"),
-        ("wait", 2, f"fault: stale PDO: x; {CURES['stale PDO']}"),
+        ("exit", 2, f"fault: stale PDO: x; {Cause.STALE_PDO.remedy}"),
+        ("wait", 2, f"fault: stale PDO: x; {Cause.STALE_PDO.remedy}"),
     ],
 )
 def test_a_fault_ends_a_start_and_where_that_is_wanted_a_run(

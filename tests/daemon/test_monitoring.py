@@ -14,7 +14,7 @@ from tsa_ctrl.daemon.monitoring import MonitorState, SecondChannel, monitor_line
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.report import MONITOR
 from tsa_ctrl.monitor.watch import Stop
-from tsa_ctrl.safety.cures import cure
+from tsa_ctrl.safety.causes import Cause, Finding
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "controller.toml"
 STOP = Stop("joint_speed", "joint too fast", "axis 'knee': 13.0 rad/s, the limit is 12 rad/s", 1.0)
@@ -25,11 +25,11 @@ class FakeMonitor:
 
     def __init__(self) -> None:
         self.report = Report()
-        self.failed: str | None = None
+        self.failed: Finding | None = None
         self.closed = False
 
-    def fault(self, now: float) -> str | None:
-        return f"monitor: {self.report.stop}" if self.report.stop else self.failed
+    def fault(self, now: float) -> Finding | None:
+        return Finding(Cause.MONITOR_STOPPED, str(self.report.stop)) if self.report.stop else self.failed
 
     def news(self) -> list[str]:
         return []
@@ -55,15 +55,15 @@ def run(machine: Machine, act: Callable[[FakeMonitor], None]) -> FakeMonitor:
 
 def test_what_the_monitor_stopped_for_is_latched_and_takes_the_torque_at_once(machine: Machine) -> None:
     run(machine, lambda monitor: setattr(monitor, "report", Report(STOP)))
-    assert machine.events.faults[0].text == f"tripped by the controller: monitor: {STOP}"
+    assert machine.events.faults[0].text == f"stopped by the monitor: {STOP}"
     assert any(machine.drive.torques[880:900])
     assert not any(machine.drive.torques[903:])
 
 
 def test_a_monitor_that_fails_ramps_the_torque_to_zero_and_latches(machine: Machine) -> None:
-    run(machine, lambda monitor: setattr(monitor, "failed", "monitor: its process ended"))
-    assert machine.events.faults[0].text == "monitor: its process ended"
-    assert cure("monitor: its process ended")
+    run(machine, lambda monitor: setattr(monitor, "failed", Finding(Cause.MONITOR_ENDED, "x")))
+    fault = machine.events.faults[0]
+    assert (fault.text, fault.cause_id) == ("monitor ended: x", "monitor_ended")
     sizes = [abs(torque) for torque in machine.drive.torques]
     assert all(sizes[905:950])
     assert not any(sizes[1010:])
@@ -71,11 +71,11 @@ def test_a_monitor_that_fails_ramps_the_torque_to_zero_and_latches(machine: Mach
 
 def test_a_monitor_that_fails_before_the_torque_ends_the_start(machine: Machine) -> None:
     monitor = FakeMonitor()
-    monitor.failed = "monitor: no sign of life for 0.5 s"
+    monitor.failed = Finding(Cause.MONITOR_SILENT, "no sign of life for 0.5 s")
     machine.loop.attach(SecondChannel(lambda: monitor))
     machine.run()
     assert machine.loop.cause is not None
-    assert machine.loop.cause.startswith("fault: monitor: no sign of life")
+    assert machine.loop.cause.startswith("fault: monitor silent: no sign of life")
     assert not any(machine.drive.torques)
 
 

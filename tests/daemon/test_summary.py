@@ -13,6 +13,7 @@ from rich.console import Console
 from tsa_ctrl.daemon.events import MOST, Event, Events
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.ipc.mailbox import TEXT
+from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.system.histogram import BINS, coarse, count, distribution
 
 
@@ -90,9 +91,9 @@ def test_without_a_log_nothing_is_written(tmp_path: Path, monkeypatch: pytest.Mo
 def test_first_fault_is_never_dropped() -> None:
     """However many events follow, the cause stays."""
     events = Events()
-    events.add(0.0, "knee", "the cause", fault=True)
+    events.add(0.0, "knee", "the cause", cause=Cause.SKIPPED)
     for n in range(3 * MOST):
-        events.add(float(n), "", "and then", fault=n % 2 == 0)
+        events.add(float(n), "", "and then", cause=Cause.SKIPPED if n % 2 == 0 else None)
     assert events.first_fault is not None
     assert events.first_fault.text == "the cause"
     assert len(events.all) == MOST
@@ -112,9 +113,9 @@ def test_the_cause_is_among_the_events_that_fit_the_mailbox() -> None:
     """Who looks at the status must see why it stopped, however much was said since."""
     events = Events()
     events.add(0.0, "", "log: written again")
-    events.add(1.0, "k" * 10_000, "\0" * 10_000, fault=True)
+    events.add(1.0, "k" * 10_000, "\0" * 10_000, cause=Cause.SKIPPED)
     for n in range(MOST):
-        events.add(2.0 + n, "knee", "x" * 1000, fault=True)
+        events.add(2.0 + n, "knee", "x" * 1000, cause=Cause.SKIPPED)
     told = json.loads(events.encoded())
     assert (told[0]["number"], told[0]["t"]) == (1, 1.0)
     assert told[-1]["t"] == MOST + 1

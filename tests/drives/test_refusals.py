@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ROOT
-from tsa_ctrl.safety.cures import CURES, cure
-from tsa_ctrl.safety.supervisor import Cause, Fault
 
 PLACES = ("tsa_ctrl/bus", "tsa_ctrl/drills")
 # Words that say what to do, in the imperative, after what was found.
@@ -80,12 +78,6 @@ def test_what_ends_other_messages_says_what_mends_it() -> None:
     assert set(found) == set(WORDED)
     for name in set(WORDED) - {"rated_torque_hint"}:
         assert DO.search(found[name]), name
-
-
-def test_a_fault_that_ends_a_start_is_given_its_cure_unless_it_has_one() -> None:
-    for cause in Cause:
-        assert cure(str(Fault(cause, "drive node 1", 0.0))) == CURES[cause.value]
-    assert cure(str(Fault(Cause.ENABLE_TIMEOUT, "drive is in ready; more enable_timeout", 0.0))) == ""
 
 
 def test_a_message_without_a_cure_would_be_found() -> None:

@@ -52,7 +52,7 @@ def test_a_monitor_that_stopped_is_latched_by_the_loop_and_a_recovery_starts_ano
     files = write(tmp_path, controller(file={"monitor": {"enabled": True}}), plant(joint={"load": "limb"}))
     result = simulate_loop(*files, 3.0, faults=["repeated_tpdo duration=0.2@0.8"], changes=["recover=1@1.5"])
     (axis,) = result.axes
-    assert axis.faults[0].startswith("tripped by the controller: monitor: more than one frame per SYNC")
+    assert axis.faults[0].startswith("stopped by the monitor: more than one frame per SYNC")
     assert not any("second master" in fault for fault in axis.faults)
     t, enabled = result.truth["clock"] - axis.start, result.truth["enabled"] > 0.0
     assert enabled[(t > 0.6) & (t < 0.8)].all()

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from tsa_ctrl.safety.causes import Finding
 from tsa_ctrl.safety.leaky import Leaky
 from tsa_ctrl.safety.sense import PATIENCE, SMALL, TURN, Sense
 
@@ -185,7 +186,7 @@ def run(
     seconds: float = 0.5,
     rise: float = 1.0,
     omega_j: float = 0.0,
-) -> float | str:
+) -> float | Finding:
     """A torque that rises by `rise` N*m/s; what is found, or when the torque was free to grow, s."""
     free = math.inf
     for n in range(round(seconds / PERIOD)):
@@ -260,7 +261,7 @@ def test_a_motor_that_turns_round_on_a_joint_that_goes_on_is_found_when_its_tend
     assert "the wrong way round" in str(found)
 
 
-def falls(itself: float, yields: float) -> str | None:
+def falls(itself: float, yields: float) -> Finding | None:
     """What is said while the torque falls after the tendon turned, on a sense that was shown before.
 
     By 0.5 N*m, in a sheath whose friction keeps it, within 0.5 s; `itself`, `yields`: rad at the motor that motor and
@@ -305,7 +306,7 @@ def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yie
 
 
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
-    for gain, expected in ((0.5, float), (-0.5, str)):
+    for gain, expected in ((0.5, float), (-0.5, Finding)):
         assert isinstance(run(Sense(2.0, GEARED, PERIOD), UNKNOWN, gain), expected)
         assert isinstance(run(Sense(2.0, GEARED, PERIOD), 0.0, gain), expected)  # a rig too stiff for its encoders
 
@@ -322,7 +323,7 @@ def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_sh
 def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> None:
     """By more than three times is no torque constant wrong: that is a hand that moves the limb."""
     said = run(Sense(2.0, GEARED, PERIOD), gain=gain)
-    assert isinstance(said, str) is found
+    assert isinstance(said, Finding) is found
     if found:
         assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
 
@@ -330,7 +331,7 @@ def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> No
 def test_the_joint_gets_as_much_as_tendons_transmit_that_slide() -> None:
     """All bends at the joint, x = 0.8: cosh 0.8 = 1.34 times the ratio of the pulleys."""
     slope = math.cosh(0.8)
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=slope), str)
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=slope), Finding)
     assert isinstance(run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=slope), float)
     said = run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=2.0 * slope)
     assert f"the pulleys give {slope * GEARED:.2f}" in str(said)
@@ -546,7 +547,7 @@ def test_tendons_that_give_more_than_the_torque_stretches_them_by(softer: float,
     """The motor gives more than it reports, or a tendon hangs; on a joint that moves friction may do that."""
     sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
     said = run(sense, seconds=0.6, rise=2.0)
-    assert isinstance(said, str) is found
+    assert isinstance(said, Finding) is found
     assert not found or f"give {softer:.1f} times" in str(said)
     sense = Sense(2.0, GEARED, PERIOD, stiffness=STIFFNESS * softer)
     assert isinstance(run(sense, seconds=0.6, rise=2.0, omega_j=0.5), float)

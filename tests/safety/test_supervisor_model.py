@@ -22,7 +22,8 @@ from tests.safety.test_supervisor import Bench
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
 from tsa_ctrl.bus.wire.seam import BusFault
-from tsa_ctrl.safety.supervisor import Cause, Fault, Request, Supervisor
+from tsa_ctrl.safety.causes import Cause, Fault
+from tsa_ctrl.safety.supervisor import Request, Supervisor
 
 BRING_UP = {  # what takes the nodes' configuration with it, by the name of what happens
     "bus-off": Cause.BUS_FAULT,

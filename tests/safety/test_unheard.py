@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tsa_ctrl.bus.live.read_back import Hearing
-from tsa_ctrl.safety.cures import cure
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.unheard import Unheard
 
 
@@ -42,5 +42,5 @@ def test_it_says_which_drive_how_often_and_what_to_do() -> None:
     check = Unheard(hearing, "drive node 1")
     hearing.asked, hearing.unheard = 48, 9
     said = check.update(0.0)
-    assert said == "drive node 1 held an older command 9 of 48 times that 0x6071 was read back, 1 within a second"
-    assert cure(said).startswith("commands are lost on their way")
+    detail = "drive node 1 held an older command 9 of 48 times that 0x6071 was read back, 1 within a second"
+    assert said == Finding(Cause.COMMANDS_MISSED, detail)

@@ -13,7 +13,9 @@ from tools.campaign.phase.plan import MOMENTS, PHASES, Draw, Trial, chosen, full
 from tools.campaign.phase.stage import RECOVER_ACT, Seen, Traces
 from tools.campaign.phase.verdict import Judge, judge
 from tools.manual import hazards
+from tools.manual.hazards import load
 from tsa_ctrl.plant.faults import FAULTS, parse_fault
+from tsa_ctrl.safety.causes import REMEDIES
 
 HELD = Draw("held", "uniform", "constant", 1.0, 1.0, 1e-4, 0, True, 1, 0.5, 1)
 LOST = Trial(("TPDOs lost",), "running", 0, 0.0, HELD)
@@ -32,7 +34,7 @@ def test_torque_that_does_not_end_is_unsafe() -> None:
         traces.clock.append(1.0 + 1e-3 * row)
         for column in traces.columns:
             column.append(0.5)
-    seen = Seen((traces,), 1.0, 1.4, 0.0, math.inf, (STALE,), (), "", "")
+    seen = Seen((traces,), 1.0, 1.4, 0.0, math.inf, (STALE,), ("stale_pdo",), (), "", "")
     assert "torque zero after 399 ms, allowed are 250" in Judge(LOST, seen, 0.25).verdict().wrong
 
 
@@ -88,3 +90,9 @@ def test_a_trial_without_a_joint_encoder_stops_as_well() -> None:
     blind = LOST.with_sensors("motor")
     assert blind.key == f"{LOST.key} | motor"
     assert judge(blind).wrong == ()
+
+
+def test_every_recorded_fault_of_the_hazard_catalogue_has_one_cause() -> None:
+    for name, row in load()["hazards"].items():
+        assert len(row["cause_ids"]) == len(row["causes"]), name
+        assert set(row["cause_ids"]) <= set(REMEDIES), name

@@ -97,7 +97,6 @@ KEY = ("fault", "load", "sensors", "set_point", "calibrated")
 # 1, as bench/stretch prints of rigs: half an interval of the stiffness, and that of the centre of the bends (MODEL and
 # COURSE_FOUND in identify/calibrate/stretch.py are their floors)
 CALIBRATED = (0.006, 0.002)
-TRIPPED = "tripped by the controller: "
 NONE = 0.02  # N*m, that a drive reports of no torque
 
 
@@ -237,6 +236,6 @@ def tables(rows: Sequence[Row], arguments: argparse.Namespace) -> list[Table]:
             if by_load:
                 words = next((row["words"] for row in by_load.values() if row["words"]), "nothing")
                 cells = (cell(by_load[load]) if load in by_load else "" for load in arguments.loads)
-                table.add_row(name, *cells, words.removeprefix(TRIPPED).split(":")[0])
+                table.add_row(name, *cells, words.split(":")[0])
         found += [table] if those else []
     return found

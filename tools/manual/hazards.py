@@ -9,8 +9,7 @@ from tools.campaign.phase import plan
 from tools.campaign.phase.catalogue import HAZARDS, Hazard
 from tools.campaign.phase.results import KEPT
 from tools.campaign.phase.rigs import LIMIT
-from tsa_ctrl.safety.cures import cure
-from tsa_ctrl.safety.supervisor import Cause
+from tsa_ctrl.safety.causes import REMEDIES, Cause
 
 HEAD = (
     "hazard", "cause", "detected as", "reaction", "torque zero after, median (worst)",
@@ -51,7 +50,7 @@ def _line(hazard: Hazard, row: dict[str, Any]) -> tuple[str, ...]:
     else:
         reaction = STOPS
     detected = "; ".join(row["causes"]) or "-"
-    mend = cure(row["causes"][0]) if row["causes"] else ""
+    mend = REMEDIES.get(row["cause_ids"][0], "") if row["causes"] else ""
     zero = "-"
     if row["zero_worst"] is not None:
         zero = f"{1e3 * row['zero_median']:.0f} ms ({1e3 * row['zero_worst']:.0f} ms)"
@@ -84,5 +83,5 @@ def _open(hazard: Hazard, row: dict[str, Any]) -> str:
 
 def not_shown() -> list[str]:
     """Causes of the supervisor that no trial of the campaign ended by."""
-    said = " ".join(cause for row in load()["hazards"].values() for cause in row["causes"])
-    return [cause.value for cause in Cause if cause is not Cause.TRIPPED and cause.value not in said]
+    shown = {cause_id for row in load()["hazards"].values() for cause_id in row["cause_ids"]}
+    return [cause.title for cause in Cause if cause.id not in shown]

@@ -18,6 +18,7 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchState
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -64,7 +65,7 @@ class Instruments:
 
 
 BENT = 2.5  # of the half loop: a sheath that is bent 40 % more has 1.4 times the angle and 1.8 times the pretension
-_TRIPPING = frozenset({Reason.OVER_SPEED, Reason.NOT_FINITE})
+_TRIPPING = {Reason.OVER_SPEED: Cause.OVER_SPEED, Reason.NOT_FINITE: Cause.NOT_FINITE}
 _ON = (PowerState.OPERATION_ENABLED, PowerState.QUICK_STOP_ACTIVE, PowerState.FAULT_REACTION_ACTIVE)
 NOTICEABLE = 1e-3  # relative change of a parameter from which the law takes it over
 
@@ -247,7 +248,8 @@ class ControlAxis:
         if unheard is not None:
             self.supervisor.trip(unheard, now)
         if terms.reason in _TRIPPING:
-            self.supervisor.trip(f"{terms.reason.name.lower().replace('_', '-')} at the limiter", now)
+            detail = f"joint {terms.omega_j:.1f} rad/s, motor {image.omega_m:.1f} rad/s, at the limiter"
+            self.supervisor.trip(Finding(_TRIPPING[terms.reason], detail), now)
         if image.fresh:
             feedback = (image.tau_m, image.q_m, image.omega_m)
             tau_j = instruments.tau_j
@@ -257,7 +259,9 @@ class ControlAxis:
                 now, image.tau_m, self._stretch(), image.tau_j, terms.sigma, terms.omega_j
             )
             self.limiter.ceiling = self.sense.ceiling
-            wrong = wrong or self.joint_torque.contradiction
+            soft = None if wrong else self.joint_torque.contradiction
+            if soft is not None:
+                wrong = Finding(Cause.SOFT_TENDONS, soft)
             if wrong is not None:
                 self.joint_torque.distrust()
                 self.supervisor.trip(wrong, now)

@@ -36,7 +36,7 @@ from tsa_ctrl.observer.joint_torque import JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.readiness import loose_lines
-from tsa_ctrl.safety.cures import CURES
+from tsa_ctrl.safety.causes import REMEDIES
 from tsa_ctrl.safety.guard import Guard
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
@@ -327,7 +327,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
             for axis, note in zip(file.axes, configuration.estimators, strict=True)
         ],
         figures={"bus": file.bus.channel, "bitrate": load.bitrate, "load": load.worst, "rate": file.controller.rate},
-        cures=dict(CURES),
+        remedies=REMEDIES,
         loose_bounds=loose_lines(configuration),
     )
 

@@ -9,6 +9,7 @@ import msgspec
 
 from tsa_ctrl.config import AxisSettings
 from tsa_ctrl.ipc.mailbox import TEXT
+from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.sensors.process import LineState, SerialSensors
 
 MOST = 50  # events that are kept beside the first fault
@@ -25,6 +26,7 @@ class Event:
     axis: str
     text: str
     fault: bool
+    cause_id: str = ""  # of a fault: `Cause.id`
 
     def __str__(self) -> str:
         return f"{self.t:9.3f} s  {self.axis + ': ' if self.axis else ''}{self.text}"
@@ -38,13 +40,14 @@ class Events:
         self._number = 0
         self.changed = False
 
-    def add(self, t: float, axis: str, text: str, fault: bool = False) -> None:
-        self._kept.append(Event(self._number, t, axis[:LONGEST_NAME], text[:LONGEST], fault))
+    def add(self, t: float, axis: str, text: str, cause: Cause | None = None) -> None:
+        """Keep an event; with a `cause` it is a fault."""
+        cause_id = "" if cause is None else cause.id
+        self._kept.append(Event(self._number, t, axis[:LONGEST_NAME], text[:LONGEST], cause is not None, cause_id))
         self._number += 1
         self.changed = True
         if len(self._kept) > MOST:
-            cause = self.first_fault
-            self._kept.pop(1 if cause is self._kept[0] else 0)
+            self._kept.pop(1 if self.first_fault is self._kept[0] else 0)
 
     @property
     def first_fault(self) -> Event | None:

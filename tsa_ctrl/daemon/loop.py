@@ -20,9 +20,9 @@ from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.remarks import Remarks
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox
-from tsa_ctrl.safety.cures import CURES, cure
+from tsa_ctrl.safety.causes import REMEDIES, Cause
 from tsa_ctrl.safety.release import ReleaseBudget
-from tsa_ctrl.safety.supervisor import Cause, Phase, Request
+from tsa_ctrl.safety.supervisor import Phase, Request
 from tsa_ctrl.system.histogram import count
 from tsa_ctrl.system.realtime import Ticker
 
@@ -237,8 +237,8 @@ class Loop:
             self._ran = True
             self._enter(LoopPhase.RUNNING, planned)
         elif planned * 1e-9 - self._since > self._settings.settle_cycles * self._period + SETTLE_TIME:
-            text = f"the nodes do not answer every SYNC; {CURES[Cause.STALE_PDO.value]}"
-            self.events.add(self._t(planned), "", text, fault=True)
+            text = f"the nodes do not answer every SYNC; {Cause.STALE_PDO.remedy}"
+            self.events.add(self._t(planned), "", text, Cause.STALE_PDO)
             self.faulty = True
             self.stop(text)
 
@@ -301,9 +301,9 @@ class Loop:
 
     def _follow_monitor(self, planned: int) -> None:
         """Latch the monitor's fault, or ramp the torque to 0 without a monitor."""
-        text = self.channel.follow(planned * 1e-9, self._axes)
-        if text is not None:
-            self.events.add(self._t(planned), "", text, fault=True)
+        finding = self.channel.follow(planned * 1e-9, self._axes)
+        if finding is not None:
+            self.events.add(self._t(planned), "", str(finding), finding.cause)
             self._fault(planned)
 
     def _note_faults(self, planned: int) -> None:
@@ -312,7 +312,7 @@ class Loop:
             faults = axis.supervisor.faults
             if len(faults) > self._faults[index]:
                 for fault in faults[self._faults[index] :]:
-                    self.events.add(fault.time - self._start * 1e-9, axis.name, str(fault), fault=True)
+                    self.events.add(fault.time - self._start * 1e-9, axis.name, str(fault), fault.cause)
                 self._faults[index] = len(faults)
                 self._fault(planned)
             for seen, source in ((self._back_offs, axis.guard), (self._limited, axis.compensation_limit)):
@@ -326,9 +326,9 @@ class Loop:
         for axis in self._axes:
             axis.stop()
         if self._settings.after_fault == "exit" or not self._ran:  # a start that fails is not worth waiting for
-            text = self.events.faults[0].text
-            mended_by = "" if self._ran else cure(text)
-            self.stop(f"fault: {text}" + (f"; {mended_by}" if mended_by else ""))
+            first = self.events.faults[0]
+            remedy = "" if self._ran else f"; {REMEDIES[first.cause_id]}"
+            self.stop(f"fault: {first.text}{remedy}")
         if self.phase not in (LoopPhase.STOPPING, LoopPhase.RESETTING):
             self._enter(LoopPhase.FAULTED, planned)
 

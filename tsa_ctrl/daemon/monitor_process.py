@@ -20,6 +20,7 @@ import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.monitor.watch import Frame, Monitor, Stop, Watched
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.system.keeper import child
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 from tsa_ctrl.system.torque_off import OutputSettings, TorqueOff
@@ -218,16 +219,16 @@ class MonitorProcess:
     def pid(self) -> int:
         return self._child.pid
 
-    def fault(self, now: float) -> str | None:
+    def fault(self, now: float) -> Finding | None:
         """Return why there must be no torque, None while the monitor watches; `now` in s, monotonic."""
         found = self._board.take()
         self.report = self.report if found is None else found
         if self.report.stop is not None:
-            return f"monitor: {self.report.stop}"
+            return Finding(Cause.MONITOR_STOPPED, str(self.report.stop))
         silent = now - self._board.heard
         if silent > LATE and self._child.poll() is not None:
-            return "monitor: its process ended"
-        return f"monitor: no sign of life for {SILENT:g} s" if silent > SILENT else None
+            return Finding(Cause.MONITOR_ENDED, "its process is gone")
+        return Finding(Cause.MONITOR_SILENT, f"no sign of life for {SILENT:g} s") if silent > SILENT else None
 
     def news(self) -> list[str]:
         """Return the notices since the last call."""

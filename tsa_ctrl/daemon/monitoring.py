@@ -13,6 +13,7 @@ from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.daemon.assembly import give_of
 from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess, Report
 from tsa_ctrl.monitor.watch import Watched, WatchedAxis
+from tsa_ctrl.safety.causes import Finding
 from tsa_ctrl.safety.plausibility import DEFAULT_TORQUE
 
 PULLEYS = 0.02  # rad at the motor: pulleys out of round, eccentric encoders, backlash
@@ -71,7 +72,7 @@ class Watcher(Protocol):
 
     report: Report
 
-    def fault(self, now: float) -> str | None: ...
+    def fault(self, now: float) -> Finding | None: ...
     def news(self) -> list[str]: ...
     def close(self) -> None: ...
 
@@ -92,7 +93,7 @@ class SecondChannel:
         """`begin` starts a monitor; raises UsageError when it cannot watch."""
         self._begin = begin
         self._watcher = None if begin is None else begin()
-        self._fault: str | None = None
+        self._fault: Finding | None = None
 
     @property
     def state(self) -> MonitorState:
@@ -113,20 +114,20 @@ class SecondChannel:
         """Return True if every drive confirmed to the monitor that it gives no torque."""
         return self._watcher is not None and self._watcher.report.confirmed
 
-    def fault(self, now: float) -> str | None:
+    def fault(self, now: float) -> Finding | None:
         """Return once why there must be no torque; `now` in s, monotonic."""
         if self._watcher is None or self._fault is not None:
             return None
         self._fault = self._watcher.fault(now)
         return self._fault
 
-    def follow(self, now: float, axes: Sequence[ControlAxis]) -> str | None:
+    def follow(self, now: float, axes: Sequence[ControlAxis]) -> Finding | None:
         """Latch a stop of the monitor in every supervisor; return a failure of the monitor once."""
-        text = self.fault(now)
-        if text is None or self.state is not MonitorState.STOPPED:
-            return text
+        finding = self.fault(now)
+        if finding is None or self.state is not MonitorState.STOPPED:
+            return finding
         for axis in axes:
-            axis.supervisor.trip(text, now)
+            axis.supervisor.trip(finding, now)
         return None
 
     def acted(self, now: float) -> bool:

@@ -76,6 +76,7 @@ class Told(msgspec.Struct, frozen=True):
     axis: str
     text: str
     fault: bool
+    cause_id: str = ""  # of a fault
 
 
 class Client:

@@ -13,7 +13,8 @@ A quiet set-point has no answer. The client that holds the lease also receives e
 * {"event": "lease", "held": false, "why": "..."}: the lease is lost
 * {"event": "refused", "error": "..."}: a quiet set-point was rejected
 * {"event": "clamped", "axis": "knee", "clamped": 2.0}: a quiet set-point was beyond its range and was clamped to it
-* {"event": "told", "number": 3, "t": 1.5, "axis": "knee", "text": "...", "fault": true}: an event of the daemon
+* {"event": "told", "number": 3, "t": 1.5, "axis": "knee", "text": "...", "fault": true,
+  "cause_id": "stale_pdo"}: an event of the daemon
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ class Description(msgspec.Struct, frozen=True):
     phases: list[str]
     set_point_limit: list[float | None]  # N*m per axis, None where it does not come over the socket
     figures: dict[str, Any]  # bus load and the like, constant for the run
-    cures: dict[str, str] = {}  # what to do about a fault, by words in its message; the first that is found counts
+    remedies: dict[str, str] = {}  # of a fault, by its cause_id
     set_point_timeout: list[float] = []  # s per axis
     watch_group: str | None = None
     estimators: list[str] = []  # per axis: which it has, and why not the one by the stretch

@@ -43,7 +43,9 @@ def status_report(
     if not stage and general.time == 0.0:  # nothing was published yet: the loop is not late
         since, stage = now, "the first cycle"
     events = msgspec.json.decode(text) if text else []
-    events = [event | {"cure": _cure(description, event["text"])} if event["fault"] else event for event in events]
+    for event in events:
+        if event["fault"]:
+            event["cure"] = description.remedies.get(event.get("cause_id", ""))
     present = [event for event in events if event["fault"] and event["number"] >= general.first_fault]
     begun = general.time > 0.0
     age = max(0.0, now - general.time) if begun else math.inf
@@ -82,10 +84,6 @@ def status_report(
         "lease": lease,
     }
     return report
-
-
-def _cure(description: Description, text: str) -> str | None:
-    return next((cure for words, cure in description.cures.items() if words in text), None)
 
 
 def measurement(mailbox: Mailbox, description: Description, now: float, clamped: Sequence[bool] = ()) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Who is to blame, and what mends it, in words."""
+"""The details of the supervisor's faults: which node, and what was counted or received."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _missing(health: NodeHealth) -> str:
 
 
 def not_enabled(image: Image, waited: float, in_mode: bool, following: bool, shows_late: bool) -> str:
-    """Where a drive stands still on its way to operation enabled, and what mends that; `waited` in s."""
+    """Return the state in which a drive stopped on its way to operation enabled; `waited` in s."""
     state = cia402.decode(image.statusword)
     found = f"drive is in {state.value} after {waited:g} s"
     if not in_mode and (state is PowerState.OPERATION_ENABLED or not shows_late):
@@ -60,7 +60,4 @@ def not_enabled(image: Image, waited: float, in_mode: bool, following: bool, sho
     if state is PowerState.OPERATION_ENABLED:
         return f"{found}, without fresh PDOs"
     power = "" if image.statusword & cia402.VOLTAGE_ENABLED else ", without voltage (statusword bit 4 is low)"
-    return (
-        f"{found}{power}; safe torque off, a missing enable input or missing power of the motor keep it there; a "
-        "drive that is only slow needs more enable_timeout in [bus.supervision]"
-    )
+    return f"{found}{power}"

@@ -21,6 +21,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.leaky import Leaky
 from tsa_ctrl.safety.residuals import LASTING, Elongation, Give, Standstill, Velocity
 
@@ -114,8 +115,8 @@ class Plausibility:
         q_j: float,
         tau_j: float,
         expected: tuple[float, float],
-    ) -> str | None:
-        """Return a description of the contradiction, or None while everything agrees.
+    ) -> Finding | None:
+        """Return the contradiction, or None while everything agrees.
 
         Args:
             now: s.
@@ -142,13 +143,17 @@ class Plausibility:
             elif self._moved_at == math.inf:  # no response was due before
                 self._moved_at = now
             if moved > self._frozen and now - self._moved_at > FROZEN_TIME:
-                return (
-                    f"the drive's feedback is frozen: not a bit of it moved for {1e3 * (now - self._frozen_since):.0f} "
-                    f"ms, while the command moved by {moved:.2f} N*m"
+                return Finding(
+                    Cause.FROZEN,
+                    f"no bit of it changed for {1e3 * (now - self._frozen_since):.0f} ms, while the command moved by "
+                    f"{moved:.2f} N*m",
                 )
         clock, wrong = self._torque_wrong, not abs(command - tau_m) <= self._torque
         if (wrong or not clock.idle) and clock.update(now, wrong):
-            return f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s"
+            return Finding(
+                Cause.TORQUE_ERROR,
+                f"the drive reports {tau_m:.2f} N*m, commanded are {command:.2f} N*m, for {self._duration:g} s",
+            )
         joint = self._geared * q_j
         if self._has_encoder:
             apart = q_m - joint
@@ -165,29 +170,31 @@ class Plausibility:
         if velocity is not None:
             wrong = velocity.update(q_m, omega_m)
             if (wrong or not clock.idle) and clock.update(now, wrong):
-                return (
+                return Finding(
+                    Cause.VELOCITY,
                     f"the drive reports a velocity of {omega_m:.2f} rad/s, its position changes by "
-                    f"{velocity.by_position:.2f} rad/s: a signal is stuck, or its scale or sign is wrong"
+                    f"{velocity.by_position:.2f} rad/s: a signal is stuck, or its scale or sign is wrong",
                 )
         if joint_rests is not None and joint_rests.update(now, joint):
-            return "the position of the joint stopped between two samples, as no joint can: its encoder is stuck"
+            return Finding(Cause.ENCODER_STUCK, "the joint position stopped between two samples, as no joint can")
         return self._joint(now, tau_j, *expected) if tau_j == tau_j or not self._joint_wrong.idle else None
 
-    def _apart(self, apart: float) -> str:
-        """Return the description of an elongation beyond its limits; `apart`: rad at the motor."""
+    def _apart(self, apart: float) -> Finding:
+        """Return the finding of an elongation beyond its limits; `apart`: rad at the motor."""
         if self._slip is None and self._elongation.reversed:
-            return (
-                "motor and joint answer the motor's torque the wrong way round, or by less than reported: the motor "
-                "turns the wrong way, the sign of a torque or of an encoder is reversed, an encoder is stuck, or a "
-                "tendon is torn"
+            return Finding(
+                Cause.POLARITY,
+                "the motor turns the wrong way, the sign of a torque or of an encoder is reversed, an encoder is "
+                "stuck, a tendon is torn, or the motor gives less than it reports",
             )
-        return (
-            f"motor and joint moved apart by {apart - self._offset:.2f} rad at the motor since the enable, beyond what "
+        return Finding(
+            Cause.MOVED_APART,
+            f"by {apart - self._offset:.2f} rad at the motor since the enable, beyond what "
             f"{'the torque explains' if self._slip is None else 'slip allows'}: a tendon is torn or loose, an encoder "
-            "slipped or stuck, its counts or sign are wrong, or the motor gives more than it reports"
+            "slipped or stuck, its counts or sign are wrong, or the motor gives more than it reports",
         )
 
-    def _joint(self, now: float, tau_j: float, one: float, other: float) -> str | None:
+    def _joint(self, now: float, tau_j: float, one: float, other: float) -> Finding | None:
         if tau_j != tau_j:  # no sensor, or no value of it that is fresh
             self._joint_wrong.update(now, False)
             return None
@@ -195,7 +202,8 @@ class Plausibility:
         most = max(self._joint_torque, PREDICTION_SHARE * 0.5 * abs(low + high))
         if not self._joint_wrong.update(now, not low - most <= tau_j <= high + most):
             return None
-        return (
-            f"the joint torque sensor says {tau_j:.2f} N*m, the model {low:.2f} to {high:.2f} N*m, for "
-            f"{self._duration:g} s: a sign is reversed, or one of the two torques is wrong"
+        return Finding(
+            Cause.JOINT_TORQUE,
+            f"the joint torque sensor reports {tau_j:.2f} N*m, the model {low:.2f} to {high:.2f} N*m, for "
+            f"{self._duration:g} s: a sign is reversed, or one of the two torques is wrong",
         )

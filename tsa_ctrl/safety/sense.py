@@ -38,6 +38,7 @@ from __future__ import annotations
 
 import math
 
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.leaky import Leaky
 
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
@@ -149,7 +150,9 @@ class Sense:
         """What the joint torque sensor said of a joint that moved does not count where it is held."""
         self._held_tt = self._held_tj = self._held_jj = 0.0
 
-    def update(self, now: float, torque: float, apart: float, tau_j: float, sigma: float, omega_j: float) -> str | None:
+    def update(
+        self, now: float, torque: float, apart: float, tau_j: float, sigma: float, omega_j: float
+    ) -> Finding | None:
         """What is wrong, in words; None while all is well.
 
         `torque`: N*m, as the drive reports it; `apart`: rad, of motor and geared joint; `tau_j`: N*m, of the joint
@@ -236,23 +239,24 @@ class Sense:
         self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
         if wrong.update(now, self._suspect):
-            return (
-                "motor and joint answer the motor's torque the wrong way round: the motor turns the wrong way, or the "
-                "sign of a torque or of an encoder is reversed"
+            return Finding(
+                Cause.POLARITY, "the motor turns the wrong way, or the sign of a torque or of an encoder is reversed"
             )
         softer = self._stiffness * self._ta / self._tt
         slow = self._dd < self._slow * self._aa and self._tt > self._strong and seen
         if self._gives.update(now, held and slow and softer > SOFTER and by_stretch > ALIKE):
-            return (
+            return Finding(
+                Cause.SOFT_TENDONS,
                 f"the tendons give {softer:.1f} times what the motor's torque stretches them by: the motor gives more "
-                "than it reports, a tendon hangs, or axial_stiffness is that much too high"
+                "than it reports, a tendon hangs, or axial_stiffness is that much too high",
             )
         gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
         follows = _correlation(self._held_tj, self._held_tt * self._held_jj) > CLEAR
         if self._excessive.update(now, follows and EXCESS * self._gain < gain < FAR * self._gain):
-            return (
+            return Finding(
+                Cause.TORQUE_GAIN,
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
-                f"{self._gain:.2f}: the motor gives more than it reports, or a torque's scale is wrong"
+                f"{self._gain:.2f}: the motor gives more than it reports, or a torque's scale is wrong",
             )
         return None
 

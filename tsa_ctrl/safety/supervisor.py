@@ -7,7 +7,6 @@ After it, torque needs a new request: an ENABLE that was standing while the faul
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import Enum
 
 from tsa_ctrl.bus.canopen import cia402, emcy
@@ -16,6 +15,7 @@ from tsa_ctrl.bus.canopen.cia402 import Controlword, Mode, PowerState
 from tsa_ctrl.bus.live.image import Image, NodeHealth
 from tsa_ctrl.bus.settings import Role, SupervisionSettings
 from tsa_ctrl.safety import blame
+from tsa_ctrl.safety.causes import Cause, Fault, Finding
 from tsa_ctrl.safety.leaky import SECOND, LostPeriods, Sender
 
 _RESET_LOW_TIME = 0.02  # s with bit 7 low before its rising edge, so that every drive sees the edge
@@ -47,60 +47,8 @@ class Phase(Enum):
     RESETTING = "resetting"
 
 
-class Cause(Enum):
-    """Why an axis was stopped."""
-
-    BUS_FAULT = "bus fault"
-    SECOND_MASTER = "second master"
-    ALTERED = "a node's configuration changed"
-    BOOT_UP = "node booted while running"
-    HEARTBEAT_LOST = "heartbeat lost"
-    NMT_STATE = "node left the operational state"
-    EMERGENCY_STOP = "emergency stop"
-    EMERGENCY = "emergency"
-    DRIVE_FAULT = "drive fault"
-    STALE_PDO = "stale PDO"
-    SKIPPED = "skipped periods"
-    REPEATED_PDO = "repeated PDOs"
-    COMMAND_DROPPED = "commands not sent"
-    WRONG_MODE = "wrong mode"
-    COMMAND_IGNORED = "drive ignores the command"
-    STATE_LOST = "drive left operation enabled"
-    ENABLE_TIMEOUT = "drive does not enable"
-    DISABLE_TIMEOUT = "drive does not confirm that it is disabled"
-    RESET_TIMEOUT = "drive does not leave its fault"
-    TRIPPED = "tripped by the controller"
-
-    @property
-    def needs_bring_up(self) -> bool:
-        """Whether the nodes may have lost their configuration, so that a reset alone is not enough."""
-        return self in _NEED_BRING_UP
-
-
+_HELD_UP = frozenset({0x8130, 0x8250})  # EMCY codes: heartbeat of the host lost, RPDO timed out (CiA 301)
 _LEARNING = (Phase.STANDBY, Phase.ENABLING, Phase.ENABLED)  # a drive's power bits: it may be off in any of them
-_NEED_BRING_UP = frozenset(
-    {
-        Cause.BUS_FAULT,
-        Cause.SECOND_MASTER,
-        Cause.ALTERED,
-        Cause.BOOT_UP,
-        Cause.HEARTBEAT_LOST,
-        Cause.NMT_STATE,
-        Cause.REPEATED_PDO,
-    }
-)
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """A latched fault: `detail` names node and finding in one line; `time` is that of the cycle, s."""
-
-    cause: Cause
-    detail: str
-    time: float
-
-    def __str__(self) -> str:
-        return f"{self.cause.value}: {self.detail}"
 
 
 class Supervisor:
@@ -196,9 +144,9 @@ class Supervisor:
             return self._disable(state, now), False, self.fault
         return Controlword.DISABLE_VOLTAGE, False, self.fault
 
-    def trip(self, detail: str, now: float) -> None:
-        """Latch a fault that somebody else has found (a limit, an implausible sensor)."""
-        self._latch(Cause.TRIPPED, detail, now)
+    def trip(self, finding: Finding, now: float) -> None:
+        """Latch the finding of a check outside of the supervisor (a limit, an implausible sensor)."""
+        self._latch(finding.cause, finding.detail, now)
 
     def configured(self, image: Image) -> None:
         """The nodes were brought up again and the rig rearmed: a reset is possible now."""
@@ -246,7 +194,8 @@ class Supervisor:
             self._latch(Cause.NMT_STATE, f"{health}: NMT state 0x{health.nmt_state:02X}", now)
         if health.emcys != self._emcys.get(health.node_id, 0):
             self._emcys[health.node_id] = health.emcys
-            self._latch(Cause.EMERGENCY, f"{health}: {health.emcy}{self._if_a_warning(image, health)}", now)
+            cause = Cause.HELD_UP if health.emcy is not None and health.emcy.code in _HELD_UP else Cause.EMERGENCY
+            self._latch(cause, f"{health}: {health.emcy}{self._if_a_warning(image, health)}", now)
 
     def _if_a_warning(self, image: Image, health: NodeHealth) -> str:
         """How to go on past an emergency of a drive that itself goes on."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tsa_ctrl.bus.live.read_back import Hearing
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.leaky import Often
 
 
@@ -24,8 +25,8 @@ class Unheard:
         self._most = self._hearing.too_many
         self._often = Often(self._most)
 
-    def update(self, now: float) -> str | None:
-        """What is wrong, in words; `now` in s."""
+    def update(self, now: float) -> Finding | None:
+        """Return a finding once too many commands were missed within a second; `now` in s."""
         hearing = self._hearing
         if hearing.unheard == self._seen:
             return None
@@ -34,7 +35,8 @@ class Unheard:
             self._begin()
         if not self._often.happened(now):
             return None
-        return (
+        return Finding(
+            Cause.COMMANDS_MISSED,
             f"{self._name} held an older command {hearing.unheard} of {hearing.asked} times that 0x6071 was read back, "
-            f"{hearing.too_many} within a second"
+            f"{hearing.too_many} within a second",
         )

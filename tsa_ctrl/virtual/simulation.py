@@ -34,6 +34,7 @@ from tsa_ctrl.plant.axis import COLUMNS, Recorder
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.virtual.lockstep import End, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
@@ -179,9 +180,9 @@ class VirtualMonitor:
         wire.listeners.append(self._hear)
         wire.at(wire.now, self._tick)
 
-    def fault(self, now: float) -> str | None:
+    def fault(self, now: float) -> Finding | None:
         """Return why there must be no torque."""
-        return f"monitor: {self.monitor.stop}" if self.report.stop is not None else None
+        return Finding(Cause.MONITOR_STOPPED, str(self.monitor.stop)) if self.report.stop is not None else None
 
     def news(self) -> list[str]:
         """Return notices since the last call."""

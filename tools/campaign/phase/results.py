@@ -36,6 +36,7 @@ def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
         "travel": round(travel, 3),
         "energy": round(energy, 4),
         "cause": verdict.cause,
+        "cause_id": verdict.cause_id,
     }
 
 
@@ -72,14 +73,15 @@ def _summed(rows: list[Row]) -> Row:
     running = [each for each in rows if each["phase"] in WITH_TORQUE]
     stopped = [each for each in running if each["cause"]]
     zeros = [each["zero"] for each in stopped if each["zero"] is not None]
-    causes = Counter(_short(each["cause"]) for each in stopped)
+    causes = Counter((_short(each["cause"]), each.get("cause_id", "")) for each in stopped).most_common(2)
     unsafe = Counter(each["phase"] for each in rows if each["wrong"])
     return {
         "trials": len(rows),
         "safe": sum(not each["wrong"] for each in rows),
         "running": len(running),
         "stopped": len(stopped),
-        "causes": [cause for cause, _ in causes.most_common(2)],
+        "causes": [cause for (cause, _), _ in causes],
+        "cause_ids": [cause_id for (_, cause_id), _ in causes],
         "zero_median": round(statistics.median(zeros), 3) if zeros else None,
         "zero_worst": round(max(zeros), 3) if zeros else None,
         "peak": max(each["peak"] for each in rows),
@@ -102,7 +104,7 @@ def _beyond(rows: list[Row]) -> Row:
 
 def _short(cause: str) -> str:
     """Its kind, without the figures of one trial."""
-    words = cause.removeprefix("tripped by the controller: ")
+    words = cause
     for separator in (" says ", ": ", " by ", "; ", " (", ", "):
         words = words.partition(separator)[0]
     if cause.startswith("emergency") and "EMCY" in cause:

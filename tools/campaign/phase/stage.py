@@ -119,6 +119,7 @@ class Seen:
     asked: float
     stopped: float  # when a stop was asked for
     faults: tuple[str, ...]
+    cause_ids: tuple[str, ...]  # of the faults
     said: tuple[str, ...]
     refused: str
     crashed: str
@@ -215,6 +216,7 @@ class Stage:
             self.asked,
             self.stopped,
             tuple(event.text for event in events if event.fault),
+            tuple(event.cause_id for event in events if event.fault),
             tuple(event.text for event in events if not event.fault),
             refused,
             crashed,

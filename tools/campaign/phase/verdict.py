@@ -59,6 +59,7 @@ class Verdict:
     peak: float
     excess: Excess  # beyond the same joint without the fault
     cause: str
+    cause_id: str  # empty without a fault of the loop
 
 
 def motion(axes: Sequence[Traces], since: float, until: float = math.inf) -> Motion:
@@ -107,7 +108,8 @@ class Judge:
             wrong.append(f"{peak:.2f} N*m are above the limit of {LIMIT:g}")
         wrong += self._torque()
         excess, beyond = self._motion()
-        return Verdict((*wrong, *beyond), self._zero, peak, excess, seen.faults[0] if seen.faults else seen.refused)
+        cause, cause_id = (seen.faults[0], seen.cause_ids[0]) if seen.faults else (seen.refused, "")
+        return Verdict((*wrong, *beyond), self._zero, peak, excess, cause, cause_id)
 
     @cached_property
     def _rows(self) -> list[float]:
