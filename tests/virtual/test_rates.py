@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
+from tests.conftest import ROOT
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.motion import gait
@@ -22,3 +24,16 @@ def test_no_healthy_rig_latches(tmp_path: Path, rate: float, load: str) -> None:
     result = simulate_loop(tmp_path / "controller-with.toml", tmp_path / "plant.toml", 5.0)
     assert [event.text for event in result.summary.events if event.fault] == []
     assert not result.summary.failed
+
+
+def test_the_shipped_example_rests_at_every_rate(tmp_path: Path) -> None:
+    """Set-point 0 on the moved joint of the example: nothing but the friction is compensated."""
+    for path in (ROOT / "config").glob("*.toml"):
+        (tmp_path / path.name).write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
+    text = (tmp_path / "controller.toml").read_text(encoding="utf-8")
+    text = re.sub(r"^amplitude = 0.5 ", "amplitude = 0.0 ", text, count=1, flags=re.MULTILINE)
+    for rate in (100, 125, 250, 1000):
+        changed = re.sub(r"^rate = \d+", f"rate = {rate}", text, count=1, flags=re.MULTILINE)
+        (tmp_path / "controller.toml").write_text(changed, encoding="utf-8")
+        result = simulate_loop(tmp_path / "controller.toml", tmp_path / "plant.toml", 4.0)
+        assert [event.text for event in result.summary.events if event.fault] == []

@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.safety.leaky import Leaky
-from tsa_ctrl.safety.residuals import LASTING, Elongation, Give, Standstill, Velocity
+from tsa_ctrl.safety.residuals import LASTING, SAMPLES, Elongation, Give, Standstill, Velocity
 
 Torque = Annotated[float, Meta(gt=0.0, le=10_000.0)]  # N*m
 Duration = Annotated[float, Meta(ge=0.001, le=10.0)]  # s
@@ -91,7 +91,7 @@ class Plausibility:
         self._velocity_wrong = Leaky(VELOCITY_TIME)
         self._torque_wrong = Leaky(settings.duration)
         self._joint_wrong = Leaky(settings.duration)
-        self._slipped = Leaky(LASTING if settings.slip is None else SLIP_TIME)
+        self._slipped = Leaky(max(LASTING, SAMPLES * (period - LASTING)) if settings.slip is None else SLIP_TIME)
         self.reset()
 
     def reset(self) -> None:

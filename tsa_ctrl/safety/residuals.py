@@ -24,7 +24,7 @@ import math
 from dataclasses import dataclass
 
 SMOOTH = 0.005  # s, low-pass of torque and angles: a motor rings on its tendons at 40 Hz and more
-SAMPLES = 5.0  # least number of periods of that low-pass: a slow loop samples the ringing at too few instants
+SAMPLES = 5.0  # least number of periods of that low-pass and of a residual: a slow loop samples the ringing too seldom
 DOUBT = 0.25  # 1, least uncertainty of the stiffness: a fifth below the file's value
 FRICTION = 0.6  # 1, least uncertainty of friction: the bound to which an estimator may follow it
 LATE = 1e-3  # s, delay of one encoder against the other
