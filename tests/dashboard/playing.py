@@ -14,6 +14,7 @@ import msgspec
 from tests.daemon.serving import QUARTERS, Serving
 from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.ipc.mailbox import AxisStatus, Command, General, Parameters
+from tsa_ctrl.safety.causes import Cause
 
 PERIOD = 0.01  # s
 
@@ -63,7 +64,7 @@ class Played:
     def fail(self, text: str) -> None:
         """A fault is latched."""
         self.phase = LoopPhase.FAULTED
-        event = {"number": 0, "t": 1.25, "axis": "knee", "text": text, "fault": True}
+        event = {"number": 0, "t": 1.25, "axis": "knee", "text": text, "fault": True, "cause_id": Cause.STALE_PDO.id}
         self.serving.mailbox.publish_text(msgspec.json.encode([event]))
 
     def end(self) -> None:

@@ -18,6 +18,7 @@ from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.monitor.watch import Frame
+from tsa_ctrl.safety.causes import Cause, Finding
 from tsa_ctrl.system.torque_off import OutputSettings
 
 pytestmark = pytest.mark.hil
@@ -90,8 +91,8 @@ def test_a_wrong_command_is_answered_until_the_drive_confirms(
     bus.enable()
     bus.send((RPDO, b"\x0f\x00\x00\x0f"))
     bus.until(lambda: bus.heard.count(STOP) >= 2 and ASK in bus.heard)
-    assert monitor.fault(time.monotonic()) == (
-        "monitor: commanded torque above the limit: axis 'knee': 3.84 N*m, the limit is 2 N*m"
+    assert monitor.fault(time.monotonic()) == Finding(
+        Cause.MONITOR_STOPPED, "commanded torque above the limit: axis 'knee': 3.84 N*m, the limit is 2 N*m"
     )
     assert not monitor.report.confirmed
     bus.send((0x581, bytes.fromhex("4b41600031120000")))
@@ -106,7 +107,9 @@ def test_it_outlives_a_daemon_that_dies_until_the_torque_is_gone(bus: Bus, monit
     bus.until(lambda: _armed(bus, monitor))
     monitor._child.stdin.close()
     bus.until(lambda: STOP in bus.heard and ASK in bus.heard)
-    assert monitor.fault(time.monotonic()) == "monitor: the daemon ended while torque was on: its pipe is closed"
+    assert monitor.fault(time.monotonic()) == Finding(
+        Cause.MONITOR_STOPPED, "the daemon ended while torque was on: its pipe is closed"
+    )
     assert monitor._child.poll() is None
     bus.send((0x581, bytes.fromhex("4b41600031120000")))
     wait_for(lambda: monitor._child.poll() == 0)
@@ -135,12 +138,16 @@ def test_no_signal_of_a_terminal_or_a_service_manager_ends_it(number: signal.Sig
 
 
 @pytest.mark.parametrize(
-    ("number", "text"), [(signal.SIGKILL, "its process ended"), (signal.SIGSTOP, "no sign of life for 0.5 s")]
+    ("number", "cause"), [(signal.SIGKILL, Cause.MONITOR_ENDED), (signal.SIGSTOP, Cause.MONITOR_SILENT)]
 )
-def test_a_monitor_that_is_gone_or_hangs_is_a_fault(number: signal.Signals, text: str, monitor: MonitorProcess) -> None:
+def test_a_monitor_that_is_gone_or_hangs_is_a_fault(
+    number: signal.Signals, cause: Cause, monitor: MonitorProcess
+) -> None:
     os.kill(monitor.pid, number)
     wait_for(faulty(monitor))
-    assert monitor.fault(time.monotonic()) == f"monitor: {text}"
+    found = monitor.fault(time.monotonic())
+    assert found is not None
+    assert found.cause is cause
     if number is signal.SIGSTOP:
         monitor.close()
         assert monitor._child.returncode == -signal.SIGKILL

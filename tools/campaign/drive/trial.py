@@ -26,6 +26,7 @@ from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.machine import AxisNodes, Machine
 from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
+from tsa_ctrl.safety.causes import REMEDIES
 from tsa_ctrl.safety.release import REST
 from tsa_ctrl.virtual.lockstep import End, Wire
 
@@ -137,7 +138,8 @@ class Station:
         finally:
             self.mailbox.close()
             self.history += events.all
-            self.first_fault = "" if events.first_fault is None else events.first_fault.text
+            fault = events.first_fault
+            self.first_fault = "" if fault is None else f"{fault.text}; {REMEDIES[fault.cause_id]}"
         return operation.unconfirmed
 
     def recover(self) -> None:
