@@ -1,4 +1,4 @@
-"""The details of the supervisor's faults: which node, and what was counted or received."""
+"""Describe the supervisor's faults: the node, the counted errors, and the received values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _LATE = 'if it shows its mode only when it is enabled, mode_shows = "enabled" in
 
 
 def stale(image: Image) -> str:
-    """Which node is to blame, and what came instead of its answers since the start."""
+    """Return the nodes without answers, and the late, repeated or malformed answers since startup."""
     silent = [health for health in image.nodes if health.misses]
     in_all = f"{image.misses} cycles in a row"
     words = "; ".join(_missing(health) for health in silent)
@@ -20,7 +20,7 @@ def stale(image: Image) -> str:
 
 
 def lossy(image: Image, cycles: int) -> str:
-    """Whose answers were lost now and then, never enough of them in a row."""
+    """Return the lost answers, commands and periods by node, if single losses add up to a fault."""
     lost = [f"{health} {health.missed}" for health in image.nodes if health.missed]
     lost += [f"commands {image.dropped}"] if image.dropped else []
     lost += [f"skipped periods {image.skipped}"] if image.skipped else []

@@ -1,4 +1,4 @@
-"""The causes of faults as data: what each is called, what to do about it, and whether the nodes need a new bring-up.
+"""Define the causes of faults as data: title, remedy, and whether the nodes need a new bring-up.
 
 Everything that reports a fault reads this table: status, dashboard, summary, events and the manual's table of hazards.
 """
@@ -18,7 +18,7 @@ class Cause(Enum):
     Attributes:
         id: stable name for programs, `cause_id` in JSON.
         title: name for people; the text of a fault begins with it.
-        remedy: what the user does about it.
+        remedy: the steps that the user takes.
         needs_bring_up: True if the nodes may have lost their configuration, so that a reset alone is not enough.
     """
 
@@ -177,7 +177,7 @@ REMEDIES = {cause.id: cause.remedy for cause in Cause}
 
 
 class Finding(NamedTuple):
-    """The result of a check: the cause, and in one line where it was found and with which values."""
+    """Hold the result of a check: the cause, and one line with the place and the values of the finding."""
 
     cause: Cause
     detail: str
@@ -188,7 +188,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A latched fault: `detail` has node and finding in one line; `time` is that of the cycle, s."""
+    """Hold a latched fault: `detail` has node and finding in one line; `time`: of the cycle, s."""
 
     cause: Cause
     detail: str

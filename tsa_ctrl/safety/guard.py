@@ -1,12 +1,14 @@
-"""Takes the compensation back when it moves the joint by itself or the motor buzzes, and says why.
+"""Withdraw the compensation when it drives the joint or the motor oscillates on its tendons, and report the reason.
 
-The first time for a moment: to 0 at once, and within `HOLD` + `RECOVERY` back to `RETURNED` of it, to all of it when
-that is `FORGIVEN`. A term that drives the joint has wound up the tendons, and a motor that swings on them goes on
-driving it while they unwind: so it pulls the other way for `UNWIND` before. On a weight that goes at 3 rad/s when nine
-tenths of the pretension are lost at once, the joint gets 9.6 mJ with that and 13.4 without. What is still wrong
-then adds energy again, and half as much shows it; the second time within `FORGIVEN` is latched until the axis is
-disabled: at a share of the friction that the energy showed to be there, or at `LEFT` where it buzzed. A third time at
-0.
+The first detection withdraws the compensation for a moment. It returns to `RETURNED` within `HOLD` + `RECOVERY`, and to
+its full value after `FORGIVEN`. Half of the energy threshold applies until then.
+
+A term that drives the joint has stretched the tendons, and the motor drives the joint on while they relax. The term
+therefore acts in the other direction for `UNWIND` first. The joint of a weight that moves at 3 rad/s while 90 % of the
+pretension is lost at once receives 9.6 mJ with this reversal, and 13.4 mJ without it.
+
+A second detection within `FORGIVEN` is latched until the axis is disabled. If the joint gained energy, the share is
+then derived from the measured friction. If the motor oscillated, it is `LEFT`. A third detection latches 0.
 """
 
 from __future__ import annotations
@@ -16,21 +18,19 @@ import math
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity, PassivitySettings
 
-# A motor that buzzes on its tendons: torque that swings by itself, from `LOWEST` to a third of the rate.
-#
-# Such a swing hardly moves the joint and delivers no energy there, so `passivity` does not see it. It is what the law
-# adds to the wanted torque, above `LOWEST` Hz, block by block: one turn of the friction at a reversal fills a block or
-# two, a swing that feeds itself all of them. A set-point that has as much of that band explains it, and a turn that
-# follows the joint does: a hand that trembles turns the friction 25 times a second, and is looked through.
-
-LOWEST = 20.0  # Hz: above what a limb does; a turn of the friction term has more
+LOWEST = 20.0  # Hz: faster than a limb moves; a reversal of the friction term contains higher frequencies
 BLOCK = 0.04  # s
 BLOCKS = 10  # in a row: 0.4 s; the reversals of a motion of 5 Hz are 0.1 s apart, and leave one in between empty
-EXPLAINED = 0.2  # of the band's amplitude that the set-point has, from which on the swing is wanted
+EXPLAINED = 0.2  # ratio of the amplitudes of set-point and law in the band, from which the oscillation is desired
 
 
 class Buzz:
-    """Looks for it in the motor torque of each cycle; `frequency` in Hz, of the last that was found."""
+    """Detect a sustained oscillation of the motor on its tendons; `frequency` (Hz): of the last detection.
+
+    It hardly moves the joint, so `passivity` does not detect it. The torque that the law adds to the set-point's part
+    must exceed the level in `BLOCKS` blocks in a row, which no single friction reversal does. Set-points in the same
+    band and reversals that follow the joint, for example of a trembling hand, are excluded.
+    """
 
     def __init__(self, level: float, period: float) -> None:
         """`level`: RMS in N*m at the motor; `period` in s."""
@@ -41,7 +41,7 @@ class Buzz:
         self.reset()
 
     def reset(self) -> None:
-        """Silence so far."""
+        """Forget all blocks."""
         self._added = self._wanted = math.nan  # slow parts
         self.frequency = 0.0
         self._last = 0.0
@@ -53,9 +53,12 @@ class Buzz:
         self._power = self._explained = 0.0
 
     def update(self, added: float, wanted: float, turns: bool = False) -> bool:
-        """Whether it buzzes, after this cycle; both N*m at the motor: what the law added, and the set-point's part.
+        """Return True if an oscillation is detected in this cycle.
 
-        `turns`: the friction term turns as the joint did, and what it adds says nothing.
+        Args:
+            added: torque that the law adds to the set-point's part, N*m at the motor.
+            wanted: the set-point's part, N*m at the motor.
+            turns: True while the friction term reverses with the joint's motion; the cycle then does not count.
         """
         slow = self._added
         if not -1e6 < added + wanted < 1e6:
@@ -85,18 +88,18 @@ class Buzz:
         return True
 
 
-FALL = 0.02  # s in which a buzzing motor loses the term: all of it at once would let the motor swing into over-speed
-HOLD = 0.05  # s without compensation: in which the swing of motor and tendons has died out
-UNWIND = 4e-3  # s against what drove the joint: a third of a ringing period; half a share for 6 ms left 10.8 mJ
-RECOVERY = 0.3  # s back to all of it: so that a joint that still moves shows within a second that it was no chance
-# What comes back, until that is forgiven: an estimate that finds half of the friction is up to 12 % above it in the
-# first two seconds, and a limb at 3.4 rad/s gets 10 mJ by 20 mN*m too much, less than a sensor's gain is known by.
+FALL = 0.02  # s in which an oscillating motor loses the term: a step would let the motor swing into over-speed
+HOLD = 0.05  # s without compensation, in which the oscillation of motor and tendons decays
+UNWIND = 4e-3  # s of reversed term: a third of an oscillation period; half a share for 6 ms left 10.8 mJ
+RECOVERY = 0.3  # s in which the compensation returns: a lasting cause is then detected again within a second
+# Share that returns before `FORGIVEN`. An estimator that finds half of the friction is up to 12 % too high for two
+# seconds. A limb at 3.4 rad/s receives 10 mJ from an excess of 20 mN*m, less than the gain error of a sensor.
 RETURNED = 0.9
-FORGIVEN = 60.0  # s after which the next time is a first one again
-UNSURE = 0.1  # of the model's half loop, taken off what showed to be there: a slack tendon shows another tenth
-CAUTIOUS = 0.8  # of the rest, that is compensated once latched
-LEFT = 0.5  # of the compensation, once latched for buzzing
-CLEAR = 0.9  # of the model's half loop: with more than that, friction is not what is wrong
+FORGIVEN = 60.0  # s after which the next detection counts as the first
+UNSURE = 0.1  # of the model's friction torque, subtracted from the measured one: a slack tendon shows a tenth too much
+CAUTIOUS = 0.8  # share of the remaining friction that is compensated once latched
+LEFT = 0.5  # share of the compensation once latched for an oscillation
+CLEAR = 0.9  # of the model's friction torque: if the measured one is larger, friction is not the cause
 
 
 class Guard:
@@ -127,7 +130,7 @@ class Guard:
         self.reset()
 
     def reset(self) -> None:
-        """Torque is not permitted: forget everything; `count` goes on."""
+        """Forget everything but `count`; called while torque is not permitted."""
         self._passivity.reset()
         self._passivity.wary = False
         self._buzz.reset()
@@ -139,7 +142,7 @@ class Guard:
         self._falling = 0.0  # 1, of the share that a buzzing motor still has
 
     def pass_over(self, periods: int) -> None:
-        """So many periods had no cycle."""
+        """Count periods without a cycle."""
         self._passivity.pass_over(periods)
 
     @property
@@ -161,15 +164,18 @@ class Guard:
 
     @property
     def share(self) -> float:
-        """What the law multiplies the compensation by: `back_off`, but against what drove the joint for a moment, and 0
-        until the motor has come to rest on the tendons."""
+        """Return the factor of the compensation in the law.
+
+        It is `back_off`, except after a detection of energy: it is negative for `UNWIND`, and then 0 until the end of
+        `HOLD`. After a detection of an oscillation, the lost share decreases to 0 within `FALL`.
+        """
         if self._unwinding:
             return -self._drove
         return 0.0 if self._drove and self._held > 0.0 else self._back_off + self._falling
 
     @property
     def energy(self) -> float:
-        """J, that the compensation has added lately."""
+        """Return the energy that the compensation has added recently, J."""
         return self._passivity.energy
 
     def update(
@@ -185,12 +191,19 @@ class Guard:
         swing: float = 0.0,
         turns: bool = False,
     ) -> None:
-        """After a cycle with torque; N*m at the joint but for `added` and `ideal`, rad/s, J.
+        """Check a cycle with torque.
 
-        `tau_j`: delivered, nan where it is not known; `wanted`: set-point, `rate`: its slope; `term`: the friction term
-        as sent; `half_loop`: the model's; `added`, `ideal`: at the motor, what the law added to the set-point's part,
-        and that; `swing`: what the motor has by its motion against the joint, 0 where its inertia is not known;
-        `turns`: whether the term turns with the joint, which is no buzzing.
+        Args:
+            tau_j: delivered torque at the joint, N*m; nan where it is not known.
+            wanted: set-point, N*m at the joint.
+            rate: slope of the set-point, N*m/s.
+            omega_j: joint velocity, rad/s.
+            term: friction term as sent, N*m at the joint.
+            half_loop: friction torque of the model, N*m at the joint.
+            added: torque that the law added to the set-point's part, N*m at the motor.
+            ideal: the set-point's part, N*m at the motor.
+            swing: kinetic energy of the motor relative to the joint while the term reverses, J; 0 if not known.
+            turns: True while the term reverses with the joint's motion.
         """
         if self._unwinding:
             self._unwinding -= 1

@@ -20,8 +20,8 @@ are therefore not attributed to the compensation.
 
 E decays with `MEMORY` and restarts at 0, so it is the largest energy of any window. With the correct friction it stays
 at 0 while the joint moves, and a reversal leaves 0.3 mJ. The energy that still passes during `REACTION`, until a
-back-off reaches the joint, is predicted. The prediction is at most the energy already counted: half a swing of the
-motor on its tendons is no sustained motion.
+back-off reaches the joint, is predicted. The prediction is at most the energy already counted, because
+half a swing of the motor on its tendons is not a sustained motion.
 
 Two kinds of energy are excluded:
 

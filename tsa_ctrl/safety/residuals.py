@@ -8,7 +8,7 @@ meets and the friction torque h of the tendons, the zero of the encoders is
 Two rules follow. Neither needs the load, a speed or a joint torque sensor:
 
     response   f changes only with the torque or with the motion of the joint, and in their direction. If
-               the motor moves by itself, its torque is not the reported one.
+               the motor moves without either, its torque is not the reported one.
     friction   f is bounded, so all observed zeros must fit into the bound. The distance of f from its bounds is
                tracked by the same two causes.
 

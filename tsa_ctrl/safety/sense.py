@@ -2,10 +2,9 @@
 
 A torque stretches the tendons, so motor and joint move apart: q_m - (r_J/r_M) q_j follows tau_M with the sign of the
 stiffness. This holds for a locked and for a moving joint and for every load. A joint torque sensor also follows tau_M.
-On a locked joint its gain is at most that of sliding tendons: r_J/r_M, or r_J/r_M cosh x if all bends are at the
-joint, because the friction decreases with the tensions there. On a moving joint friction
-reverses with the motion, not with the torque, and the gain may be larger after a reversal. The sensor is therefore used
-on a locked joint only.
+On a locked joint its gain is at most the gain of sliding tendons: r_J/r_M, or r_J/r_M cosh x if all bends are at the
+joint, because the friction decreases with the tensions there. On a moving joint friction reverses with the motion, not
+with the torque, and the gain may be larger after a reversal. The sensor is therefore used on a locked joint only.
 
 All signals are filtered to a band without the motor's oscillation on its tendons and without the drift of the friction.
 They are correlated over the last fifth of a second. Samples before the last friction reversal are excluded:
