@@ -38,8 +38,8 @@ MOVED = 0.1  # rad of the joint, moved without the term after a rest, that fill 
 REQUEST = 0.2  # of the friction torque, by which a set-point that changed asks a resting joint for motion again
 LASTING = 2.0  # s of motion without the term that fill it: a joint of a person comes to rest in less by its friction
 MOST_FILLS = 16.0  # capacities at most, doubled at each such motion: a person who walks on needs them
-# s without a reading, while the set-point asks for motion, after which the last upper bound is outdated: more friction
-# than was read last may hold the joint, and a smaller term would never show it. A slow reversal takes less.
+# s without a reading, while the set-point requests motion, after which the last upper bound is outdated. More friction
+# than the last reading may hold the joint, and a smaller term would never reveal it. A slow reversal takes less time.
 OUTDATED = 0.3
 LEFT = 0.5  # of the desired term: above this a proven friction is not reported as a withdrawal
 LESS = 0.9  # of the model's friction torque: a proven upper bound below this is reported
@@ -124,7 +124,7 @@ class EnergyCredit:
 
 
 class CompensationLimit:
-    """Limit the law's share of the model's friction term; `count` and `words` describe what was reported."""
+    """Limit the law's share of the model's friction term; `count`: number of reports, `words`: the last report."""
 
     def __init__(self, bound: Bound, proven: ProvenFriction, capacity: float, gearing: float, period: float) -> None:
         """Start at the bound of the files.

@@ -1,24 +1,26 @@
-"""Direction of the tendon's slip, sigma in {-1, 0, 1}: friction follows the tendon in its sheath, not the joint.
+"""Determine the slip direction of the tendon, sigma in {-1, 0, 1}: friction follows the tendon, not the joint.
 
-Where the bending sits at the distance d from the joint end, tendon b slips, to first order in x and with T2 + T4
-constant, with
+If the sheath bends at the distance d from its joint end, tendon b slips at the velocity v, to first order in x and with
+T2 + T4 constant:
 
     v = r_J omega_J + d/(E A) (d tau_J/dt) / (2 r_J)          (tendon a: -v)          sigma = sign(v)
 
-The first term is what the joint moves, the second what the tendon stretches when the torque changes; a held joint has
-the second alone, and torque must reach it, too. Friction does not depend on rate, so each has a rule of its own:
+The first term is the joint motion. The second is the tendon elongation when the torque changes. A locked joint has only
+the second term, and its torque must be compensated as well. Friction does not depend on the rate, so each term has a
+separate rule:
 
-* the joint's motion by speed, taken ahead by the lead, omega_J + L alpha_J, so that a turn is centred on the reversal.
-  Within `zone` it counts as 0; the zone is never narrower than what one count of the encoder makes of it.
-* the stretch by travel: with the joint at rest sigma turns when the torque wanted has turned back by `play` metres of
-  tendon, however slowly. That torque is known ahead, so the turn is over when it is needed. After every enable it
-  begins from none, as the set-point does, even where all of it lies ahead when it is first seen.
+* The joint motion counts by its velocity, extrapolated by the lead, omega_J + L alpha_J, so that the change of sigma is
+  centred on the reversal. Within `zone` it counts as 0. The zone is at least the velocity noise of one encoder count.
+* The elongation counts by its travel. While the joint rests, sigma reverses when the desired torque has changed back by
+  `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time. After
+  every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
 
-A joint that comes to rest within `LITTLE` of the way that it takes to turn the tendons has turned nothing: a hand's
-trembling, or a stop at once, which looks like a reversal when that must be foretold. Then all is as before.
+If a joint comes to rest within `LITTLE` of the travel that reverses the tendons, the tendons have not reversed. This
+happens with a trembling hand, or with a sudden stop, whose prediction looks like a reversal. The previous sigma then
+applies again.
 
-Where nothing slips, friction keeps its last direction. Before anything has moved there is none: 0.
-Source: (3.29) with its own xi' instead of omega_J; T2 + T4 moves in the second order alone.
+While nothing slips, friction keeps its last direction. Before the first motion sigma is 0.
+Source: (3.29) with the tendon's xi' instead of omega_J; T2 + T4 changes only in second order.
 """
 
 from __future__ import annotations
@@ -29,30 +31,35 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-# How the joint moves now: velocity and acceleration from its angles, not late while the acceleration is steady.
-#
-# q' = q + dt omega + dt^2 alpha / 2,    omega' = omega + dt alpha,    r = angle - q'
-# q = q' + (1 - m^3) r,    omega = omega' + 3/2 (1 - m)^2 (1 + m) r / dt,    alpha = alpha' + (1 - m)^3 r / dt^2
-#
-# This is the parabola through all angles, each of which weighs m times what the next one weighs: a fading-memory
-# filter of second degree (N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969, chapter 13). A low-
-# pass on differences is late instead, and a reversal must be seen before it comes. A memory dt/(1 - m) is as long as
-# the encoder's steps ask: one count moves `noise` (rad/s) at most, found by feeding it one.
-
-SHORTEST, LONGEST = 1.0 / 300.0, 0.02  # s of memory: ten periods of 3 kHz; a gait turns round within two of the longest
+SHORTEST, LONGEST = 1.0 / 300.0, 0.02  # s of memory: ten periods of 3 kHz; a gait reverses within two of the longest
 FEWEST = 10.0 / 3.0  # periods of memory, at least: below it the acceleration is noise
-STEP = 1.2  # between the memories that are tried
-QUIET = 0.04  # rad/s: slower than that a joint of a person hardly moves; longer memories are not worth their lateness
+STEP = 1.2  # ratio of successive memories in the search
+QUIET = 0.04  # rad/s: human joints hardly move more slowly, and a longer memory would add delay
 _SETTLED = 40  # memories after which a step is forgotten
 
 
 class Motion:
-    """Velocity (rad/s) and acceleration (rad/s^2) of the joint at the last angle; nan-free, 0 until there are two."""
+    """Estimate velocity (rad/s) and acceleration (rad/s^2) of the joint at the last angle; both are 0 until a second.
+
+    A fading-memory filter of second degree fits a parabola in which each angle weighs m times as much as the next. A
+    low-pass filter of differences would delay the reversal, which must be predicted. The memory dt/(1 - m) is the
+    shortest at which one encoder count changes the extrapolated velocity by at most `QUIET`; `noise` (rad/s) is this
+    change.
+
+    Source: N. Morrison, Introduction to Sequential Smoothing and Prediction, 1969, chapter 13.
+    """
 
     __slots__ = ("_g", "_h", "_k", "_period", "acceleration", "angle", "memory", "noise", "velocity")
 
     def __init__(self, period: float, resolution: float, horizon: float, shortest: float = SHORTEST) -> None:
-        """`resolution`: rad of one count; `horizon`: s for which the velocity will be taken ahead; times in s."""
+        """Choose the memory.
+
+        Args:
+            period: s.
+            resolution: rad of one encoder count.
+            horizon: s by which the velocity will be extrapolated.
+            shortest: shortest memory, s.
+        """
         self._period = period
         memory = max(shortest, FEWEST * period)
         longest = max(LONGEST, memory)
@@ -77,7 +84,7 @@ class Motion:
         self.velocity = self.acceleration = 0.0
 
     def update(self, angle: float, fresh: bool = True) -> None:
-        """Take the angle (rad) of this cycle; one that is not `fresh`, or nan, is replaced by what was expected."""
+        """Take the angle (rad) of this cycle; an angle that is not `fresh` or is nan is replaced by the prediction."""
         q = self.angle
         if q != q:
             self.angle = angle
@@ -94,7 +101,7 @@ class Motion:
         self.angle, self.velocity, self.acceleration = q, omega, alpha
 
     def _step_response(self, horizon: float) -> float:
-        """Largest velocity, taken ahead by `horizon`, that an angle makes which moves by 1 rad at once; rad/s."""
+        """Return the largest velocity, extrapolated by `horizon` (s), after a step of the angle by 1 rad; rad/s."""
         self.reset()
         self.update(0.0)
         largest = 0.0
@@ -119,7 +126,7 @@ class DirectionSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True,
 
 
 class Direction:
-    """`sigma`, and how it was found: `age`: periods since the reversal, 0 to 1; `rest`: s since the joint moved."""
+    """Track `sigma`; `age`: periods since a reversal in this cycle, 0 to 1; `rest`: s since the joint last moved."""
 
     def __init__(
         self,
@@ -132,10 +139,17 @@ class Direction:
         give: float | None = None,
         way: float = 0.0,
     ) -> None:
-        """`lead` and `period` in s; `reach`: d/(2 r_J EA), m of tendon per N*m wanted; `joint_radius` r_J in m.
+        """Prepare the rules.
 
-        `give`: the same while the joint moves, where it is not as much; at rest even tendons that are bent at the joint
-        alone turn by what the motor winds up. `way`: rad of the joint, in which the tendons slide all along.
+        Args:
+            settings: [axis.direction].
+            motion: velocity and acceleration of the joint.
+            lead: s by which the velocity is extrapolated.
+            reach: d/(2 r_J EA), m of tendon per N*m of desired torque, joint at rest.
+            joint_radius: r_J, m.
+            period: s.
+            give: like `reach`, joint moving; None if it is the same.
+            way: rad of the joint after which the whole tendons slide.
         """
         self.lead = lead
         self._motion = motion
@@ -151,7 +165,7 @@ class Direction:
 
     @property
     def zone(self) -> float:
-        """rad/s of the joint that count as standstill."""
+        """Return the joint speed below which the joint counts as at rest, rad/s."""
         return self._zone
 
     @zone.setter
@@ -160,16 +174,16 @@ class Direction:
 
     @property
     def follows(self) -> bool:
-        """Whether the last turn followed the joint of late, and none came sooner before it than a hand trembles."""
+        """Return True within `TREMOR` after a reversal by the joint motion, if none came within `TREMOR` before it."""
         return self._follows and self._since < TREMOR
 
     @property
     def moving(self) -> bool:
-        """Whether the joint's motion, and not the stretch, says where the tendon slips."""
+        """Return True if the joint motion, and not the elongation, determines the slip direction."""
         return self.rest == 0.0
 
     def reset(self) -> None:
-        """Nothing has moved."""
+        """Return to the state before the first motion."""
         self.sigma = 0.0
         self.age = 0.0
         self.rest = math.inf  # it has never moved
@@ -179,14 +193,15 @@ class Direction:
         self.forget()
 
     def forget(self) -> None:
-        """There is no torque wanted, and the next one begins from none; the last direction stays."""
+        """Let the next desired torque start from 0; sigma stays."""
         self._edge = math.nan
 
     def update(self, ahead: float, rate: float) -> float:
-        """sigma for this cycle.
+        """Return sigma for this cycle.
 
-        `ahead`: the torque wanted at the joint, N*m, when a turn that begins now is over, nan without one; `rate`: how
-        fast it changes in the middle of that turn, N*m/s.
+        Args:
+            ahead: desired joint torque at the end of a reversal that starts now, N*m; nan without torque.
+            rate: slope of the desired torque in the middle of that reversal, N*m/s.
         """
         motion = self._motion
         alpha = motion.acceleration
@@ -232,5 +247,5 @@ class Direction:
         self.sigma, self._turned_at = sigma, math.nan
 
     def _little_since_turn(self) -> bool:
-        """Whether the joint has gone so little since it turned that its tendons still lie as they did."""
+        """Return True if the joint has moved so little since its reversal that the tendons have not reversed."""
         return abs(self._motion.angle - self._turned_at) < self._little

@@ -1,9 +1,14 @@
-"""Friction angle x and pretension T_p while the loop runs.
+"""Estimate friction angle x and pretension T_p while the loop runs.
 
-Six kinds: "fixed" (the model file's), "map" (x = mu Theta and T_p by (3.52), (3.56) from a bending angle, measured or
-commanded), "sensor" and "motor" (recursive, see `recursive`), "stretch" (by two encoders, see `by_stretch`),
-"tension" (by two load cells, see `by_tension`). Every kind has the same three outputs, is reset by every disable, and
-moves no parameter faster than its rate.
+There are six kinds of estimator:
+
+* "fixed": the model file's values.
+* "map": x = mu Theta and T_p by (3.52), (3.56), from a measured or commanded bending angle Theta.
+* "sensor" and "motor": recursive, see `recursive`.
+* "stretch": from two encoders, see `by_stretch`.
+* "tension": from two load cells, see `by_tension`.
+
+Every kind has the same three outputs. Every disable resets them. No parameter changes faster than its rate.
 """
 
 from __future__ import annotations
@@ -21,23 +26,16 @@ from msgspec import Meta
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 
-# From the one number that sliding shows to friction angle and pretension, by an assumption that the user names.
-#
-# half loop at the joint  h = 2 T_p r_J sinh x      (N*m, from a joint torque sensor)
-# half loop at the motor  k = 2 T_p r_M tanh x      (N*m, from an unloaded or known joint)
-#
-# With `elongation_coupling` in the model both follow from where its sheath bends (`tsa_ctrl.model.sliding`).
-#
-# One configuration gives only the product (model.md). The split needs an assumption about what changed: the friction
-# coefficient ("friction": T_p stays), the tensioner ("pretension": x stays), or the sheath's bending ("bending": x =
-# mu Theta and T_p = T_p0 + k_t (p + d/2)(Theta - Theta_0) move together, (3.52), (3.56)).
-
 SMALLEST_ANGLE = 1e-3  # 1, friction angle below which the split is not defined
 POINTS = 256  # of the table by which the half loop is inverted: 1e-5 of it, and no iteration in the loop
 
 
 class Attribution(Enum):
-    """What is taken to have changed when the half loop has."""
+    """The cause to which a change of the friction torque is attributed.
+
+    FRICTION: the friction coefficient; T_p is constant. PRETENSION: the tensioner; x is constant. BENDING: the bending
+    angle; x = mu Theta and T_p = T_p0 + k_t (p + d/2)(Theta - Theta_0) change together, (3.52), (3.56).
+    """
 
     FRICTION = "friction"
     PRETENSION = "pretension"
@@ -45,10 +43,14 @@ class Attribution(Enum):
 
 
 class Split:
-    """friction angle (1) and pretension (N) that give a half loop, within a factor of nominal either way."""
+    """Split a friction torque into friction angle (1) and pretension (N), by an attribution that the user selects.
+
+    The friction torque is 2 T_p r_J sinh x at the joint, and 2 T_p r_M tanh x at the motor, N*m. With
+    `elongation_coupling` it follows from the position of the bends (`tsa_ctrl.model.sliding`).
+    """
 
     def __init__(self, model: TendonSheath, attribution: Attribution, at_motor: bool, bounds: float) -> None:
-        """`bounds`: factor either way minus 1, of the one quantity that moves."""
+        """Tabulate the friction torque; `bounds`: largest factor of the changing quantity either way, minus 1."""
         self._attribution = attribution
         self._per_pretension = _half_loop_of(model, at_motor)
         self._mu = model.friction_coefficient
@@ -64,7 +66,7 @@ class Split:
         self.nominal = self._half_loop(1.0)
 
     def parameters(self, factor: float) -> tuple[float, float]:
-        """Friction angle and pretension when the moving quantity is `factor` times its nominal value."""
+        """Return friction angle and pretension if the changing quantity is `factor` times its nominal value."""
         if self._attribution is Attribution.FRICTION:
             return self._angle * factor, self._pretension
         if self._attribution is Attribution.PRETENSION:
@@ -73,12 +75,15 @@ class Split:
         return self._mu * theta, max(0.0, self._pretension + self._slope * (theta - self._theta))
 
     def _half_loop(self, factor: float) -> float:
-        """N*m that `parameters(factor)` give."""
+        """Return the friction torque for `parameters(factor)`, N*m."""
         angle, pretension = self.parameters(factor)
         return pretension * self._per_pretension(angle)
 
     def solve(self, half_loop: float) -> tuple[float, float, bool]:
-        """Friction angle, pretension, and whether the half loop (N*m) lies inside the bounds; else at the bound."""
+        """Return friction angle, pretension, and True if the friction torque (N*m) is within the bounds.
+
+        Outside the bounds, the parameters at the nearest bound are returned.
+        """
         factors, loops = self._factors, self._half_loops
         if half_loop <= loops[0]:
             return *self.parameters(factors[0]), False
@@ -90,7 +95,7 @@ class Split:
 
 
 def _half_loop_of(model: TendonSheath, at_motor: bool) -> Callable[[float], float]:
-    """m: half loop at the motor or the joint over the pretension, by the friction angle."""
+    """Return a function from the friction angle to the friction torque at motor or joint over the pretension, m."""
     arm = 2.0 * (model.motor_pulley_radius if at_motor else model.joint_pulley_radius)
     if "elongation_coupling" not in model.effects:
         function = math.tanh if at_motor else math.sinh
@@ -153,7 +158,7 @@ class Sample:
 
 
 class Estimator(Protocol):
-    """What the cycle asks of any kind."""
+    """The interface of every kind of estimator."""
 
     friction_angle: float  # 1
     pretension: float  # N
@@ -163,7 +168,7 @@ class Estimator(Protocol):
 
     @property
     def found(self) -> float:
-        """1, half loop that both ways have shown, over the model file's; nan while they have not."""
+        """Return the friction torque found in both directions over the model file's value, 1; nan without one."""
 
     def update(self, seen: Sample) -> None: ...
 
@@ -171,7 +176,7 @@ class Estimator(Protocol):
 
 
 class Fixed:
-    """The model file's values, or those that a client sets, which the law uses from then on."""
+    """Use the model file's values, or the values that a client sets."""
 
     state = EstimateState.FIXED
     use = True
@@ -183,10 +188,10 @@ class Fixed:
         self.pretension = model.pretension
 
     def update(self, seen: Sample) -> None:
-        """Nothing changes."""
+        """Do nothing: the values are constant."""
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: nothing is stored."""
 
 
 class ConfigurationMap:
@@ -240,7 +245,7 @@ class ConfigurationMap:
 
 
 def toward(value: float, target: float, step: float) -> float:
-    """`value` moved to `target`, by at most `step`."""
+    """Return `value` moved towards `target` by at most `step`."""
     change = target - value
     if change > step:
         return value + step
@@ -248,5 +253,5 @@ def toward(value: float, target: float, step: float) -> float:
 
 
 def sooner_down(value: float, target: float, step: float) -> float:
-    """The same, but a value that falls may do so by `DOWN` steps."""
+    """Return the same, but a falling value may change by `DOWN` steps."""
     return toward(value, target, DOWN * step if target < value else step)

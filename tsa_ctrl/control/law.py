@@ -105,12 +105,11 @@ class Inverse(Protocol):
 
 
 class Law:
-    """One axis' law.
+    """Compute the motor torque of one axis; call `observe` in every cycle, and `update` in cycles with torque.
 
-    Attributes: `ideal`, `friction_term` and `planned`: parts of its output, N*m at the motor. `half_loop`: friction
-    torque of the model as of late, N*m at the motor.
-
-    `observe` belongs to every cycle, `update` to those with torque.
+    Attributes:
+        ideal, friction_term, planned: parts of the output, N*m at the motor.
+        half_loop: friction torque of the model, N*m at the motor; refreshed every `_REFRESH` cycles.
     """
 
     def __init__(
@@ -155,12 +154,12 @@ class Law:
 
     @property
     def sigma(self) -> float:
-        """The direction as the friction term has it now, -1 to 1."""
+        """Return the present direction of the friction term, -1 to 1."""
         return self.turn.force
 
     @property
     def velocity(self) -> float:
-        """rad/s of the joint."""
+        """Return the joint velocity, rad/s."""
         return self._motion.velocity
 
     @property
@@ -170,11 +169,11 @@ class Law:
 
     @property
     def pretension(self) -> float:
-        """T_p0 at the present bending, N."""
+        """Return T_p0 at the present wrap angle, N."""
         return self._inverse.pretension
 
     def reset(self) -> None:
-        """Forget everything but how the joint moves; the next enable starts uncompensated and fades in."""
+        """Forget everything but the motion of the joint; the next enable starts uncompensated and fades in."""
         self.ideal = self.friction_term = self.planned = self._fade = self._settled = 0.0
         self._wanted = 1.0  # 0 when the socket's client is gone
         self.beyond = False
@@ -193,8 +192,14 @@ class Law:
         self.half_loop = self._inverse.half_loop()
 
     def observe(self, q_j: float, q_m: float, fresh: bool, ahead: float, rate: float) -> None:
-        """This cycle's angles of joint and motor (rad), and the set-point when a turn from now would be over and how
-        fast it then changes (N*m, N*m/s; nan and 0 without torque)."""
+        """Take the measurements of one cycle.
+
+        Args:
+            q_j, q_m: angles of joint and motor, rad.
+            fresh: True if the joint angle is new.
+            ahead: set-point at the end of a reversal that starts now, N*m; nan without torque.
+            rate: slope of that set-point, N*m/s; 0 without torque.
+        """
         direction, turn = self.direction, self.turn
         if self._has_encoder:
             self._motion.update(q_j, fresh)
@@ -224,17 +229,20 @@ class Law:
         turn.update(sigma, direction.age)
 
     def pass_over(self, periods: int) -> None:
-        """So many periods had no cycle: the joint went on as was expected, and a turn as it was planned."""
+        """Account for periods without a cycle: extrapolate the joint motion and continue a planned reversal."""
         for _ in range(min(periods, MOST_EXPECTED)):
             self._motion.update(math.nan, False)
             self.turn.update(self.direction.sigma)
             self.damping.pass_over()
 
     def update(self, tau_j: float, q_m: float, omega_m: float, t: float, back_off: float) -> float:
-        """Motor torque wanted, N*m.
+        """Return the desired motor torque, N*m.
 
-        `tau_j`: set-point when the command acts, N*m; `q_m`, `omega_m`: of the motor, rad and rad/s; `t` is the time
-        since the enable in s, `back_off` in [-1, 1], below 0 against the friction.
+        Args:
+            tau_j: set-point at the time when the command acts, N*m.
+            q_m, omega_m: angle and speed of the motor, rad and rad/s.
+            t: time since the enable, s.
+            back_off: factor of the compensation in [-1, 1]; a negative factor adds to the friction.
         """
         inverse, motion, turn, slip = self._inverse, self._motion, self.turn, self._slip
         ideal = tau_j * self._ratio
@@ -273,9 +281,11 @@ class Law:
         return wanted + planned
 
     def follow(self, rate: float, silent: bool = False) -> None:
-        """After the command: what of the term is taken back from the next one on.
+        """Update the removed share of the friction term for the next command.
 
-        `rate`: of the set-point, N*m/s; `silent`: whether nobody wants anything any longer. Then all of it.
+        Args:
+            rate: slope of the set-point, N*m/s.
+            silent: True if the set-points of the socket have ended; the whole term then fades out.
         """
         velocity = self._motion.velocity
         step = self._period / SETTLING
@@ -294,13 +304,13 @@ class Law:
             self.near_slack = self._inverse.pretension < NEAR_SLACK * self._nominal
 
     def swing(self, omega_m: float) -> float:
-        """J that the motor at `omega_m` rad/s has by its motion against the joint, while the term turns; else 0."""
+        """Return the kinetic energy (J) of the motor at `omega_m` rad/s relative to the joint; 0 outside a reversal."""
         if not self.turn.turning or not self._has_encoder:
             return 0.0
         return 0.5 * self._inertia * (omega_m - self._motion.velocity / self._ratio) ** 2
 
     def applied(self, tau_m: float) -> None:
-        """Tell the law what was sent; a term that was cut slews on from what was left of it, and so is the stretch."""
+        """Take the torque that was sent (N*m), so that a clipped friction term and elongation continue from there."""
         left = tau_m - self.ideal - self.planned
         term = self.friction_term
         wanted = self.ideal + term

@@ -1,6 +1,6 @@
-"""Parameters that may be changed while the loop runs: a table of name, unit, bounds, and how fast each moves.
+"""Define the parameters that a client may change while the loop runs: name, unit, bounds and rate of each.
 
-`Tuner` moves one axis' parameters to what was asked, a step per cycle, so that no change is a jump of torque.
+`Tuner` moves the parameters of one axis to their requested values, a step per cycle, so that the torque never jumps.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def parameters_of(axis: ControlAxis) -> tuple[Parameter, ...]:
 
 
 class Tuner:
-    """Moves the parameters of one axis."""
+    """Move the parameters of one axis to their requested values."""
 
     def __init__(self, parameters: tuple[Parameter, ...], period: float) -> None:
         self.parameters = parameters
@@ -95,13 +95,13 @@ class Tuner:
         self._moving: dict[int, float] = {}
 
     def set(self, index: int, value: float) -> None:
-        """Ask for a value; it is kept inside the bounds, and nan is refused."""
+        """Request a value; a value outside the bounds or nan is ignored."""
         parameter = self.parameters[index]
         if parameter.low is not None and parameter.high is not None and parameter.low <= value <= parameter.high:
             self._moving[index] = value
 
     def update(self) -> None:
-        """One cycle's step of everything that moves."""
+        """Move every pending parameter by the step of one cycle."""
         if not self._moving:
             return
         for index, target in list(self._moving.items()):

@@ -28,34 +28,33 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_side_compliance, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.safety.limiter import LimiterSettings
 
-# Gain margin of the predictive damping: by what factor its gain may grow before the motor's swing does.
-#
-# The loop is linear while the tendons slide: the motor (J_M on K), the drive's torque loop (a lag), the hold over a
-# period, whole periods of delay, and `damping` with its slow mean. Its matrix over one period is exact (matrix
-# exponential), and it is stable while no eigenvalue lies outside of the unit circle. Friction is left out: it only
-# damps, and a joint at rest lets the motor ring less (its swing moves the slip front, which takes it). Used before the
-# loop starts, never in it.
-
-LAG = 0.5e-3  # s, torque loop of a drive; those of the known ones are faster
-LEAST = 2.0  # margin that is asked for
-STIFFNESS = (0.8, 1.0, 1.25)  # of the model's: as far as tendons are known before they are measured
-SHARE = 0.32  # of sqrt(K J_M) that a gain needs at most: a sixth of critical, then a swing lasts two periods
+LAG = 0.5e-3  # s, torque loop of a drive; the known drives are faster
+LEAST = 2.0  # required gain margin
+STIFFNESS = (0.8, 1.0, 1.25)  # of the model's stiffness: the uncertainty before the tendons are measured
+SHARE = 0.32  # of sqrt(K J_M), largest useful gain: a sixth of critical damping, a swing then lasts two periods
 WORTH = 0.05  # of sqrt(K J_M); below it damping is not worth its noise
 _MOST = 64.0
 _OUTSIDE = 1.0 + 1e-9
 
 
 def gain_margin(gain: float, inertia: float, stiffness: float, delay: float, period: float) -> float:
-    """The least margin over `STIFFNESS`; 0 when the loop is unstable as it is.
+    """Return the smallest gain margin of the damping over `STIFFNESS`; 0 if the loop is unstable with this gain.
 
-    `gain` in N*m*s/rad, `inertia` J_M in kg*m^2, `stiffness` K in N*m/rad; `delay`: all of it from a measurement to the
-    torque that acts, in s, half a period of hold and the torque loop included.
+    The margin is the factor by which the gain may grow before the loop of motor, drive and `damping` becomes unstable.
+    The loop is linear while the tendons slide. Friction is neglected, because it only adds damping.
+
+    Args:
+        gain: N*m*s/rad.
+        inertia: J_M, kg*m^2.
+        stiffness: K, N*m/rad.
+        delay: s from a measurement to the torque that acts, with half a period of hold and the drive's torque loop.
+        period: s.
     """
     return min(_margin(gain, inertia, share * stiffness, stiffness, delay, period) for share in STIFFNESS)
 
 
 def largest_gain(inertia: float, stiffness: float, delay: float, period: float) -> float:
-    """The gain (N*m*s/rad) that damps as much as is useful and keeps the margin; 0 where none is worth having."""
+    """Return the largest useful gain (N*m*s/rad) that keeps the margin; 0 if that gain is too small to be useful."""
     scale = math.sqrt(stiffness * inertia)
     gain = SHARE * scale
     margin = gain_margin(gain, inertia, stiffness, delay, period)
@@ -88,9 +87,10 @@ def _margin(gain: float, inertia: float, stiffness: float, believed: float, dela
 def loop_matrix(
     gain: float, inertia: float, stiffness: float, believed: float, delay: float, period: float
 ) -> NDArray[np.float64]:
-    """The closed loop over one period: angle, speed, torque of the motor; commands on their way; the slow mean.
+    """Return the exact transition matrix of the closed loop over one period.
 
-    `believed`: the stiffness that the prediction works with.
+    Its states are angle, speed and torque of the motor, the commands in transit, and the slow mean of `damping`. The
+    loop is stable if no eigenvalue lies outside the unit circle. `believed`: stiffness of the prediction, N*m/rad.
     """
     ringing = math.sqrt(believed / inertia)
     cosine, sine = math.cos(ringing * delay), ringing * math.sin(ringing * delay)
@@ -120,7 +120,7 @@ def loop_matrix(
 def _held(
     motor: NDArray[np.float64], push: NDArray[np.float64], time: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Transition of the motor's state over `time` s under a constant command, and what the command adds."""
+    """Return the transition of the motor's state over `time` s, and the effect of a constant command of 1 N*m."""
     from scipy.linalg import expm  # slow to import
 
     block = np.zeros((4, 4))
@@ -134,13 +134,13 @@ BLIND = 0.02  # s of a turn without a motor inertia
 LONGEST_TURN = 0.06  # s; slower than that a gait is not followed: a limit of rate or torque then cuts the turn
 MOST_TURN = 0.2  # s; no limit of speed may require more
 SPEED_SHARE = 0.6  # of the speed limit: the joint moves as well, and an estimate may find 1.6 times the friction
-# Of the limiter's rate that a turn may use, for bends up to the middle and for all at the joint. There the friction
-# turns at once, and what counts is how long the turn takes. The limiter bounds only what grows, the second half of a
-# turn, and cuts a step or two of it: an imposed gait is off by 40 mN*m with 1.6, by 51 with 0.8.
+# Share of the limiter's rate that a reversal may use: bends up to the middle of the sheath, and all bends at the joint.
+# With bends at the joint the friction reverses at once, so a short reversal matters more. The limiter bounds only
+# growing torques and cuts a step or two: the error of a prescribed gait is 40 mN*m with 1.6, and 51 mN*m with 0.8.
 RATE_SHARE, RATE_SHARE_AT_JOINT = 0.8, 1.6
-# Of that rate, the slope of the torque that carries the motor through the turn: it swings to both sides, and only what
-# grows is bounded. A motor of 3.2e-4 kg*m^2 behind bends at the joint, turned in 5.5 ms at five times the rate, is cut
-# so much that it swings on: 43 mN*m, at three times the rate and less (7 ms) 34. Lighter ones come nowhere near.
+# Slope of the inertia's torque in a reversal, over that rate. That torque has both signs; only its growth is bounded.
+# A motor of 3.2e-4 kg*m^2 with bends at the joint, reversed in 5.5 ms at five times the rate, keeps oscillating after
+# the cut: 43 mN*m, against 34 mN*m at three times the rate (7 ms). The slope of a lighter motor is far smaller.
 RATE_OF_INERTIA = 3.0
 TORQUE_SHARE = 0.35  # of the limiter's torque that the motor's inertia may ask for
 MOST_LEAD = 0.03  # s; a reversal that is farther away is not predicted but guessed

@@ -1,13 +1,15 @@
-"""Recursive estimation of the half loop, and from it of friction angle and pretension, a few microseconds per cycle.
+"""Estimate the friction torque recursively, and derive friction angle and pretension; a few microseconds per cycle.
 
     "sensor":  tau_J = -h sigma + s tau_M + c          h = 2 T_p r_J sinh x,  s = r_J/r_M cosh x,  c: sensor offset
     "motor":   tau_M =  k sigma + s tau_L + c          k = 2 T_p r_M tanh x,  tau_L: the known joint torque
 
-A Kalman filter for a random walk of (h, s, c): data enter as means over short blocks of steady sliding, the walk is the
-forgetting, and its covariance never grows beyond the prior, so that it neither winds up nor falls asleep. Nothing moves
-while nothing is admitted. s is a nuisance here: cosh x is too flat to tell x from it. With `elongation_coupling` in the
-model h, k and s follow from where its sheath bends. Torques are those of the tendons alone: what the model's effects
-take beside them is taken off first (`bare`).
+A Kalman filter follows a random walk of (h, s, c). Its data are means over short blocks of steady sliding. The random
+walk makes it forget old data. Its covariance never exceeds the prior, so it neither diverges nor stops adapting. The
+estimate does not change while no data are admitted.
+
+s is a nuisance parameter: cosh x is too flat to identify x from it. With `elongation_coupling` in the model, h, k and s
+follow from the position of the bends. The torques of the model's effects outside the tendons are subtracted first
+(`Bare`).
 """
 
 from __future__ import annotations
@@ -25,17 +27,15 @@ from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 
-# The tendons alone: measured torques without what the model's effects take on either side of them.
-#
-# An estimator that fits (3.55) to torques with friction of the motor or the joint in them finds that friction in the
-# sheath, and the law, which adds the same effects, gives it twice. What stands beside the transmission is taken off
-# here; what changes friction or pretension themselves cannot be parted from them (`why_not`).
-
 _WITHIN = (Stage.BENDING, Stage.PRETENSION, Stage.FRICTION, Stage.TENSION)
 
 
 class Bare:
-    """One axis' measurements at the tendons; `measure` every cycle, the rest when it is wanted."""
+    """Subtract the torques of the model's effects outside the tendons; call `measure` in every cycle.
+
+    An estimator without this subtraction attributes the friction of motor and joint to the sheath. The law, which adds
+    the same effects, would then compensate that friction twice.
+    """
 
     def __init__(self, model: TendonSheath, period: float) -> None:
         """`period` in s."""
@@ -49,17 +49,17 @@ class Bare:
 
     @property
     def remembers(self) -> bool:
-        """Whether `joint` belongs to every cycle: a formula there has a memory of its torque."""
+        """Return True if `joint` must be called in every cycle, because a formula there has a memory of its torque."""
         return bool(self._memories.parts)
 
     def reset(self) -> None:
-        """Forget the last velocity, and what a formula remembers."""
+        """Forget the last velocity and the memory of a formula."""
         self._memories.reset()
         self._state = unmoved(self._theta)
         self._last = math.nan
 
     def measure(self, sigma: float, omega_j: float, q_j: float, q_m: float) -> None:
-        """One cycle's motion: 1, rad/s, rad, rad."""
+        """Store the motion of one cycle: sigma in 1, omega_j in rad/s, q_j and q_m in rad."""
         state = self._state
         self._memories.begin(self._period)
         if self._last == self._last:
@@ -70,13 +70,13 @@ class Bare:
         state.omega = omega_j if lag is None else lag.true_velocity(omega_j, state.acceleration)
 
     def motor(self, tau_m: float) -> float:
-        """N*m on the motor's pulley, of a motor torque as the drive reports it."""
+        """Return the torque on the motor's pulley for the motor torque that the drive reports, both N*m."""
         for effect in self._stack.motor_torque:
             tau_m = effect.apply(SCALARS, tau_m, self._state)
         return tau_m
 
     def joint(self, tau_j: float) -> float:
-        """N*m that the tendons give, of a torque that is measured or known behind the joint."""
+        """Return the torque of the tendons for a torque that is measured or known behind the joint, both N*m."""
         stack, state = self._stack, self._state
         for effect in stack.joint:
             tau_j += effect.torque(SCALARS, state)
@@ -89,7 +89,7 @@ class Bare:
 
 
 def why_not(model: TendonSheath) -> str:
-    """Why friction angle and pretension cannot be estimated beside this model's effects; empty when they can."""
+    """Return the reason why the model's effects prevent an estimate of friction angle and pretension, else ""."""
     within = [name for name in model.effects if CATALOGUE[name].stage in _WITHIN or name == "sheath_asymmetry"]
     if Stack.of(model.effects, model.source).custom_at("motor") is not None:
         within.append("custom")
@@ -110,7 +110,7 @@ PULLING = 0.95  # 1, share of 2 T_p r_M up to which both tendons surely pull
 
 
 class Recursive:
-    """The estimator kinds "sensor" and "motor"; while invalid the outputs return to the model file's."""
+    """Implement the estimator kinds "sensor" and "motor"; while invalid, the outputs return to the file's values."""
 
     why = ""
 
@@ -139,7 +139,7 @@ class Recursive:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the model file's values; nothing is known."""
+        """Return to the model file's values without an estimate."""
         self.friction_angle, self.pretension = self._target = self._nominal
         self.half_loop, self.slope, self.offset = self._prior
         self.state = EstimateState.UNESTIMATED
@@ -155,11 +155,11 @@ class Recursive:
 
     @property
     def found(self) -> float:
-        """1, half loop over the model file's; nan while it is not estimated."""
+        """Return the friction torque over the model file's value, 1; nan while it is not estimated."""
         return self.half_loop / self._split.nominal if self.state is EstimateState.ESTIMATED else math.nan
 
     def update(self, seen: Sample) -> None:
-        """One cycle's data."""
+        """Take the data of one cycle."""
         sigma, omega_j, tau_m, tau_j = seen.sigma, seen.omega_j, seen.tau_m, seen.tau_j
         bare = self._bare
         if bare is not None:
@@ -206,7 +206,7 @@ class Recursive:
         self._judge()
 
     def _learn(self, a: float, b: float, y: float) -> None:
-        """One Kalman step for y = a h + b s + c."""
+        """Do one Kalman step for y = a h + b s + c."""
         if not math.isfinite(y):
             self.residual = math.inf
             return
@@ -234,7 +234,7 @@ class Recursive:
         self.residual += self._walk * 4.0 * (after * after - self.residual)
 
     def _judge(self) -> None:
-        """A state holds until certain data say otherwise."""
+        """Change the state if the data are certain enough or contradict the model."""
         certain = self._p[0] < (CERTAIN * self._split.nominal) ** 2 and min(self._seen) > BOTH_WAYS
         angle, pretension, inside = self._split.solve(self.half_loop)
         if self.residual > self._worst or (certain and not inside):
