@@ -1,4 +1,4 @@
-"""What is known of one axis' joint torque without its sensor, and whether that sensor agrees."""
+"""Estimate the joint torque of one axis without its sensor, and compare the sensor with the estimate."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ from tsa_ctrl.model.sliding import sliding_by
 from tsa_ctrl.observer.by_elongation import ElongationTorque
 from tsa_ctrl.observer.stretch import NEARLY, STIFF_FACTOR, StretchObserver, StretchState
 
-# Joint torque from the motor's torque, the direction and the model alone: the estimate of a rig without more.
-#
-# While the joint moves the tendons slide, tau_J = a(sigma) (tau_M - J_M alpha_M) - sigma b(sigma) (`model.sliding`),
-# as far as friction angle and pretension are known. At standstill the friction holds whatever lies between the two
-# lines: the middle is told, and the band is the friction's.
-
-STILL = 0.02  # rad/s of the joint below which it may stand still: what a motor's ringing leaves on a still joint
+STILL = 0.02  # rad/s of the joint, below which it may be at rest: a motor's oscillation moves a resting joint so fast
 
 
 class ModelTorque:
-    """`torque`, `low`, `high`: N*m at the joint, nan before the first measurement; about a microsecond a cycle."""
+    """Estimate the joint torque from motor torque, joint direction and model alone; about a microsecond per cycle.
+
+    While the joint moves, the tendons slide: tau_J = a(sigma) (tau_M - J_M alpha_M) - sigma b(sigma) (`model.sliding`).
+    At rest, the friction holds any torque between the two lines. The estimate is then their middle, and the band
+    includes both.
+
+    Attributes: `torque`, `low`, `high`: estimate and 95 % band, N*m at the joint; nan before the first measurement.
+    """
 
     def __init__(self, model: TendonSheath, period: float, motor_inertia: float = 0.0, still: float = STILL) -> None:
-        """`period` in s, J_M in kg*m^2 (0: not known); `still`: rad/s of the joint that count as standstill."""
+        """Prepare the model; `period` in s; `motor_inertia` in kg*m^2, 0 if not known; `still`: fastest rest, rad/s."""
         self._sliding = sliding_by(model)
         self._period = period
         self._inertia = motor_inertia
         self._still = still
-        # Of the half loop: what either parameter may be off is a 95 % bound, and the two are not off together.
+        # Relative error of the friction torque: the two parameters have independent errors with 95 % bounds.
         self._share = math.hypot(model.friction_angle_uncertainty, model.pretension_uncertainty)
         self.set_parameters(model.friction_angle, model.pretension)
         self.reset()
@@ -45,7 +46,7 @@ class ModelTorque:
         self._doubts = self._share * abs(forward.half_loop), self._share * abs(backward.half_loop)
 
     def update(self, tau_m: float, omega_m: float, omega_j: float, fresh: bool = True) -> None:
-        """One cycle's measurements, N*m, rad/s and rad/s; the last estimate stays while they are not `fresh`."""
+        """Take the measurements of one cycle, N*m, rad/s and rad/s; without `fresh` ones the last estimate stays."""
         if not fresh or not math.isfinite(tau_m + omega_m + omega_j):
             self._omega = math.nan
             return
@@ -157,7 +158,7 @@ class JointTorque:
         )
 
     def reset(self) -> None:
-        """The encoders begin anew: nothing that was learned of them holds."""
+        """Forget everything learned from the encoders, because their zero may have changed."""
         self.model.reset()
         if self.stretch is not None:
             self.stretch.reset()
@@ -173,7 +174,7 @@ class JointTorque:
             self.stretch.set_pretension(pretension)
 
     def pass_over(self, periods: int) -> None:
-        """So many periods had no cycle."""
+        """Count periods without a cycle."""
         if self.stretch is not None:
             self.stretch.pass_over(periods)
             self._combine()

@@ -59,7 +59,7 @@ class ProvenFriction:
     """Measure the friction torque from a joint torque sensor, else from the elongation, while the tendons slide.
 
     Attributes: `low`, `high`: bounds of the friction torque at the motor, N*m; 0 and inf while unproven.
-    `reads`: True if this cycle has a reading, False if the bounds are those of earlier ones.
+    `reads`: True if this cycle has a reading, False if the bounds come from earlier cycles.
     """
 
     def __init__(

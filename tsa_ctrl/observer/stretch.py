@@ -26,16 +26,17 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.stretch import profile_of, stretch_line
 from tsa_ctrl.observer import tendons
 
-# Compare the innovations of the elongation observer with their uncertainty, to confirm the reported motor torque.
-
-MISFIT = 3.0  # standard deviations of the innovation, beyond which the motor torque or the tendons are others
+MISFIT = 3.0  # standard deviations of the innovation, beyond which motor torque or tendons differ from the model
 SMOOTH = 0.005  # s, low-pass of the innovation
 # s for which it must last: on healthy rigs single samples come there every ten seconds, four in a row at most
 LASTING = 0.01
 
 
 class Confirmation:
-    """`confirmed`: since the last reset, the elongation was as predicted, but for single samples."""
+    """Compare the innovations of the elongation observer with their uncertainty, to confirm the reported motor torque.
+
+    `confirmed`: True while the elongation was as predicted since the last reset, except for single samples.
+    """
 
     def __init__(self, model: TendonSheath, noise: float, period: float) -> None:
         """Prepare the test; `noise`: m^2 of one measured elongation; `period`: s."""

@@ -276,8 +276,8 @@ def observe(
     """Advance all pairs, which differ by `MORE`, by a cycle: predict the elongation and correct it by the measured one.
 
     `pairs` (3, 2, ROWS, N + 1); `difference`: T3 - T1 in N; `stretch`: s in m; `joint`: m, motion of the joint's pulley
-    since the last cycle; `doubt`: m^2, variance of the prediction in addition to NOISE. There is no correction before
-    SLID, because the state of the tendons is unknown. Returns a code, T4 - T2 (N), its standard deviation by the
+    since the last cycle; `doubt`: m^2, variance of the prediction in addition to NOISE. The prediction is not corrected
+    before SLID, because the state of the tendons is unknown. Returns a code, T4 - T2 (N), its standard deviation by the
     tendons (N), the tensions of tendon b at motor and joint (N), the innovation (m), STIFF, and True if SLID is 1.
     """
     n, w = pairs.shape[3] - 1, memory
