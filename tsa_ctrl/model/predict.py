@@ -22,8 +22,8 @@ from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 from tsa_ctrl.model.signals import Signals, hold_direction
 from tsa_ctrl.model.stretch import compliances
 
-# Friction states and exponentials of one log that are kept, and their bytes at most: a search asks for the same grid of
-# states with every fit, and an hour at 1 kHz must stay below a gigabyte
+# Cached friction states and exponentials of one log, and their largest size in bytes: a search requests the same states
+# with every fit, and an hour at 1 kHz must need less than a gigabyte.
 KEPT, KEPT_BYTES, FEWEST_KEPT = 128, 24_000_000, 2
 _ABSENT: Array = np.asarray(np.nan)
 

@@ -1,8 +1,10 @@
-"""The lever arm of the tendons at the joint: it changes with the angle where the pulley does not turn about its centre.
+"""Model the lever arm of the tendons at the joint, which changes with the angle if the pulley is eccentric.
 
-Its centre walks around the axis, so that one tendon comes off further out than on average and the other further in, and
-by half a turn the other way: r_J(q) = r_J (1 + e sin(q_J + phi)) (Shigley's eccentric cam, small e). The length that is
-wound up follows, which the stretch r_M q_M - r_J q_J shows. Source: the catalogue of effects.
+The centre of the pulley moves around the axis. One tendon then leaves the pulley farther out than on average, and the
+other farther in; half a turn later it is the opposite: r_J(q) = r_J (1 + e sin(q_J + phi)). The wound length changes
+accordingly, which the elongation r_M q_M - r_J q_J shows.
+
+Source: Shigley's eccentric cam, small e; catalogue of effects.
 """
 
 from __future__ import annotations
@@ -24,14 +26,12 @@ from tsa_ctrl.model.effects.specification import (
 )
 from tsa_ctrl.model.functions import Array, F, Functions
 
-# What an effect may look at: one instant (floats) or a whole log (arrays).
-
 
 @dataclass(slots=True)
 class State(Generic[F]):
-    """Measured values at one instant or over a log; nan where there is no such measurement. SI units.
+    """Hold the inputs of an effect in SI units, at one instant (floats) or over a log (arrays); nan if not measured.
 
-    For a plain drive without a transmission q_j, omega and acceleration are those of the motor.
+    For a plain drive without a transmission, q_j, omega and acceleration are measured at the motor.
     """
 
     t: F  # s
@@ -46,7 +46,7 @@ class State(Generic[F]):
 
 
 def unmoved(theta: float) -> State[float]:
-    """At `theta`, rad, when nothing is measured yet."""
+    """Return the state at the bending angle `theta` (rad) before any measurement."""
     nan = math.nan
     return State(
         t=0.0, omega=0.0, acceleration=0.0, q_j=nan, q_m=nan, temperature=nan, theta=theta, sigma=0.0, start=0.0
