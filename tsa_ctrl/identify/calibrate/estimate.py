@@ -1,9 +1,12 @@
-"""Estimate friction angle x = mu Theta and pretension T_p0 from logs (3.55)-(3.56), with what the data can support.
+"""Estimate friction angle x = mu Theta and pretension T_p0 from logs, (3.55)-(3.56), as far as the data identify them.
 
-One configuration identifies two combinations only: slope = r_J/r_M cosh x and half loop = 2 T_p r_J sinh x; the slope
-knows x only if the gain of the torque is certified, and badly even then. So the parameters are split only when the
-bending angle or the pretension varied and is known, the motor-side tensions were measured, or the gain is certified and
-the interval that follows is narrower than what the nominal file already claims.
+One configuration identifies only two combinations: slope = r_J/r_M cosh x and friction torque = 2 T_p r_J sinh x. The
+slope identifies x only with a certified torque gain, and even then poorly. The two parameters are therefore estimated
+separately only in one of these cases:
+
+* The bending angle or the pretension varied and is known.
+* The motor-side tensions were measured.
+* The gain is certified, and the resulting interval is narrower than the interval of the nominal file.
 """
 
 from __future__ import annotations
@@ -29,15 +32,16 @@ from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.sliding import pretension_level
 
-# The two numbers that one configuration identifies, and x from measured motor-side tensions; both linear fits.
-
 FloatArray = NDArray[np.float64]
 
 MIN_BLOCKS = 8  # t of 7 degrees of freedom is 2.4; of half as many it would be 3.2, and intervals useless
 
 
 def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
-    """Measured joint torque without what the model's effects add to (3.55), at the model's present parameters."""
+    """Return the measured joint torque minus the contribution of the model's effects to (3.55), N*m.
+
+    The contribution is computed with the present parameters of the model.
+    """
     if not model.effects:
         return log.tau_j
     bare = dataclasses.replace(model, effects={})
@@ -45,7 +49,7 @@ def _base_target(log: PreparedLog, model: TendonSheath) -> FloatArray:
 
 
 def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list[FloatArray]) -> Estimate:
-    """Fit tau_J = a tau_M - b weight sigma + c; returns the estimate of (a, b, and c of each log)."""
+    """Fit tau_J = a tau_M - b weight sigma + c, and return the estimate of a, b and the c of each log."""
     x, z, y = [], [], []
     for log, w, offset in zip(logs, weight, offsets(logs), strict=True):
         rest = (-w * log.admission.direction, offset)
@@ -64,7 +68,10 @@ def _linear(logs: list[PreparedLog], model: TendonSheath, lag: int, weight: list
 
 
 def combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tuple[Quantity, Quantity]:
-    """Slope (1) and half loop torque (N*m): what one configuration identifies; instruments are `lag` samples away."""
+    """Return slope (1) and friction torque (N*m), which one configuration identifies.
+
+    `lag`: delay of the instrumental variables in samples.
+    """
     estimate = _linear(logs, model, lag, [np.ones(log.tau_j.size) for log in logs])
     slope = Quantity(float(estimate.value[0]), *estimate.interval(0), "1")
     return slope, Quantity(float(estimate.value[1]), *estimate.interval(1), "N*m")
@@ -73,10 +80,12 @@ def combinations(logs: list[PreparedLog], model: TendonSheath, lag: int) -> tupl
 def from_tensions(
     logs: list[PreparedLog], model: TendonSheath, lag: int
 ) -> tuple[tuple[Quantity, Quantity], float] | None:
-    """With motor-side tensions T1, T3: T_p is measured (3.40), so the half loop gives sinh x alone.
+    """Return friction angle (1) and pretension (N) from the motor-side tensions T1 and T3, and the condition number.
 
-    (3.37) holds for the measured tensions wherever the sheath bends, so `elongation_coupling` is not taken out; it only
-    says how far the tension while sliding lies from T_p0 (3.54).
+    T_p is then measured (3.40), so the friction torque depends on sinh x alone. Return None without tensions.
+
+    (3.37) holds for the measured tensions for every position of the bends, so the torque of `elongation_coupling` is
+    not subtracted. The effect only determines the difference between the tension while sliding and T_p0 (3.54).
     """
     if any(log.tensions is None for log in logs):
         return None
@@ -100,13 +109,13 @@ def from_tensions(
 
 Split = Literal["keep", "fit"]
 
-# 1, by which the gain of torque channels, or of a torque told by stretch, may be off: a slope that lies that near below
-# r_J/r_M says nothing against (3.55)
+# 1, uncertainty of the gain of a torque channel or of a torque estimated from the elongation: a slope below r_J/r_M by
+# no more than this does not contradict (3.55).
 GAIN = 0.03
 HELD_OUT_BLOCKS = 6  # one log: this many blocks, every third held out
 EFFECT_ITERATIONS = 20  # at most; with all bending at the motor each leaves 0.12 of the error at x = 0.3, 0.55 at 1
 SETTLED = 1e-4  # of the half loop: below it they end; intervals are a hundred times as wide
-# s left out between a held-out block and the rest: twice the time within which noise is alike (prepared.LAG_LIMIT)
+# s omitted between a held-out block and the rest: twice the correlation time of the noise (prepared.LAG_LIMIT)
 GAP = 1.0
 GAP_SHARE = 0.25  # of a block: a gap in a short log is no longer, lest it leave too little
 

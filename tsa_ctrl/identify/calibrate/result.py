@@ -1,4 +1,4 @@
-"""What a calibration found: the two identified combinations, the parameters, and what would settle what is open."""
+"""Hold the result of a calibration: identified combinations, parameters, and the measurements still required."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
 
-# Of the mean square, that a held-out error may rise by chance: two parameters learned from about 18 independent blocks
-# (`regression.BLOCKS`), against a file that may have learned from the held-out logs, too.
+# Share by which the mean square of a held-out error may increase by chance: two parameters from about 18 independent
+# blocks (`regression.BLOCKS`), compared with a file that may have been fitted to the held-out logs as well.
 BY_CHANCE = 2.0 / 18.0
 ROUNDING = 1e-4  # of the error on the data learned from, which shows no further digits
 

@@ -40,8 +40,8 @@ FloatArray = NDArray[np.float64]
 ROUNDS = 12  # of Gauss-Newton; it ends earlier when no step is above a hundredth of `STEPS`
 STEPS = (0.01, 0.01, 0.02, 1e-5)  # of ln k, s_c, ln x, J_M for derivatives: above what single contacts do
 MOST = (0.3, 0.1, 0.3, 2e-4)  # in one round
-# 95 %, of the same, for what the chain of contacts leaves out: with it beside the scatter of the blocks the intervals
-# hold the truth on rigs whose file is up to 20 % off in friction, pretension and stiffness (tools/run bench/stretch)
+# 95 % error of the same parameters by the chain of contacts. Added to the scatter of the blocks, it makes the intervals
+# contain the true values on rigs with errors of up to 20 % in friction, pretension and stiffness (bench/stretch).
 MODEL = (0.006, 0.006, 0.03, 5e-6)
 COURSE_FOUND = 0.002  # 1, of s_c, instead, where the log has shown the course of the bends: 0.0013 at most
 WIDEST = (0.25, 0.15)  # 95 %, of ln k and s_c, above which the log cannot tell

@@ -1,9 +1,9 @@
-"""The noise of a measured velocity: white, and sunk towards high frequencies where the drive averaged it.
+"""Estimate the noise of a measured velocity: white, or reduced at high frequencies if the drive averages.
 
-Drives and tachometers report means over a few samples, or what a filter of first order leaves. Taken from the highest
-frequencies alone, the noise where the joint moves would come out too small by an order of magnitude, and what is left
-of it would pass for motion. So each kind of averaging is tried, and the one under which the noise is flat down to the
-lowest frequency is believed; no averaging, unless it reaches clearly further.
+Drives and tachometers report means over a few samples, or filter with first order. An estimate from the highest
+frequencies alone would then be too small by an order of magnitude at the frequencies of the motion, and noise would be
+taken for motion. Each kind of averaging is therefore tried, and the kind whose noise is flat down to the lowest
+frequency is used. No averaging is assumed unless a kind reaches clearly lower.
 """
 
 from __future__ import annotations
@@ -14,12 +14,6 @@ from itertools import pairwise
 import numpy as np
 
 from tsa_ctrl.model.functions import Array
-
-# The spectral density of a signal in bands of about an eighth of an octave, over fifteen decades.
-#
-# A window without side lobes (Kaiser), because what an encoder of 24 bit adds lies 150 dB below the motion; segments
-# that are long for low bands and short for high ones, so that a band sees the motion at the ends of a log, too, and is
-# about as sharp as it is wide. The work is bounded: of a long log, segments spread over it are looked at.
 
 LONGEST = 65_536  # samples of a segment: a minute at 1 kHz, for bands from 1 Hz on as sharp as they are wide
 COVERED = 262_144  # samples looked at in the segments of one length: the density of a band is then known to a few %
@@ -32,7 +26,7 @@ FEWEST = 3  # resolved frequencies in a band
 
 @lru_cache(maxsize=16)
 def bands(count: int, period: float) -> Array:
-    """Edges in Hz, ascending, of the bands of a log of `count` samples every `period` s, up to half the rate."""
+    """Return the ascending band edges (Hz) up to half the rate, for `count` samples every `period` s."""
     span = min(count, LONGEST) * period
     highest = 0.5 / period
     edges = [0.5 * FEWEST / span]
@@ -43,7 +37,12 @@ def bands(count: int, period: float) -> Array:
 
 
 def band_densities(y: Array, period: float) -> tuple[Array, Array]:
-    """Mean one-sided density in each band (unit of y squared per Hz), and about how many values it is the mean of."""
+    """Return the mean one-sided density in each band (unit of y squared per Hz), and the number of averaged values.
+
+    The Kaiser window has no side lobes above -155 dB, because the noise of a 24-bit encoder is 150 dB below the motion.
+    Segments are long for low bands and short for high bands, so that the ends of a log count in every band. A long log
+    is sampled by segments spread over it, which bounds the computing time.
+    """
     edges = bands(len(y), period)
     length, computed = min(len(y), LONGEST), 0
     density: Array = np.zeros(0)
@@ -63,7 +62,7 @@ def band_densities(y: Array, period: float) -> tuple[Array, Array]:
 
 
 def _density(y: Array, period: float, length: int) -> Array:
-    """Mean density of segments of `length` samples spread over y, each without its mean and slope."""
+    """Return the mean density of segments of `length` samples spread over y, each without its mean and slope."""
     wanted = 1 + -(-4 * (len(y) - length) // length)  # three quarters overlap: the window is that narrow
     count = max(1, min(wanted, COVERED // length))
     starts = np.unique(np.linspace(0, len(y) - length, count).round().astype(np.int64))
@@ -79,7 +78,7 @@ def _density(y: Array, period: float, length: int) -> Array:
 
 @lru_cache(maxsize=32)
 def _window(length: int) -> tuple[Array, Array, Array]:
-    """A line from -1 to 1, the window of power 1, and the line as the window leaves it."""
+    """Return a line from -1 to 1, the window of power 1, and their product."""
     line = np.linspace(-1.0, 1.0, length)
     window = np.kaiser(length, SHAPE)
     window /= np.sqrt(float(window @ window))
@@ -97,11 +96,9 @@ FURTHER = 1.4  # times as far down (half an octave) a shape must reach to be bel
 
 
 def plateau(measured: Array, count: int, period: float, top: float) -> tuple[float, Array]:
-    """Level, and shape per band, of the noise in the `measured` density (bands,) of a velocity of `count` samples.
+    """Return level and shape (bands,) of the noise in the `measured` density (bands,) of a velocity.
 
-    The shape is 1 where nothing was averaged.
-
-    `top`: fraction of the rate above which there is no motion.
+    The shape is 1 without averaging. `count`: samples; `period`: s; `top`: upper end of the motion over the rate, 1.
     """
     shapes, centre = _shapes(count, period)
     high = centre > top / period
@@ -132,7 +129,7 @@ def _reach(flat: Array, level: float) -> tuple[float, int]:
 
 @lru_cache(maxsize=16)
 def _shapes(count: int, period: float) -> tuple[tuple[Array, ...], Array]:
-    """Power gains in each band: none, means, filters of first order; and the bands' centres in Hz."""
+    """Return the power gains in each band (none, means, first-order filters), and the centres of the bands in Hz."""
     edges = bands(count, period)
     inside = edges[:-1, None] + (np.arange(POINTS) + 0.5) / POINTS * np.diff(edges)[:, None]
     x = inside * period

@@ -1,11 +1,12 @@
-"""Which low-pass is expected to err least: what it takes from the motion, and what it leaves of the noise.
+"""Choose the low-pass with the smallest expected error: lost motion plus remaining noise.
 
-With S the density of the motion and N that of the noise, a zero-phase gain H errs in the derivative of order r by
+With the spectral densities S of the motion and N of the noise, a zero-phase gain H has in the derivative of order r the
+mean square error
 
     integral of (2 pi f)^(2r) ((1 - H)^2 S + H^2 N) df
 
-S is where the measured density stands out of N. From the peak upwards it ends where it does not do so any more for half
-an octave; beyond, only lines far above the noise and neighbours that surely are no chance count.
+S is the excess of the measured density over N. Above its peak it ends where no excess is significant for half an
+octave. Beyond that, only lines far above the noise and pairs of highly significant neighbours count.
 """
 
 from __future__ import annotations
@@ -21,26 +22,21 @@ from numpy.typing import NDArray
 from tsa_ctrl.identify.smoothing.averaged import bands
 from tsa_ctrl.model.functions import Array
 
-# A zero-phase Butterworth low-pass over the spectrum, and the derivatives of what it leaves.
-#
-# At both ends of a log the signal is carried on by its odd reflection, bent by the curvature that it has there: value,
-# slope, curvature and third derivative go on, so that a log may begin and end in full motion.
-
-RUN_IN = 4.0  # periods of the cut-off carried on beyond each end: the slowest of the filters has rung off to 1e-3 there
-AT_THE_END = 1.0  # period of the cut-off, over which the end's curvature is taken
-DEGREE = 4  # of the polynomial that gives it
-FADE = 4.0  # periods of the cut-off after which the curvature is not carried on any more
+RUN_IN = 4.0  # periods of the cut-off by which each end is extended: the slowest filter decays to 1e-3 within them
+AT_THE_END = 1.0  # period of the cut-off, over which the end's curvature is fitted
+DEGREE = 4  # of the polynomial of that fit
+FADE = 4.0  # periods of the cut-off after which the extension has no curvature
 
 
 @dataclass(frozen=True)
 class LowPass:
-    """Gain 1/(1 + (f/cutoff)^(2 order)): a Butterworth filter of this order run both ways. cutoff in Hz."""
+    """Hold a Butterworth low-pass run in both directions: gain 1/(1 + (f/cutoff)^(2 order)), cutoff in Hz."""
 
     order: int
     cutoff: float
 
     def gain(self, frequency: Array) -> Array:
-        """At frequencies in Hz."""
+        """Return the gain (1) at frequencies in Hz."""
         return np.asarray(1.0 / (1.0 + (frequency / self.cutoff) ** (2 * self.order)))
 
     def __str__(self) -> str:
@@ -48,7 +44,11 @@ class LowPass:
 
 
 def filtered(y: Array, period: float, low_pass: LowPass, derivatives: Sequence[int] = (0,)) -> list[Array]:
-    """Derivatives of these orders of the low-passed signal, each (n,); y sampled every `period` s."""
+    """Return derivatives of these orders of the filtered signal, each (n,); y (n,) is sampled every `period` s.
+
+    Both ends are extended with continuous value, slope, curvature and third derivative, because a log may start and end
+    in full motion.
+    """
     n = len(y)
     run_in = min(n - 1, math.ceil(RUN_IN / (low_pass.cutoff * period)) + 16)
     longer = _carried_on(y, period, low_pass.cutoff, run_in)
@@ -73,14 +73,14 @@ def filtered(y: Array, period: float, low_pass: LowPass, derivatives: Sequence[i
 
 
 def _carried_on(y: Array, period: float, cutoff: float, count: int) -> Array:
-    """y with `count` samples more at each end."""
+    """Return y extended by `count` samples at each end."""
     return np.concatenate(
         [_before(y, period, cutoff, count), y, _before(y[::-1], period, cutoff, count)[::-1]],
     )
 
 
 def _before(y: Array, period: float, cutoff: float, count: int) -> Array:
-    """What may have been before y: its odd reflection about the end's smooth value, and twice the curvature's part."""
+    """Return an extension before y: its odd reflection about the end's smooth value, plus twice the curvature term."""
     length = min(len(y), max(2 * DEGREE, math.ceil(AT_THE_END / (cutoff * period))))
     if length <= DEGREE:
         return np.asarray(2.0 * y[0] - y[count:0:-1])
@@ -92,7 +92,7 @@ def _before(y: Array, period: float, cutoff: float, count: int) -> Array:
 
 
 def fast_size(n: int) -> int:
-    """The smallest 2^a, 3*2^a or 5*2^a that is at least n: lengths that the FFT is quick at."""
+    """Return the smallest 2^a, 3*2^a or 5*2^a that is at least n, for which the FFT is fast."""
     return min(factor << max(0, math.ceil(math.log2(n / factor))) for factor in (1, 3, 5))
 
 
@@ -108,7 +108,7 @@ RESUMED = 4.0  # standard errors, of two neighbours: motion goes on beyond a gap
 
 @dataclass(frozen=True)
 class Noise:
-    """Density of the noise in each band (unit squared per Hz) and how far it may be off from one draw to the next."""
+    """Hold the density of the noise in each band (unit squared per Hz) and its standard error."""
 
     density: Array
     spread: Array
@@ -116,7 +116,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Choice:
-    """A low-pass, and the RMS error expected of the derivative it was chosen for: all of it, and noise alone."""
+    """Hold a low-pass and the expected RMS error of its derivative: the total, and the part of the noise."""
 
     low_pass: LowPass
     error: float
@@ -124,7 +124,7 @@ class Choice:
 
 
 def motion_density(measured: Array, values: Array, noise: Noise) -> Array:
-    """S in each band, from the density measured as the mean of so many `values`."""
+    """Return S in each band from the measured density, each a mean of `values` independent values."""
     level = noise.density
     above = measured - level
     error = np.hypot(level / np.sqrt(values), noise.spread)
@@ -138,7 +138,7 @@ def motion_density(measured: Array, values: Array, noise: Noise) -> Array:
 
 
 def _end(sure: NDArray[np.bool_], start: int) -> int:
-    """The band from which on GAP bands in a row are not sure."""
+    """Return the first band of GAP bands in a row that are not significant."""
     missing = 0
     for band in range(start, len(sure)):
         missing = 0 if sure[band] else missing + 1
@@ -150,9 +150,9 @@ def _end(sure: NDArray[np.bool_], start: int) -> int:
 def choose(
     count: int, period: float, motion: Array, noise: Array, derivatives: tuple[int, ...], highest: float | None = None
 ) -> tuple[Choice, ...]:
-    """The low-pass that serves all `derivatives` of a log best, with what is expected of it for each.
+    """Return the best low-pass for all `derivatives` of a log, with the expected error for each of them.
 
-    Best: the largest ratio of an error to the least possible one is smallest. `highest`: Hz, cut-off at most.
+    The best one has the smallest maximum ratio of error to least possible error. `highest`: largest cut-off, Hz.
     """
     edges = bands(count, period)
     filters, lost, passed = _tried(count, period)
@@ -173,9 +173,9 @@ def choose(
 
 @lru_cache(maxsize=16)
 def _tried(count: int, period: float) -> tuple[tuple[LowPass, ...], Array, Array]:
-    """All filters; for each (k, bands) the share of the motion's power that it takes and of the noise's that it leaves.
+    """Return all filters, the share of the motion's power that each removes, and of the noise's that each passes.
 
-    The motion counts at the upper edge of its band: within a band the gain falls, and what is lost is no noise.
+    Both shares have the shape (k, bands). The motion counts at the upper edge of its band, where the gain is smallest.
     """
     edges = bands(count, period)
     lowest, highest = 2.0 * edges[0], HIGHEST / period

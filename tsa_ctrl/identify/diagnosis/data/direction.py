@@ -25,15 +25,14 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import hold_direction
 
-# Stretches of samples that are alike: the long ones, and those that only short gaps part.
-#
-# As scipy.ndimage's opening and closing by a window, which takes longer to import than all else that reads a log.
-
 Mask = NDArray[np.bool_]
 
 
 def long(mask: Mask, least: int) -> Mask:
-    """`mask` (n,) without its stretches of fewer than `least` samples."""
+    """Return `mask` (n,) without its runs of fewer than `least` samples.
+
+    scipy.ndimage has the same opening and closing operations, but its import takes longer than reading a log.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
     out = np.zeros(len(mask), dtype=np.bool_)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
@@ -42,7 +41,7 @@ def long(mask: Mask, least: int) -> Mask:
 
 
 def joined(mask: Mask, window: int) -> Mask:
-    """`mask` (n,) with the gaps of fewer than `window` samples filled, but for half a window at both ends."""
+    """Return `mask` (n,) with gaps of fewer than `window` samples filled, and False in half a window at both ends."""
     inside = mask.copy()
     edges = np.flatnonzero(np.diff(mask))
     gaps = edges[0 if mask[0] else 1 :]  # from a change downwards on

@@ -29,8 +29,8 @@ from tsa_ctrl.identify.diagnosis.rivals.groups import Group, made_up
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
-# Times the mean square of the formula, that the name leaves: half of the RMS, wherever the rest of it lies. What is in
-# the catalogue leaves noise, of which nothing takes half
+# Ratio of the mean square residuals of identified cause and formula, from which the formula replaces the cause: half of
+# the RMS. A cause from the catalogue leaves noise, and no formula removes half of that.
 FAR = 4.0
 BLOCKS = 24  # of the held-out samples: as many as the evidence of a cause is taken from
 

@@ -30,8 +30,8 @@ WIDEST = 3.0
 # Of a coordinate of the base, where nothing is known of it: a tenth of x or T_p, within which they are still lines
 WIDEST_STEP = 0.1
 STEP = 0.05  # of a standard deviation, for derivatives of parameters
-# Of a positive number's logarithm, that half its interval may be: 150 times more or less is a number of which not even
-# the size is known
+# Largest half interval of the logarithm of a positive number: with a factor of 150 either way, not even its order of
+# magnitude is known.
 WIDEST_RATIO = 5.0
 COMBINATIONS = ("slope", "half_loop_torque")  # of x and T_p, which logs of one configuration know
 

@@ -23,8 +23,8 @@ RIDGES = (3.0, 30.0, 300.0)
 # Standard deviations of the null: ten families are looked at, of which none may be found by chance in 1 % of the logs
 SURE = 5.0
 DISTINCT = 1e-2  # of a column's size: what two columns differ by less is the noise of what they are made from
-# Of the mean square of the white residual: 2.5 % of its RMS, of no use to anybody; nor has what takes less a line in a
-# formula (parameters.formula.LEAST_PART)
+# Least share of the mean square of the white residual: 2.5 % of its RMS has no practical use. A smaller share also gets
+# no term in a formula (parameters.formula.LEAST_PART).
 LEAST_SHARE = 0.05
 
 

@@ -18,8 +18,8 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
     on_simulation_error,
 )
 
-# Of the torque: a part three times as large has eight ninths of its square cancelled by other parts, so that its number
-# is the difference of two guesses
+# Largest contribution of an effect over the torque: other contributions cancel eight ninths of the square of one that
+# is three times as large, so that its parameter is the difference of two guesses.
 MOST_PART = 3.0
 AT_BOUND = 1e-6  # of the range between two bounds: a fit that is held there stands on it, but for rounding
 # Decrease of the sum of squares (white units) by noise alone: 3.7 deviations; one test in 5,000 has more
