@@ -1,4 +1,4 @@
-"""`simulate_loop`: the daemon's real loop on the real plant, in virtual time."""
+"""Run the daemon's loop on the simulated plant in virtual time (`simulate_loop`)."""
 
 from __future__ import annotations
 
@@ -39,17 +39,15 @@ from tsa_ctrl.virtual.lockstep import End, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put
 
-# The daemon's records of a simulated run: in memory, and as the log file that a real run writes.
-
 EVERY = 0.5  # s between two looks at the ring, which holds 2 s at the highest rate
 FILE = "tsa.mcap"
 
 
 class Records:
-    """The reading side of the loop's ring; `ring` is the loop's."""
+    """Read the loop's ring `ring` into memory, and into the same log file as the daemon writes."""
 
     def __init__(self, axes: int, folder: Path | None, header: LogHeader) -> None:
-        """`folder`: where the log file goes, if anywhere. Raises UsageError when it cannot be there."""
+        """Create the ring; `folder`: of the log file, None for no file. Raises UsageError if it cannot be written."""
         self.ring = RingWriter(axes)
         self.path: Path | None = None
         self._reader = RingReader(self.ring.fd)
@@ -64,18 +62,18 @@ class Records:
                 self._beside.unlink()
             except OSError as error:
                 raise UsageError(f"{folder}: cannot be written ({error.strerror}); choose another --out") from None
-            # Without a date of its own: the same run gives the same bytes.
+            # The header has no date, so that the same run gives the same bytes.
             self._writer = LogWriter(RingReader(self.ring.fd), self._beside, replace(header, started=0.0))
 
     def drain(self, now: float) -> None:
-        """Take what the loop has written, at `now` s of the simulated time."""
+        """Read the records that the loop has written until the simulated time `now`, s."""
         for axis, blocks in enumerate(self._blocks):
             blocks.append(self._reader.read(axis))
         if self._writer is not None:
             self._writer.step(now)
 
     def end(self, now: float) -> None:
-        """The loop is over: complete the file and give it its name. Raises UsageError when it cannot be written."""
+        """Complete the log file after the loop and rename it. Raises UsageError if it cannot be written."""
         self.drain(now)
         if self._writer is None or self.path is None:
             return
@@ -90,16 +88,16 @@ class Records:
 
     @property
     def written(self) -> int:
-        """Records in the file."""
+        """Return the number of records in the file."""
         return LogHealth(self.ring).written
 
     def columns(self, axis: int) -> dict[str, NDArray[np.float64]]:
-        """The log of one axis by column name, each (n,); nan where there is no value."""
+        """Return the log of one axis by column name, each (n,); missing values are nan."""
         table = np.concatenate(self._blocks[axis])
         return {name: table[:, i].copy() for i, name in enumerate(FIELD_NAMES)}
 
     def close(self) -> None:
-        """Give the memory back, and leave no file behind that was not ended."""
+        """Release the memory and delete an incomplete file."""
         if self.path is not None:
             with contextlib.suppress(OSError):
                 self._beside.unlink(missing_ok=True)
@@ -107,17 +105,18 @@ class Records:
         self.ring.close()
 
 
-# The plant's own record of the truth, kept in memory: the columns of `tsa plant --record`.
-
 NAMES = tuple(name for name, _ in COLUMNS)
 _PLACE = NAMES.index("axis")
 
 
 class Truth:
-    """Takes the rows of a machine, one per axis and period, and writes them to a file besides when there is one."""
+    """Record the true state of a machine with the columns of `tsa plant --record`, one row per axis and period.
+
+    The rows are kept in memory, and also written to a file if a path is given.
+    """
 
     def __init__(self, axes: int, period: float, path: Path | None = None) -> None:
-        """`period`: s between two rows. Raises UsageError when `path` cannot be written."""
+        """Prepare the record; `period`: s between two rows. Raises UsageError if `path` cannot be written."""
         self.period = period
         self._path = path
         self._beside = None if path is None else path.with_name(f".{path.name}.part")
@@ -126,7 +125,7 @@ class Truth:
         self._file = None if self._beside is None else Recorder(self._beside, period)
 
     def due(self, t: float) -> bool:
-        """Whether a period has passed at plant time t; a late one is not made up for."""
+        """Return True if a period has passed at the plant time t (s); missed rows are not added later."""
         if t < self._due:
             return False
         self._due = max(self._due + self.period, t + 0.5 * self.period)
@@ -138,10 +137,10 @@ class Truth:
             self._file.row(values)
 
     def flush(self, clock: float) -> None:
-        """Nothing is lost in memory."""
+        """Do nothing: the rows are in memory."""
 
     def finish(self) -> None:
-        """Give the file its name; raises UsageError."""
+        """Complete the file and rename it. Raises UsageError if it cannot be written."""
         if self._file is None or self._beside is None or self._path is None:
             return
         try:
@@ -151,25 +150,26 @@ class Truth:
             raise UsageError(f"{self._path}: cannot be written ({error.strerror}); choose another --record") from None
 
     def close(self) -> None:
-        """Leave nothing behind that was not finished; may be called twice."""
+        """Delete an incomplete file; may be called twice."""
         if self._file is not None and self._beside is not None:
             with contextlib.suppress(OSError):
                 self._file.close()
                 self._beside.unlink(missing_ok=True)
 
     def columns(self, place: int) -> dict[str, NDArray[np.float64]]:
-        """The truth of one axis by column name, each (n,)."""
+        """Return the true state of one axis by column name, each (n,)."""
         table = np.frombuffer(self._rows[place], dtype=np.float64).reshape(-1, len(NAMES))
         return {name: table[:, i].copy() for i, name in enumerate(NAMES)}
 
-
-# The monitor in virtual time: the same object as in the process, with its own end of the wire.
 
 TICK = 1e-3  # s between two checks for missing frames
 
 
 class VirtualMonitor:
-    """Receive every frame of a wire from now on. It acts like the process, unless it is only a witness."""
+    """Run the monitor of the monitor process in virtual time, at a separate end of the wire.
+
+    It receives every frame from its construction on. `acts`: False for a monitor that only observes.
+    """
 
     def __init__(self, wire: Wire, watched: Watched, acts: bool = True) -> None:
         self.report = Report()
@@ -235,11 +235,22 @@ def simulate_loop(
 ) -> Simulation:
     """Run a controller file on a plant file for `seconds` of torque, without a bus and without waiting.
 
-    `out`: folder for the daemon's own log; `record`: file for the plant's truth as CSV; `seed`: of all noise, instead
-    of the plant file's; `faults` and `changes`: what happens meanwhile, as objects or as the verb's --fault and --set
-    take it ("torn_tendon@5", "compensation=0.5@3"); `tick` is told the share of the time that has gone. The same
-    arguments give the same result, to the last bit. Raises UsageError for what is wrong with the files or the script,
-    BusError when the nodes cannot be brought up.
+    The same arguments give the same result, to the last bit.
+
+    Args:
+        controller: controller file or configuration.
+        plant: plant file or settings.
+        seconds: s, duration with torque.
+        out: folder for the daemon's log.
+        record: CSV file for the true state of the plant.
+        seed: of all noise, instead of the plant file's seed.
+        faults: faults during the run, as objects or in the form of --fault ("torn_tendon@5").
+        changes: parameter changes during the run, as objects or in the form of --set ("compensation=0.5@3").
+        tick: called with the completed share of the time.
+
+    Raises:
+        UsageError: if the files or the script are invalid.
+        BusError: if the nodes cannot be brought up.
     """
     if not 0.0 < seconds <= LONGEST:
         raise UsageError(f"seconds {seconds:g}: allowed is above 0 to {LONGEST:g}")
@@ -266,7 +277,7 @@ def simulate_loop(
 
 @contextlib.contextmanager
 def _garbage_left() -> Iterator[None]:
-    """Neither loop nor plant makes cycles of references; to look for them takes an eighth of the time."""
+    """Disable garbage collection: loop and plant create no reference cycles, and a search takes 1/8 of the time."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -277,7 +288,7 @@ def _garbage_left() -> Iterator[None]:
 
 
 class Run:
-    """The parts of one run, put together as the daemon and `tsa plant` do: `machine`, `rig`, `axes` and `loop`."""
+    """Hold the parts of one run, assembled as in the daemon and `tsa plant`: `machine`, `rig`, `axes` and `loop`."""
 
     def __init__(
         self,
@@ -345,7 +356,7 @@ class Run:
         self._mailbox.close()
 
     def _nanoseconds(self) -> int:
-        """Return the loop's time, ns; a slow computer has taken its time for the cycle by then."""
+        """Return the loop's time, ns, after the simulated computing time of the cycle."""
         self._wire.host.compute()
         return round(self._wire.now * 1e9)
 
@@ -359,7 +370,7 @@ class Run:
     def _schedule(
         self, script: Sequence[tuple[Callable[[float], None], float]], settings: Sequence[tuple[Command, float]]
     ) -> None:
-        """The script's times count from the first cycle, which comes a period from now."""
+        """Schedule the script; its times count from the first cycle, which starts one period from now."""
         first = self._wire.now + self._configuration.period
         for begin, at in script:
             self._wire.at(first + at, self._beginning(begin))
