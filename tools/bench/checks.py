@@ -94,8 +94,8 @@ WITHIN = 3.0  # s
 STAIRS = 60  # angles that are told by then
 WORST = 20
 KEY = ("fault", "load", "sensors", "set_point", "calibrated")
-# 1, as bench/stretch prints of rigs: half an interval of the stiffness, and that of the centre of the bends (MODEL and
-# COURSE_FOUND in identify/calibrate/stretch.py are their floors)
+# 1, half intervals of the stiffness and of the centre of the bends, as bench/stretch prints them for rigs. Their minima
+# are MODEL and COURSE_FOUND in identify/calibrate/stretch.py.
 CALIBRATED = (0.006, 0.002)
 NONE = 0.02  # N*m, that a drive reports of no torque
 

@@ -94,7 +94,7 @@ def play(
 def identify(
     result: AxisResult, nominal: TendonSheath, bends: Profile, sensor: bool, course_told: bool = False
 ) -> StretchFit:
-    """Stiffness and shape from a run; without a sensor the course of the bends is told, or with `course_told`."""
+    """Identify stiffness and shape from a run; the curvature profile is given without a sensor or by `course_told`."""
     names = ("t", "tau_m", "q_m", "q_j", "omega_m", "omega_j", "tau_j") if sensor else (
         "t", "tau_m", "q_m", "q_j", "omega_m", "omega_j",
     )  # fmt: skip
@@ -107,7 +107,7 @@ def identify(
 
 
 def verify(result: AxisResult, model: TendonSheath, inertia: float) -> dict[str, float]:
-    """Errors of the observer on a run, as shares of the torque's RMS; what its band holds."""
+    """Return the observer's errors in a run over the torque's RMS, and the share of samples within its band."""
     log = result.log
     seen = StretchObserver(model, PERIOD, COUNTS, inertia)
     told = np.full((log["t"].size, 2), np.nan)
@@ -197,7 +197,7 @@ def _trial(asked: tuple[int, int, bool]) -> dict[str, Any]:
 
 
 def report(rows: list[dict[str, Any]]) -> Iterator[Table | str]:
-    """Yield the table, of the torque's RMS: median (worst) over the rigs; then what the intervals hold."""
+    """Yield the table of errors over the torque's RMS, median (worst) of the rigs; then the interval coverage."""
     kinds = {"sliding": "sliding", "all": "all samples"}
     if "gait_all_told" in rows[0]:
         kinds |= {"sliding_told": "course told: sliding", "all_told": "course told: all"}

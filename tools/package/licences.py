@@ -17,8 +17,8 @@ from tools import command
 from tsa_ctrl import settings
 
 FILE = Path(__file__).with_name("licences.json")
-# All of these allow use by a program under any licence; LGPL (python-can) as long as it stays a library of its own that
-# the user can replace, which an import from site-packages is.
+# All of these allow use by a program under any licence. LGPL (python-can) requires a separate library that the user can
+# replace; an import from site-packages fulfils this.
 COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zlib|CC0|HPND")
 
 

@@ -44,8 +44,8 @@ _APART = "moved apart|over-speed|joint torque sensor|drive reports|frozen"
 _LIMP = "a limb that was held falls with its own weight: a brake, or balance by springs"
 _TORN = "a limb falls with its weight, or the other tendon pulls with its pretension: an end stop"
 _UNSEEN = "what no measurement shows is bounded by the limits alone: a second sensor"
-# Known to be unsafe in some of the trials (how many, on which joints and by how much, the table says): what limits it,
-# and what else can bound it.
+# Measures for hazards that are unsafe in some trials: what limits the hazard now, and what else can limit it. The table
+# lists the number of these trials, the joints and the excess.
 _LATE = (
     "the motor's torque is beyond the limit from the first period on, which only the drive's own current limit bounds; "
     "where the torque changes by a thirtieth of its limit, the tendons' stretch tells it, where it rests only a joint "

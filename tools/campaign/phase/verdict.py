@@ -25,9 +25,9 @@ from tools.campaign.phase.stage import Seen, Traces, play
 
 ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
 PEAK = 1.05 * LIMIT  # N*m of the motor: the limiter's limit and the noise of a current loop
-# rad/s of the joint beyond what the set-point gives. At a lever of 0.25 m, a hand or a heel, 0.5 m/s: twice the
-# 250 mm/s to which ISO 10218-1 reduces a robot's speed beside people, and a fifth of what a knee does by itself when it
-# walks. A stretch reflex takes 50 to 100 ms to answer; until then the joint has moved by 0.2 rad.
+# rad/s of the joint in addition to the motion by the set-point. A hand or a heel at 0.25 m then moves at 0.5 m/s: twice
+# the 250 mm/s that ISO 10218-1 allows for a robot near people, and a fifth of the speed of a walking knee. A stretch
+# reflex responds after 50 to 100 ms; until then the joint has moved by 0.2 rad.
 SPEED = 2.0
 TRAVEL = 0.35  # rad beyond it: 20 degrees, the reserve of a knee or an elbow in the middle of its range
 LOOSE = 0.9  # of the friction: a joint that stuck by a hair where its twin went on is compared with one that does not
