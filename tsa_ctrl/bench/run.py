@@ -21,15 +21,13 @@ from tsa_ctrl.errors import BusError
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.system import realtime
 
-# From measured times to the highest rate with margin, and what sets it. Pure.
-
 HIGHEST = 4000.0  # Hz, of [controller] rate
 LOWEST = 10.0  # Hz
 
 
 @dataclass(frozen=True)
 class Bound:
-    """One thing that bounds the rate, and how."""
+    """Hold one bound of the rate and its measured reason."""
 
     name: str
     rate: float  # Hz
@@ -37,7 +35,15 @@ class Bound:
 
 
 def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, max_load: float) -> tuple[Bound, ...]:
-    """All bounds, the lowest first. `margin`: share of the period that stays free; `collect`: of it for answers."""
+    """Return all bounds of the rate, the lowest first, from the measured times.
+
+    Args:
+        measured: the times of the cycles.
+        margin: share of the period that stays free, 1.
+        collect: share of the remaining period in which the answers must arrive, 1.
+        bus_rate: highest rate of the bus, Hz.
+        max_load: largest share of the bit rate, 1.
+    """
     busy, command = measured.busy.p999, measured.command.p999
     found = (
         Bound("cycle", _inverse((1.0 - margin), busy), f"{_us(busy)} from the deadline to the end of a cycle"),
@@ -49,7 +55,7 @@ def bounds(measured: Measured, margin: float, collect: float, bus_rate: float, m
 
 
 def rounded_down(rate: float) -> float:
-    """Two significant digits, downwards; 0 below the lowest rate that can be configured."""
+    """Return the rate rounded down to two significant digits; 0 below the lowest rate that can be configured."""
     if not rate >= LOWEST:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(rate)) - 1)
@@ -57,7 +63,7 @@ def rounded_down(rate: float) -> float:
 
 
 def holds(measured: Measured, margin: float) -> bool:
-    """Whether cycles at a rate kept to it: no answer lost, none late, and half of the margin still free."""
+    """Return True if no answer was lost or late at this rate and half of the margin stayed free."""
     allowed = (1.0 - 0.5 * margin) / measured.rate
     return measured.lost == 0 and measured.late == 0 and measured.busy.p999 <= allowed
 
@@ -72,14 +78,14 @@ def _us(seconds: float) -> str:
 
 LOWER = 0.8  # factor of the next try when a rate does not hold
 TRIES = 8
-TOLERATED = 100  # cycles; what is lost makes a rate one that does not hold
+TOLERATED = 100  # cycles; a rate with lost answers does not hold
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Found:
-    """What `tsa bench` says. `confirmed`: cycles at `highest`, where nodes stood in; None with real ones."""
+    """Hold the results of `tsa bench`; `confirmed`: cycles at `highest` with simulated nodes, None with real ones."""
 
     bus: str
     rights: str

@@ -57,8 +57,8 @@ def command(
     Several logs are diagnosed together, as one drive. Of a folder each log is diagnosed by itself: the answers go to
     one table, verdicts.csv, and the same command goes on where it was interrupted.
     """
-    # Before numpy is loaded: of matrices this narrow a product's second thread mostly waits for the first, at a core's
-    # whole expense, and the order of its sums would hang on the number of cores
+    # Set before numpy is loaded. With matrices this narrow a second thread mostly waits at the cost of a core, and the
+    # order of the sums would depend on the number of cores.
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
     if example:

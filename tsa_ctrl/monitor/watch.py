@@ -17,8 +17,6 @@ from tsa_ctrl.bus.canopen import cia301, cia402, objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
 from tsa_ctrl.bus.canopen.cia402 import Controlword, PowerState
 
-# The findings of the monitor as a table, and its inputs as plain numbers.
-
 FINDINGS = {  # id: title, s that it must last, detail
     "command_torque": ("commanded torque above the limit", 0.0, "{:.2f} N*m, the limit is {:g} N*m"),
     "command_step": ("commanded torque grows too fast", 0.0, "by {:.2f} N*m in {:.4f} s, the limit is {:g} N*m/s"),
@@ -45,7 +43,7 @@ FINDINGS = {  # id: title, s that it must last, detail
 
 
 class Stop(msgspec.Struct, frozen=True):
-    """Why the torque must go; or a notice, which needs no action."""
+    """Hold the reason why the monitor stops the torque, or a notice that needs no action."""
 
     id: str
     title: str
@@ -57,7 +55,7 @@ class Stop(msgspec.Struct, frozen=True):
 
 
 class WatchedAxis(msgspec.Struct, frozen=True, kw_only=True):
-    """One axis in plain numbers, torque and angle at the motor pulley; a digit is one of the wire's, with sign."""
+    """Hold the monitor's settings of one axis, torque and angle at the motor pulley; digits have the wire's sign."""
 
     name: str
     node_id: int  # of the drive
