@@ -1,7 +1,7 @@
-"""List what a configuration lacks before a person may wear the joint, and safety bounds looser than shipped.
+"""List the missing requirements before a person wears the joint, and the safety bounds that are looser than shipped.
 
-`verify-safety.toml` next to the controller file records what `tsa verify-safety` has shown on this rig. It holds for
-one configuration (by hash) and for the nodes that were there (by serial number).
+`verify-safety.toml` next to the controller file records the results of `tsa verify-safety` on this rig. They hold for
+one configuration (by hash) and for the nodes of the trials (by serial number).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class SignAndGain(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_on
 
 
 class SafetyRecord(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """`verify-safety.toml`."""
+    """Hold the contents of `verify-safety.toml`."""
 
     configuration: str  # `fingerprint`
     nodes: dict[str, dict[str, NodeIdentity]]  # by axis and by `NODES`

@@ -1,4 +1,4 @@
-"""Gets a published set from its home, converts it, and keeps what is, byte for byte, what it was tried with."""
+"""Download a published data set, convert it, and keep it only if its bytes are those that were tested."""
 
 from __future__ import annotations
 
@@ -17,15 +17,13 @@ from tsa_ctrl import outputs
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.published.catalogue import File, Published
 
-# The publishers' files to the text of our CSV: one function per format. Pure; the same bytes give the same text.
-
 # Counts of the encoders per turn, and N*m per count of the torque sensors, as the publisher's README gives them.
 _DRIVER, _JAW, _TORQUE = 8192, 4000, 3.9811e-5
 _RATED = 9.84e-3  # N*m: 100 % of the EPOS drive's torque, its motor's nominal torque
 
 
 def _rows(text: str, first: int, separator: str, columns: tuple[int, ...], name: str) -> Iterator[tuple[float, ...]]:
-    """Numbers of the rows from line `first` (0: the first); raises UsageError naming file and line."""
+    """Yield the numbers of the rows from line `first` (0: the first). Raises UsageError with file and line."""
     for number, line in enumerate(text.splitlines()):
         if number < first or not line.strip():
             continue
@@ -39,7 +37,7 @@ def _rows(text: str, first: int, separator: str, columns: tuple[int, ...], name:
 
 
 def cable_tool(data: bytes, name: str) -> str:
-    """Ten columns, counts of both ends; driver's angle and jaw's torque turned: work put in is positive."""
+    """Convert a table of encoder and torque counts to CSV; two signs are reversed so that work put in is positive."""
     lines = ["t,q_m,tau_m,q_j,tau_j"]
     turn = 2.0 * math.pi
     text = data.decode("utf-8", "replace")
@@ -51,7 +49,7 @@ def cable_tool(data: bytes, name: str) -> str:
 
 
 def drive_recorder(data: bytes, name: str) -> str:
-    """EPOS Studio's recorder: ms, rpm, % of the nominal torque; turned, so that its positive speed is ours."""
+    """Convert a record of EPOS Studio (ms, rpm, % of the nominal torque) to CSV with reversed signs."""
     text = data.decode("utf-8", "replace")
     first = next((number for number, line in enumerate(text.splitlines()) if line.startswith("ms;")), -1) + 1
     lines = ["t,tau_m,omega_m"]
@@ -62,12 +60,12 @@ def drive_recorder(data: bytes, name: str) -> str:
 
 
 def linear_axis(data: bytes, name: str) -> str:
-    """MATLAB's `t` (s), `qm` (m), `vir` (V) and `gtau` (N/V)."""
+    """Convert a MATLAB file with `t` (s), `qm` (m), `vir` (V) and `gtau` (N/V) to CSV."""
     from scipy.io import loadmat  # slow to import
     from scipy.io.matlab import MatReadError
 
     try:
-        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # it reads files, too
+        found = loadmat(io.BytesIO(data))  # type: ignore[arg-type]  # loadmat also reads file objects
         columns = [found[key].ravel() for key in ("t", "vir", "qm")]
         gain = float(found["gtau"].ravel()[0])
     except (MatReadError, ValueError, TypeError, KeyError, IndexError, NotImplementedError) as error:
@@ -87,7 +85,7 @@ LARGEST = 32 << 20  # bytes of a file; the largest of the sets has 2 MB
 
 @dataclass(frozen=True)
 class Fetched:
-    """What was done: logs written now, logs that were there already, and where they lie."""
+    """Hold the folder, the number of logs written now, and the number of logs that were already present."""
 
     folder: Path
     written: int
@@ -100,10 +98,10 @@ def fetch(
     address: str | None = None,
     progress: Callable[[int, int], None] = lambda n, of: None,
 ) -> Fetched:
-    """Fill `place`/NAME with the logs, a model file and a note on licence and source; what is there and right is kept.
+    """Fill `place`/NAME with the logs, a model file, and a note on licence and source; correct files are kept.
 
-    `address`: another home with the same files. Raises BusError where it is not reached, UsageError where what comes is
-    not what was published or cannot be written.
+    `address`: another address with the same files. Raises BusError if it cannot be reached, and UsageError if a file
+    differs from the published one or cannot be written.
     """
     target = place / wanted.name
     files = wanted.files
