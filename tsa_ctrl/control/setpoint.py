@@ -94,17 +94,17 @@ class SetPoint:
         self.reset()
 
     def receive(self, value: float, t: float) -> None:
-        """A value (N*m) that came over the local socket, wanted at `t` (s since the enable), instead of the one before.
+        """Replace the last set-point of the local socket by `value` (N*m), received at `t` (s since the enable).
 
-        What is no number, or was wanted before the enable, is nobody's wish.
+        A value that is not finite or is older than the enable only clears the last set-point.
         """
         wanted = math.isfinite(value) and t >= 0.0
         self._received, self._received_at = (value, t) if wanted else (0.0, -math.inf)
 
     def reset(self) -> None:
-        """Start from 0 again; what was received is forgotten."""
+        """Start from 0 again and forget the received set-point."""
         self.value = self.acting = self.ahead = self.rate = 0.0
-        self.silent = False  # nobody says over the socket what is wanted
+        self.silent = False  # no current set-point from the socket
         self._received = 0.0
         self._received_at = -math.inf
         self._known: list[float] = []  # from now on, a period between two, and how many there are at most
@@ -112,7 +112,7 @@ class SetPoint:
         self._at = 0.0  # s, of the first
 
     def update(self, t: float) -> float:
-        """Joint torque wanted, N*m, at `t` s since the enable."""
+        """Return the desired joint torque (N*m) at `t` s since the enable."""
         if self._source is None:
             self.silent = t - self._received_at > self._timeout
             before = self._last

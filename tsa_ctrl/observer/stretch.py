@@ -1,16 +1,20 @@
-"""Joint torque from two encoders and the motor's torque, on-line, with a 95 % band: no torque sensor, no known load.
+"""Estimate the joint torque on-line from two encoders and the motor torque, with a 95 % band.
 
-The tendons are followed contact by contact (`tendons`), the motor given by its torque less what its own inertia takes,
-tau_M - J_M alpha_M, the joint by its angle. That foretells the stretch s = r_M q_M - r_J q_J; what is measured
-otherwise is friction or stiffness that the model has not, or a zero of s that has moved. An extended Kalman filter
-parts them: ln x, the stiffness and the zero walk slowly, a fourth state is friction that does not stay. While the
-tendons slide this is the line of `tsa_ctrl.model.stretch`, and inside a reversal, where that line is wrong by up to
-half the friction, the slip fronts say it. x stands for x T_p here, as only the product shows. So neither friction nor
-pretension need be known, and the stiffness only within its [uncertainty]: how s follows tau_M while all slides is its
-inverse, whatever the friction is. The shape must be known: [uncertainty] bending_centre is a part of the band, and so
-is, during a turn, the course of the bends, the most where the file says their centre alone.
+No torque sensor and no known load are required. The tendons are simulated contact by contact (`tendons`). Inputs are
+the motor torque minus the inertia's part, tau_M - J_M alpha_M, and the joint angle. The simulation predicts the
+elongation s = r_M q_M - r_J q_J. A difference from the measured s is an error of the friction or the stiffness, or a
+drift of the zero of s. An extended Kalman filter separates them: ln x, the stiffness and the zero drift slowly, and a
+fourth state is temporary friction.
 
-The joint torque is that of the tendons at the joint's pulley, r_J (T4 - T2), before any friction in the joint.
+While the tendons slide, the estimate is the line of `tsa_ctrl.model.stretch`. During a reversal that line has an error
+of up to half the friction, and the slip fronts determine the estimate.
+
+x means x T_p here, because only the product is identifiable. Friction and pretension may therefore be unknown.
+The stiffness must be known within its [uncertainty]: it is the inverse of the slope of s over tau_M while all tendons
+slide, for any friction. The curvature profile must be known: [uncertainty] bending_centre is a part of the band. During
+a reversal the profile itself is a part as well, and is larger if the file has only the centre of the bends.
+
+The joint torque is the torque of the tendons at the joint pulley, r_J (T4 - T2), before any friction in the joint.
 """
 
 from __future__ import annotations
@@ -92,12 +96,13 @@ SURELY = 2.0
 NEARLY = 0.99  # 1, of a bound, that counts as reached
 STIFF_FACTOR = 1.5  # of the stiffness either way; more is another tendon
 TORQUE_NOISE = 2e-3  # N*m at the motor, standard deviation of what drives report; the simulated one's
-# s between torque and angles, by which what is foretold may be off while the stretch changes: half of a current loop's.
-# A hand that trembles shows nothing but turns, and without it they teach a stiffness that is wrong
+# s, uncertainty of the delay between torque and angles while the elongation changes: half of a current loop's delay.
+# A trembling hand makes only reversals, and without this term the filter learns a wrong stiffness from them.
 TIME_DOUBT = 0.3e-3
 COUNTS = 6.0  # times the variance of a count: its error stays the same from cycle to cycle while things move slowly
-# times the variance of a stretch measured, as what the tendons' model has not is alike for a while: with 100 lost
-# pretension gives the joint 50 mJ before it is seen, with 20 a stiffness that is off costs 3.4 % of a held torque
+# Factor of the variance of a measured elongation, because errors of the tendon model are correlated in time. With 100,
+# the joint receives 50 mJ before a loss of pretension is detected. With 20, a wrong stiffness causes an error of 3.4 %
+# of a held torque.
 ALIKE = 28.0
 SLACK = 0.02  # 1, of the pretension, below which a tendon counts as slack
 LONGEST_GAP = 0.05  # s without measurements after which the fronts are not known any longer
@@ -108,13 +113,14 @@ BAND = 1.96  # standard deviations of 95 %
 # and `TOLD` the band holds 95 to 97 % of the samples of simulated rigs on average (tools/run bench/stretch); of one rig
 # more or less, as what is left is no noise
 OF_TENDONS = 0.035
-# 1, of the half loop, in the middle of a turn: where a file says the centre of the bends alone, two bends with a
-# straight piece between let the slip fronts run that differently from even ones (5.3 % RMS over the turn)
+# 1, error over the friction torque in the middle of a reversal, if the file has only the centre of the bends. Two bends
+# with a straight piece between them change the slip fronts by this much (5.3 % RMS over the reversal).
 COURSE = 0.06
-TOLD = 0.01  # 1, the same where the file says their course, as tsa calibrate --stretch finds it
-# 1, of the stretch that friction can hide, standard deviation in the middle of a turn: a course of the bends that is
-# off foretells all samples of a turn wrongly alike, so that they teach no more than one of some per cent would. With
-# the noise of single samples friction is 2 % off after each turn of a held joint, and its torque twice as wrong
+TOLD = 0.01  # 1, the same if the file has the curvature profile that tsa calibrate --stretch determines
+# 1, standard deviation in the middle of a reversal over the elongation that friction can hide. A wrong profile causes
+# the same error in all samples of a reversal, so they count like a single sample with an error of some percent.
+# With the noise of single samples, each reversal of a locked joint leaves a friction error of 2 %, and twice the torque
+# error.
 TURN_DOUBT = 1.0
 # 1, of the same, beside the noise, and s: by more than this no course misleads, on simulated rigs with a calibrated
 # file; what was more within that time is friction or stiffness that is off, and turns teach all that they say. A file
