@@ -1,4 +1,4 @@
-"""One axis of the machine: parameters from the actuator file and the settings, the compiled mechanics, the sensors."""
+"""Simulate one axis: parameters from the actuator file and the settings, the compiled mechanics, the sensors."""
 
 from __future__ import annotations
 
@@ -24,8 +24,7 @@ from tsa_ctrl.plant.sensors import MotorCommand, Readings
 from tsa_ctrl.plant.settings import AxisSettings, HandRow, JointSettings, MotionSettings, PhysicsSettings
 from tsa_ctrl.plant.state import DELAY_SAMPLES, PARAMETERS, STATE, Load
 
-# The plant's own record of the truth: one CSV row per axis and period, written while it runs.
-
+# Columns of the record of the plant's true state, with one CSV row per axis and period.
 COLUMNS: tuple[tuple[str, str], ...] = (
     ("clock", "s, CLOCK_MONOTONIC"),
     ("t", "s since the plant's start"),
@@ -55,7 +54,7 @@ _FLUSH = 0.25  # s
 
 
 class Record(Protocol):
-    """Where a machine leaves its truth: on disk, or in memory."""
+    """Receive the true state of a machine, to store it on disk or in memory."""
 
     def due(self, t: float) -> bool: ...
     def row(self, values: Sequence[float]) -> None: ...
@@ -63,7 +62,7 @@ class Record(Protocol):
 
 
 class Recorder:
-    """Appends rows; what is older than a quarter of a second is in the file even when the process is killed."""
+    """Append rows to a CSV file and flush it every 0.25 s, so that a killed process loses only the newest rows."""
 
     def __init__(self, path: str | Path, period: float) -> None:
         self.period = period
@@ -77,7 +76,7 @@ class Recorder:
         self._format = ",".join(["%.6f", "%.6f", "%d", "%d", "%d", "%d"] + ["%.9g"] * (len(COLUMNS) - 6)) + "\n"
 
     def due(self, t: float) -> bool:
-        """Whether a period has passed at plant time t; a late one is not made up for."""
+        """Return True if a row is due at plant time t (s); periods that were missed are skipped."""
         if t < self._due:
             return False
         self._due = max(self._due + self.period, t + 0.5 * self.period)
@@ -95,12 +94,9 @@ class Recorder:
         self._file.close()
 
 
-# What the joint drives: masses by the name of the load, and the script of a hand that holds it.
-
-
 @dataclass(frozen=True)
 class Mass:
-    """kg*m^2, N*m*s/rad, N*m: of a load unless its settings say otherwise."""
+    """Hold the default inertia (kg*m^2), damping (N*m*s/rad) and weight torque (N*m) of a load."""
 
     inertia: float
     damping: float
@@ -108,7 +104,7 @@ class Mass:
 
 
 PLAIN = Mass(0.02, 0.05, 1.0)
-LIMB = Mass(0.05, 0.1, 4.0)  # a forearm, or a shank without its foot, with its tissue's damping
+LIMB = Mass(0.05, 0.1, 4.0)  # pendulum load: a forearm or a shank without foot, with the damping of the tissue
 _KINDS = {
     "imposed": Load.IMPOSED,
     "held": Load.IMPOSED,
@@ -118,7 +114,7 @@ _KINDS = {
     "limb": Load.WEIGHT,
     "wearer": Load.WEIGHT,
 }
-# s, N*m/rad, N*m*s/rad, rad: holds, lifts, holds, lets the limb swing, takes it again, pulls it back, holds.
+# s, N*m/rad, N*m*s/rad, rad of the hand: hold, lift, hold, release the limb, grasp it, pull it back, hold.
 WEARER: tuple[HandRow, ...] = (
     (0.0, 15.0, 1.0, 0.0),
     (1.5, 15.0, 1.0, 0.0),
@@ -134,7 +130,7 @@ WEARER: tuple[HandRow, ...] = (
 
 
 def load_parameters(joint: JointSettings) -> dict[str, float]:
-    """The load's parameters of the mechanics."""
+    """Return the load's parameters for the mechanics."""
     mass = LIMB if joint.load in ("limb", "wearer") else PLAIN
     return {
         "load": _KINDS[joint.load],
@@ -150,7 +146,7 @@ def load_parameters(joint: JointSettings) -> dict[str, float]:
 
 
 def hand_table(joint: JointSettings) -> NDArray[np.float64]:
-    """The hand's script, (4, n): s, N*m/rad, N*m*s/rad, rad; n = 0 without a hand."""
+    """Return the hand's script, shape (4, n): s, N*m/rad, N*m*s/rad, rad; n = 0 without a hand."""
     rows = joint.hand or (WEARER if joint.load == "wearer" else ())
     return np.ascontiguousarray(np.array(rows, dtype=np.float64).reshape(-1, 4).T)
 
@@ -242,7 +238,7 @@ class Axis:
         return np.ascontiguousarray(np.stack((chain, chain)))
 
     def _rest(self, angle: float) -> None:
-        """Everything at standstill, the tendons at their pretension, the motor where it balances them."""
+        """Set the state at rest, with the tendons at their pretension and the motor balancing them."""
         p = self.parameters[0]
         on_pulley = float(wound(p, angle))
         for chain, side in zip(self._arrays.chains, (-1.0, 1.0), strict=True):
@@ -289,11 +285,11 @@ class Axis:
         readings.speed_limited = bool(values[_SPEED_LIMITED])
 
     def truth(self) -> tuple[float, ...]:
-        """What the record has of this axis, in its order from `enabled` on."""
+        """Return the values of this axis for the record, in the order of `COLUMNS` from `enabled` on."""
         return (float(self.command.enabled), self.command.torque, *_TRUTH(self._values))
 
     def values(self) -> dict[str, float]:
-        """The whole state by name, as it is now."""
+        """Return the current state by name."""
         return dict(zip(STATE.names or (), self.state[0].item(), strict=True))
 
 

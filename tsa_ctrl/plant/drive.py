@@ -23,12 +23,10 @@ from tsa_ctrl.plant.sensors import MotorCommand, Readings
 from tsa_ctrl.plant.settings import DriveSettings
 from tsa_ctrl.plant.watch import NmtState
 
-# Misbehaviour of a simulated drive that can be switched on.
-
 
 @dataclass(slots=True)
 class DriveFaults:
-    """Misbehaviour of the drive itself that can be switched on."""
+    """Hold the faults of a simulated drive that can be switched on."""
 
     ignore_command: bool = False  # bit 12 low, the target torque is not followed
     wrong_mode: int | None = None  # value of 0x6061

@@ -1,4 +1,4 @@
-"""What a fault of the simulated machine is: what it may get hold of, what its value means, how it is undone."""
+"""Define a fault of the simulated machine: the parts it may change, the meaning of its value, how it is undone."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
 
-# What a node says on its way to the bus: unchanged, unless a fault of the wire or of the node's firmware is on.
-
 _HEARTBEAT = 0x700
 _HISTORY = 4096  # frames that a replay can reach back
 
 
 @dataclass
 class Outlet:
-    """`Send` of one node. TPDOs and the heartbeat can be tampered with; EMCY and SDO pass."""
+    """Send the frames of one node, modified by the active faults of the wire and of the node's firmware.
+
+    Faults can change TPDOs and the heartbeat. EMCY and SDO frames pass unchanged.
+    """
 
     send: Send
     clock: Callable[[], float]
@@ -70,13 +71,13 @@ class Outlet:
         return sent
 
     def release(self, now: float) -> None:
-        """Send delayed frames whose time has come."""
+        """Send the delayed frames that are due at `now` (s)."""
         while self.waiting and self.waiting[0][0] <= now:
             _, can_id, data = self.waiting.popleft()
             self.send(can_id, data)
 
     def replay(self, seconds: float) -> int:
-        """Send again all TPDOs of the last seconds, as an adapter that plays out stale frames; how many."""
+        """Repeat all TPDOs of the last `seconds`, as an adapter with stale frames does, and return their number."""
         since = self.clock() - seconds
         stale = [(can_id, data) for at, can_id, data in self.history if at >= since]
         for can_id, data in stale:
@@ -88,18 +89,18 @@ Undo = Callable[[float], None]
 
 
 class Rig(Protocol):
-    """What a fault may get hold of beside its axis."""
+    """Give a fault access to parts of the machine other than its axis."""
 
     flood_rate: float
 
     def inject(self, can_id: int, data: bytes) -> bool:
-        """Put any frame on the bus."""
+        """Send any frame on the bus."""
 
     def set_interface(self, up: bool) -> None:
-        """Take the interface down, or up again; raises UsageError where this user may not."""
+        """Take the interface down or up; raises UsageError if the user lacks the permission."""
 
     def replay_commands(self, since: float, now: float) -> None:
-        """Hear again what the master sent since then."""
+        """Receive the master's frames since the time `since` (s) again."""
 
     def later(self, at: float, action: Callable[[float], None]) -> None:
         """Call `action(now)` in the first tick at or after `at`."""
@@ -107,7 +108,7 @@ class Rig(Protocol):
 
 @dataclass(frozen=True)
 class Target:
-    """Where a fault acts, and how strongly."""
+    """Hold the parts on which a fault acts, and its value."""
 
     rig: Rig
     axis: Axis
@@ -124,7 +125,7 @@ class Target:
 
 @dataclass(frozen=True)
 class FaultKind:
-    """One fault: what it does, what its value means, the value unless given."""
+    """Hold one fault: its description, its effect, and the default, unit and range of its value."""
 
     doc: str
     start: Callable[[Target], Undo]
@@ -135,18 +136,18 @@ class FaultKind:
 
 
 def nothing(now: float) -> None:
-    """Nothing to undo: it happened once."""
+    """Do nothing, as the undo function of a fault that is a single event."""
 
 
 def swap(target: object, name: str, value: Any) -> Undo:
-    """Set an attribute, and what sets it back."""
+    """Set an attribute and return the function that restores it."""
     before = getattr(target, name)
     setattr(target, name, value)
     return lambda now: setattr(target, name, before)
 
 
 def parameter(target: Target, name: str, value: float) -> Undo:
-    """Change a parameter of the mechanics from now on."""
+    """Change a parameter of the mechanics and return the function that restores it."""
     record = target.axis.parameters
     before = record[name][0].item()
     record[name] = value

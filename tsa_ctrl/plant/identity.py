@@ -1,4 +1,4 @@
-"""What a node says of itself, and its objects of communication (CiA 301, 0x1000 to 0x1029) but for the PDOs."""
+"""Define a node's identity and its communication objects (CiA 301, 0x1000 to 0x1029), except for the PDOs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,6 @@ from tsa_ctrl.plant import emergency, sync
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, Key, ObjectDictionary, SdoAbort, Type
 from tsa_ctrl.plant.watch import Consumers, Guarding
 
-# What drives do otherwise than CiA 301 and 402 have it: keys of `[axis.drive]`, each met on a real stack.
-#
-# The default of each is what the standard says; `absent`, `objects` and `read_only` imitate the rest.
-
 NonNegative = Annotated[float, Meta(ge=0.0)]
 Code = Annotated[int, Meta(ge=0, le=0xFFFF)]
 ObjectName = Annotated[str, Meta(pattern=r"^0x[0-9A-Fa-f]{4}(:[0-9]{1,3})?$")]
@@ -24,15 +20,19 @@ ModeName = Literal["pp", "pv", "tq", "csp", "csv", "cst"]
 
 
 class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
-    """Of one drive."""
+    """Describe how one drive deviates from CiA 301 and 402; the fields are keys of `[axis.drive]`.
+
+    Each deviation was found on a real stack, and each default follows the standard. `absent`, `objects` and
+    `read_only` imitate further deviations.
+    """
 
     # its dictionary
     objects: dict[str, int] = {}  # other power-on values, "0x6072:0" = 500
     absent: list[int | ObjectName] = []  # objects that this drive does not have, 0x60A9 or "0x1400:5"
     read_only: list[ObjectName] = []  # objects that cannot be written, "0x6007"
-    fixed_mapping: bool = False  # what its PDOs carry cannot be written; it is what this controller wants
+    fixed_mapping: bool = False  # the PDO mapping cannot be written; it is the one that this controller requires
     heartbeat_consumers: Annotated[int, Meta(ge=1, le=8)] = 4  # entries of 0x1016
-    modes: tuple[ModeName, ...] = ("cst",)  # 0x6502, and what 0x6060 takes
+    modes: tuple[ModeName, ...] = ("cst",)  # modes that 0x6502 reports and 0x6060 accepts
 
     # its start
     boot_time: NonNegative = 0.0  # s from reset or power-on to the boot-up message
@@ -50,27 +50,25 @@ class Quirks(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=Tr
     guarding_toggles: bool = True  # false: all answers to node guarding have one toggle bit
 
     # its commands
-    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs by which they act later than their RPDO's type says
+    delay_periods: Annotated[int, Meta(ge=0, le=8)] = 0  # SYNCs of delay beyond the RPDO's transmission type
 
     # its state machine
-    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 says what 0x6060 is; else 0
+    mode_shows: Literal["written", "operational", "enabled"] = "written"  # when 0x6061 has the value of 0x6060; else 0
     step_time: NonNegative = 0.0  # s, of each step on the way to operation enabled
     statusword_bits: Code = 0  # of the maker's, always set: bits 8, 14, 15
     reports_following: bool = True  # false: bit 12 is always low
-    safe_torque_off: bool = False  # the drive stays in switch on disabled, and says so by bit 4
+    safe_torque_off: bool = False  # the drive stays in switch on disabled and reports it by bit 4
     warns_when_enabled: Code = 0  # error code of an EMCY at every enable, without a fault; 0: none
 
-
-# Parameters kept through a power cycle (CiA 301): 0x1010 "save", 0x1011 "load".
 
 SAVE = 0x65766173  # "save", least significant byte first
 LOAD = 0x64616F6C  # "load"
 _ON_COMMAND = 1  # bit 0 of both objects when read
-_PASSING: frozenset[Key] = frozenset({(0x1003, 0), (0x6040, 0), (0x6071, 0)})  # commands are no parameters
+_PASSING: frozenset[Key] = frozenset({(0x1003, 0), (0x6040, 0), (0x6071, 0)})  # commands, which are not saved
 
 
 def entries() -> list[Entry]:
-    """Both objects; one group of parameters, on command."""
+    """Return the entries of 0x1010 and 0x1011, with one group of parameters that is saved on command."""
     return [
         Entry(0x1010, 0, Type.U8, Access.CONST, 1),
         Entry(0x1010, 1, Type.U32, Access.RW, _ON_COMMAND),
@@ -80,7 +78,10 @@ def entries() -> list[Entry]:
 
 
 class Storage:
-    """Of one node; `saves` counts, since the plant began: a master that saves wears a memory out."""
+    """Save and restore the parameters of one node (CiA 301: 0x1010 "save", 0x1011 "load").
+
+    `saves` counts since the plant's start, because each save wears the memory of a real node.
+    """
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -99,7 +100,7 @@ class Storage:
         self._forget_command(0x1010)
 
     def _load(self, value: int) -> None:
-        """The defaults come back with the next reset."""
+        """Discard the saved parameters, so that the defaults apply from the next reset."""
         if value != LOAD:
             raise SdoAbort(AbortCode.CANNOT_STORE)
         self._dictionary.stored.clear()
@@ -112,7 +113,7 @@ class Storage:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """0x1000, 0x1008 and 0x1018 of a node."""
+    """Hold 0x1000, 0x1008 and 0x1018 of a node."""
 
     device_type: int
     name: str
@@ -123,12 +124,12 @@ class Identity:
 
     @property
     def numbers(self) -> tuple[int, int, int, int]:
-        """0x1018:1 to :4."""
+        """Return 0x1018:1 to :4."""
         return self.vendor, self.product, self.revision, self.serial
 
 
 def communication_objects(identity: Identity, quirks: Quirks) -> Iterator[Entry]:
-    """0x1000 to 0x1029 of a node, by what is particular to it."""
+    """Yield the entries 0x1000 to 0x1029 of a node, according to its identity and quirks."""
     yield Entry(0x1000, 0, Type.U32, Access.CONST, identity.device_type)
     yield from emergency.entries()
     yield from sync.entries(quirks.sync_producer)

@@ -1,13 +1,13 @@
-"""The inner loop of one axis, compiled: torque loop, motor, pair of tendon-sheaths, joint, load; implicit Euler.
+"""Integrate one axis by implicit Euler, compiled: torque loop, motor, pair of tendon-sheaths, joint, load.
 
-Unknowns of a sub-step are the motor's and (unless its motion is imposed) the joint's angle at its end:
+The unknowns of a sub-step are the motor angle and, unless the motion is prescribed, the joint angle at its end:
 
     J_M (omega_M' - omega_M) / h + b_M omega_M' + r_M (T3' - T1') + tau_c z_M' = tau_M'
     J   (omega_J' - omega_J) / h + load(q_J', omega_J')                       = tau_J'(T2', T4')
 
-solved by Newton's method with the tensions' exact derivatives, so that stiff tendons and a motor without inertia need
-no smaller step. The motor's angle is kept between bounds that close in, because friction makes its balance steep where
-the motion turns and flat elsewhere: Newton's method alone would jump to and fro.
+They are solved by Newton's method with the exact derivatives of the tensions, so that stiff tendons and a motor without
+inertia need no smaller step. The motor angle is kept between converging bounds, because friction makes the torque
+balance steep at a reversal and flat elsewhere. Newton's method alone would oscillate.
 Signs: tau_M = r_M (T3 - T1), tau_J = r_J (T4 - T2); tendon b (T3, T4) pulls the joint forward.
 """
 
@@ -36,12 +36,10 @@ from tsa_ctrl.plant.formula import formula
 from tsa_ctrl.plant.full import commit_full, full_tensions
 from tsa_ctrl.plant.state import DELAY_SAMPLES, Load
 
-# Compiled interpolation: tables that change with time, and the imposed motion of a joint.
-
 
 @compiled
 def table_value(table: Any, x: float, before: float) -> float:
-    """Linear interpolation, constant beyond the ends; `before` when the table is empty."""
+    """Interpolate a table linearly, constant beyond the ends; return `before` if the table is empty."""
     n = table.shape[1]
     if n == 0:
         return before
@@ -56,9 +54,9 @@ def table_value(table: Any, x: float, before: float) -> float:
 
 @compiled
 def hand(s: Any, p: Any, table: Any, time: float) -> None:
-    """Stiffness, damping, angle and speed of the hand at `time` s since the start, into the state.
+    """Write stiffness, damping, angle and speed of the hand at `time` (s since the start) to the state.
 
-    Stiffness and damping are linear between rows; the angle rests at each of them and goes smoothly between.
+    Stiffness and damping are linear between rows. The angle is a smooth step between rows, with speed 0 at each row.
     """
     n = table.shape[1]
     if n == 0:
@@ -85,7 +83,10 @@ def hand(s: Any, p: Any, table: Any, time: float) -> None:
 
 @compiled
 def imposed_motion(p: Any, motion: Any, time: float) -> tuple[float, float, float]:
-    """Angle, speed and acceleration of the imposed motion, `time` s after its beginning; negative: it waits."""
+    """Return angle, speed and acceleration of the prescribed motion (rad, rad/s, rad/s^2).
+
+    `time`: s since the motion's start; the joint rests at the first angle if it is not positive.
+    """
     last = motion.shape[1] - 1
     duration = last * p.motion_grid
     if time <= 0.0:
@@ -113,12 +114,13 @@ def imposed_motion(p: Any, motion: Any, time: float) -> tuple[float, float, floa
     return q, w, acceleration
 
 
-# What lies between the torque that is asked and the one that acts, and between the joint and its sensors.
-
-
 @compiled
 def torque_loop(s: Any, p: Any, command: float, enabled: bool, max_speed: float, h: float) -> None:
-    """Current loop with lag and limits; no torque in the direction of motion beyond the drive's speed limit."""
+    """Advance the drive's torque loop by `h` s, with its lag, gain error, ripple and limits.
+
+    Beyond the speed limit, the torque in the direction of motion fades to 0. The commanded torque becomes `tau_m`,
+    the torque that acts on the motor pulley.
+    """
     target = 0.0
     s.speed_limited = 0
     if enabled:
@@ -136,7 +138,10 @@ def torque_loop(s: Any, p: Any, command: float, enabled: bool, max_speed: float,
 
 @compiled
 def sense(s: Any, p: Any, ring: Any, h: float) -> None:
-    """Delay of the torque sensor, lag of the encoder, and what lies between encoders and tendons."""
+    """Advance the torque sensor's delay and the joint encoder's lag by `h` s, and the angle of the motor's encoder.
+
+    Compliance, creep, slip and backlash between encoders and tendons are included (`lengths_beside`).
+    """
     if p.sensor_delay > 0.0:
         n = DELAY_SAMPLES
         head = (s.ring_head + 1) % n
@@ -165,11 +170,11 @@ def sense(s: Any, p: Any, ring: Any, h: float) -> None:
 _IMPOSED, _SPRING, _WEIGHT = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT)
 _ITERATIONS = 150
 _CLOSED = 1e-14  # rad between the bounds of the motor's angle
-_TOLERANCE = 1e-8  # N*m; stiffest spring times rounding of a place lies below
+_TOLERANCE = 1e-8  # N*m; above the rounding error of an angle times the stiffest spring
 
 
 class Arrays(NamedTuple):
-    """What belongs to an axis beside its two records."""
+    """Hold the arrays of an axis, in addition to its records of state and parameters."""
 
     ring: NDArray[np.float64]  # (2, n): times and delivered torques, for the sensor's delay
     slip: NDArray[np.float64]  # (n,): Maxwell-slip elements of presliding_hysteresis
@@ -179,7 +184,7 @@ class Arrays(NamedTuple):
     bending: NDArray[np.float64]  # (2, n): times in s and factors on the bending angle
     temperature: NDArray[np.float64]  # (2, n): times in s and deg C
     formula: NDArray[np.float64]  # (4, n): operations and numbers of the plant file's formula
-    memory: NDArray[np.float64]  # (n, 4): what it remembers
+    memory: NDArray[np.float64]  # (n, 4): state of the formula
     hand: NDArray[np.float64]  # (4, n): times in s, N*m/rad, N*m*s/rad, rad
 
 
@@ -187,9 +192,16 @@ class Arrays(NamedTuple):
 def advance(
     state: Any, parameters: Any, arrays: Arrays, command: float, enabled: bool, max_speed: float, until: float
 ) -> None:
-    """Bring the state record to time `until` in equal sub-steps of at most the parameters' step.
+    """Advance the state record to time `until` (s) in equal sub-steps, none longer than the parameters' `step`.
 
-    state, parameters: arrays of one record each; command: N*m at the motor pulley; max_speed: rad/s of the motor.
+    Args:
+        state: array of one record.
+        parameters: array of one record.
+        arrays: the other arrays of the axis.
+        command: N*m at the motor pulley.
+        enabled: True if the power stage is on.
+        max_speed: rad/s of the motor.
+        until: s.
     """
     s, p = state[0], parameters[0]
     span = until - s.t
@@ -202,7 +214,7 @@ def advance(
 
 @compiled
 def _load_torque(s: Any, p: Any, q: float, omega: float) -> tuple[float, float]:
-    """Torque that load and hand take besides the inertia, and its derivative by the angle at constant speed."""
+    """Return the torque of load and hand without the inertia, and its derivative by the angle at constant speed."""
     taken = p.load_damping * omega - p.push
     taken += s.hand_stiffness * (q - s.hand_angle) + s.hand_damping * (omega - s.hand_speed)
     if p.load == _SPRING:
@@ -215,7 +227,7 @@ def _load_torque(s: Any, p: Any, q: float, omega: float) -> tuple[float, float]:
 
 @compiled
 def _environment(s: Any, p: Any, arrays: Arrays, time: float, q_j: float) -> tuple[float, float]:
-    """Temperature, bending and pretension at `time` s since the start; the friction angles of tendons a and b."""
+    """Set temperature, bending and pretension at `time` (s since the start) and the friction angles of both tendons."""
     s.temperature = table_value(arrays.temperature, time, 25.0)
     s.theta = p.theta * p.theta_factor * table_value(arrays.bending, time, 1.0) + p.bending_per_angle * q_j
     s.pretension = pretension(s, p, max(0.0, time))
@@ -228,7 +240,7 @@ def _environment(s: Any, p: Any, arrays: Arrays, time: float, q_j: float) -> tup
 
 @compiled
 def _motor_friction(s: Any, p: Any, q_m: float) -> tuple[float, float]:
-    """State of the motor's Coulomb friction at angle q_m, and the slope of its torque there."""
+    """Return the state of the motor's Coulomb friction at angle q_m, and the slope of its torque there."""
     if p.motor_coulomb <= 0.0:
         return 0.0, 0.0
     z = s.z_m + (q_m - s.q_m) / MICRO
@@ -239,7 +251,7 @@ def _motor_friction(s: Any, p: Any, q_m: float) -> tuple[float, float]:
 
 @compiled
 def _share(s: Any, p: Any, tendon: float) -> float:
-    """How much of the tendons' torque passes the joint's load-dependent friction and its backlash."""
+    """Return the share of the tendons' torque that passes the joint's load-dependent friction and its backlash."""
     if s.in_gap:
         return 0.0
     return float(1.0 / (1.0 + s.z_j * p.load_friction * math.copysign(1.0, tendon)))
@@ -247,7 +259,10 @@ def _share(s: Any, p: Any, tendon: float) -> float:
 
 @compiled
 def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any) -> None:
-    """Torque balances of motor and joint into r[0:2], their derivatives by q_m and q_j into r[2:6]. Tensions in f."""
+    """Write the torque balances of motor and joint to r[0:2] and their derivatives by q_m and q_j to r[2:6].
+
+    The tensions are written to f.
+    """
     inertia, damping = p.motor_inertia / (h * h), p.motor_damping / h
     z_m, slope_m = _motor_friction(s, p, q_m)
     moved = q_m - s.q_m
@@ -278,7 +293,7 @@ def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any)
 def _solve(
     s: Any, p: Any, arrays: Arrays, x_a: float, x_b: float, q_m: float, q_j: float, h: float, f: Any
 ) -> tuple[float, float]:
-    """Angles of motor and joint at the end of the sub-step, from first guesses; the tensions there are left in f."""
+    """Return the angles of motor and joint at the end of the sub-step, from first guesses; f gets the tensions."""
     total = prepare_chains(p, s.pretension, s.theta, x_a, x_b, arrays.chains) if p.distributed else 0.0
     r = np.zeros(6)
     low, high = -np.inf, np.inf

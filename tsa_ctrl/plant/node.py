@@ -18,8 +18,6 @@ from tsa_ctrl.plant.sdo import SdoServer
 from tsa_ctrl.plant.sync import Heard, SyncPort
 from tsa_ctrl.plant.watch import Consumers, Guarding, NmtCommand, NmtState
 
-# LSS slave (CiA 305): a node without an id is given one, over two identifiers that no other service uses.
-
 REQUEST, ANSWER = 0x7E5, 0x7E4
 _SWITCH, _NODE_ID, _BIT_TIMING, _STORE = 0x04, 0x11, 0x13, 0x17
 _SELECT = range(0x40, 0x44)
@@ -31,7 +29,11 @@ _UNCONFIGURED = 255
 
 
 class LssSlave:
-    """`identity`: vendor, product, revision, serial number. `assigned` is called when a new id becomes valid."""
+    """Implement an LSS slave (CiA 305), through which the master assigns a node id.
+
+    LSS uses two CAN identifiers that no other service uses. `identity`: vendor, product, revision, serial number.
+    `assigned` is called when a new id becomes valid.
+    """
 
     def __init__(
         self, identity: tuple[int, int, int, int], send: Callable[[int, bytes], bool], assigned: Callable[[int], None]

@@ -1,4 +1,4 @@
-"""The process `tsa plant`: open the bus, real-time rights if there are any, run until a signal."""
+"""Run the process `tsa plant`: open the bus, take real-time scheduling if permitted, and run until a signal."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from tsa_ctrl.plant.machine import Machine, build_axes
 from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
 
-# Run-time control of a simulated machine: a local datagram socket, one line in, one line back.
-
-_LINE = 4096  # bytes, more is cut off
+_LINE = 4096  # bytes; the rest of a longer line is cut off
 
 
 class ControlSocket:
-    """Bound to `path`, for this user only. `poll` answers what has arrived and never waits."""
+    """Serve the run-time control of a simulated machine on a local datagram socket.
+
+    Each datagram holds one line and gets one reply. The socket is bound to `path`, for this user only.
+    """
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
@@ -48,7 +49,7 @@ class ControlSocket:
             os.umask(before)
 
     def poll(self, answer: Callable[[str], str]) -> None:
-        """Answer each line that has arrived; a client that is gone is no matter."""
+        """Reply to each line that has arrived, without waiting; a client that has disconnected is ignored."""
         while True:
             try:
                 data, sender = self._socket.recvfrom(_LINE)
@@ -65,7 +66,7 @@ class ControlSocket:
 
 
 def ask(path: str | Path, line: str, timeout: float = 2.0) -> str:
-    """Send one line to a running machine and return its answer; raises BusError when there is none."""
+    """Send one line to a running machine and return its reply; raises BusError if none arrives in `timeout` s."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as client:
         client.settimeout(timeout)
         client.bind("")  # Linux gives it an abstract address
@@ -77,14 +78,15 @@ def ask(path: str | Path, line: str, timeout: float = 2.0) -> str:
             raise BusError(f"{path}: no simulated machine answers ({reason}); start tsa plant with --control") from None
 
 
-# The commands that a running simulated machine takes: faults, and a look at its state.
-
 KINDS = {**FAULTS, **CHANGES}
 HELP = "NAME [axis=AXIS] [node=drive|encoder|torque_sensor] [value=NUMBER] [duration=SECONDS] [at=SECONDS]"
 
 
 class Console:
-    """Answers `ok CLOCK` (CLOCK_MONOTONIC in s, when it was done), `error: ...`, or what was asked."""
+    """Run the commands of the control socket: start and end faults, list them, and report the state.
+
+    The reply is `ok CLOCK` (CLOCK_MONOTONIC in s, when the command was run), `error: ...`, or the requested text.
+    """
 
     def __init__(self, machine: Machine, channel: ControlSocket) -> None:
         self._machine = machine
@@ -96,7 +98,7 @@ class Console:
         self._channel.poll(self.answer)
 
     def answer(self, line: str) -> str:
-        """One command: a fault, `clear` (all faults end), `state` (JSON), `list` or `help`."""
+        """Run one command and return the reply: a fault, `clear` (end all faults), `state` (JSON), `list` or `help`."""
         if line in ("", "help"):
             return f"{HELP}; or clear, state, list"
         if line == "list":
@@ -149,20 +151,20 @@ def check(path: str | Path) -> PlantSettings:
 
 
 def eds_files(configuration: str | Path, path: Path) -> list[tuple[Path, str]]:
-    """The EDS of each node of a plant file, and where it goes; raises UsageError."""
+    """Return the EDS of each node of a plant file, and the path of each; raises UsageError."""
     nodes = nodes_of(check(configuration))
     places = file_names(path, [node.node_id for node in nodes])
     return [(places[node.node_id], eds(node.dictionary, places[node.node_id].name)) for node in nodes]
 
 
 def nodes_of(plant: PlantSettings) -> list[Node]:
-    """Every node once, on no bus."""
+    """Return every node of the plant once, without a bus."""
     units = build_axes(plant, lambda can_id, data: True, lambda: 0.0)
     return list({id(node): node for unit in units for node in unit.nodes}.values())
 
 
 def open_bus(settings: BusSettings) -> Bus:
-    """The bus of the configuration; raises BusError."""
+    """Open the configured bus; raises BusError."""
     if settings.interface == "socketcan":
         return SocketCan(settings.channel, send_queue=128)
     return PythonCan(settings.interface, settings.channel, settings.bitrate, settings.options)
@@ -237,7 +239,7 @@ def _run(machine: Machine) -> None:
 
 
 def _real_time(priority: int) -> str:
-    """First-in-first-out scheduling where this user may; what is in force, in words."""
+    """Request first-in-first-out scheduling, and return the scheduling in force as text."""
     if priority > 0:
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))

@@ -1,4 +1,4 @@
-"""SDO server (CiA 301): expedited and segmented transfers both ways, one at a time.
+"""Implement an SDO server (CiA 301) with expedited and segmented transfers in both directions, one at a time.
 
 A block transfer is optional in CiA 301. The server aborts it with 0x05040001, as many drives do.
 """
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from tsa_ctrl.plant.dictionary import AbortCode, Key, ObjectDictionary, SdoAbort
 
 _HEADER = struct.Struct("<BHB4s")
-_MAX_DOWNLOAD = 4096  # bytes; more is refused, a node's memory is small
+_MAX_DOWNLOAD = 4096  # bytes; more is rejected, as in a node with little memory
 _ABORT = 0x80
 
 
@@ -25,7 +25,7 @@ class _Transfer:
 
 
 class SdoServer:
-    """Answers requests with responses, all of 8 bytes; holds the state of one transfer of several frames."""
+    """Respond to requests, with frames of 8 bytes, and hold the state of one segmented transfer."""
 
     def __init__(self, dictionary: ObjectDictionary) -> None:
         self._dictionary = dictionary
@@ -35,7 +35,7 @@ class SdoServer:
         self._transfer = None
 
     def handle(self, request: bytes) -> list[bytes]:
-        """The responses to one request frame; none to an abort, or to a frame that is no SDO."""
+        """Return the responses to one request frame; an abort and a frame that is not an SDO get none."""
         if len(request) != 8:
             return []
         if request[0] == _ABORT:

@@ -1,4 +1,4 @@
-"""Sensor nodes: a joint encoder (CiA 406) and a joint torque sensor (CiA 404)."""
+"""Simulate the sensor nodes: a joint encoder (CiA 406) and a joint torque sensor (CiA 404)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,10 @@ from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.pdo import INVALID, PdoDefault
 from tsa_ctrl.plant.settings import EncoderSettings, TorqueSensorSettings
 
-# What passes between the nodes of an axis and its mechanics: the command to the motor, and what sensors see. SI.
-
 
 @dataclass(slots=True)
 class MotorCommand:
-    """To the power stage; torque at the motor pulley."""
+    """Hold the command to the power stage, with the torque at the motor pulley, in SI units."""
 
     torque: float = 0.0  # N*m
     enabled: bool = False
@@ -27,9 +25,9 @@ class MotorCommand:
 
 @dataclass(slots=True)
 class Readings:
-    """From the sensors, noise included, at the time of the last advance."""
+    """Hold the measurements of the sensors at the last advance of the mechanics, in SI units, with noise."""
 
-    motor_torque: float = 0.0  # N*m, what the drive believes (from its current)
+    motor_torque: float = 0.0  # N*m, estimated by the drive from its current
     motor_speed: float = 0.0  # rad/s
     motor_angle: float = 0.0  # rad
     joint_angle: float = 0.0  # rad
@@ -46,24 +44,24 @@ SPEED_DIVIDER = 256  # counts/s per digit of 0x6030:1, an i16: coarse by nature
 
 @dataclass(slots=True)
 class EncoderFaults:
-    """What is wrong with an encoder."""
+    """Hold the active faults of an encoder."""
 
     offset: float = 0.0  # rad, a jump
     sign: int = 1
     noise: float = 0.0  # rad, standard deviation
     drift: float = 0.0  # rad/s, since `since`
-    gain: float = 1.0  # of what the joint moved since it was at `pivot`: a coupling that slips
+    gain: float = 1.0  # share of the motion since `pivot` that reaches the encoder; not 1 for a coupling that slips
     since: float = 0.0  # s
     pivot: float = 0.0  # rad
-    distorted: Callable[[int], int] | None = None  # of the position that it sends
+    distorted: Callable[[int], int] | None = None  # changes the position (counts) that is sent
 
     def seen(self, angle: float, now: float) -> float:
-        """rad that the disc of the encoder turned, without its noise."""
+        """Return the angle (rad) of the encoder's disc without noise, for a joint angle in rad and a time in s."""
         return self.pivot + self.gain * (angle - self.pivot) + self.offset + self.drift * (now - self.since)
 
 
 class Encoder(Node):
-    """0x6004 position (u32, wraps), 0x6030:1 speed in counts/s / 256 (i16)."""
+    """Simulate an encoder: 0x6004 position (u32, wraps), 0x6030:1 speed in counts/s / 256 (i16)."""
 
     def __init__(self, settings: EncoderSettings, readings: Readings, send: Send) -> None:
         self.settings = settings
@@ -108,14 +106,18 @@ class Encoder(Node):
 
 @dataclass(slots=True)
 class TorqueSensorFaults:
-    """What is wrong with a torque sensor."""
+    """Hold the active faults of a torque sensor."""
 
     stuck: bool = False
     gain: float = 1.0
 
 
 class TorqueSensor(Node):
-    """0x9130:1 process value in digits of `resolution` N*m (i32), 0x9130:2 temperature in mK above 0 deg C (i32)."""
+    """Simulate a torque sensor.
+
+    0x9130:1 is the process value in digits of `resolution` N*m (i32), 0x9130:2 the temperature in mK above 0 deg C
+    (i32).
+    """
 
     def __init__(self, settings: TorqueSensorSettings, readings: Readings, noise: random.Random, send: Send) -> None:
         self.settings = settings

@@ -1,4 +1,4 @@
-"""Who is still there: heartbeats heard (0x1016) and node guarding (0x100C, 0x100D) of one node, CiA 301."""
+"""Simulate the heartbeat consumers (0x1016) and the node guarding (0x100C, 0x100D) of one node, CiA 301."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from enum import IntEnum
 
 from tsa_ctrl.plant.dictionary import AbortCode, Access, Entry, ObjectDictionary, SdoAbort, Type
 
-# NMT of CiA 301: states and commands. The plant has its own, so that it checks the controller's.
-
 
 class NmtState(IntEnum):
-    """Values as in the heartbeat."""
+    """List the NMT states (CiA 301), with the values in the heartbeat.
+
+    The plant does not use the controller's definitions, so that it checks them.
+    """
 
     BOOT_UP = 0
     STOPPED = 4
@@ -21,7 +22,7 @@ class NmtState(IntEnum):
 
 
 class NmtCommand(IntEnum):
-    """Command specifier of NMT (CiA 301, 7.2.8.3.1)."""
+    """List the command specifiers of NMT (CiA 301, 7.2.8.3.1)."""
 
     START = 1
     STOP = 2
