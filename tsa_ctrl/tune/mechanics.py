@@ -1,11 +1,11 @@
-"""What is measured of the motor on its tendons, and what follows from it for [axis.law], with a written margin.
+"""Measure the motor's oscillation on the tendons and derive the keys of [axis.law] from it.
 
     motor_inertia, delay, ringing    measured (`swing`, `delay`)
-    turn, lead, damping              by `control.plan` from these; damping at the upper end of the delay's interval
-    compensation                     the lower end of the half loop's interval: never more than friction that is there
+    turn, lead, damping              derived by `control.plan`; damping holds at the upper end of the delay's interval
+    compensation                     lower end of the friction torque's interval, so friction is not overcompensated
 
-The gain of the damping keeps a margin of 2 there, at stiffnesses from 0.8 to 1.25 of the measured one. Where no gain
-worth having does, damping is 0, and that is said: in the file, and to people.
+The damping gain keeps a gain margin of 2 at that delay, for stiffnesses from 0.8 to 1.25 of the measured one. If no
+useful gain does, damping is set to 0, and the file and the report give the reason.
 """
 
 from __future__ import annotations
@@ -33,25 +33,24 @@ from tsa_ctrl.tune.delay import Delay, command_delay
 from tsa_ctrl.tune.estimate import Estimate
 from tsa_ctrl.tune.swing import Swing, swing
 
-# What a tuning may change in the controller's file: the keys of [axis.law] that follow from measurements.
-
+# The keys of [axis.law] that a tuning may change in the controller's file; all of them follow from measurements.
 TUNED = ("motor_inertia", "delay", "ringing", "turn", "lead", "damping", "compensation")
-MOTOR = TUNED[:-1]  # what moves and damps the motor by itself
-MARK = "tsa tune: "  # begins the comment beside each
+MOTOR = TUNED[:-1]  # keys that describe and damp the motor, without the friction term
+MARK = "tsa tune: "  # start of the comment that is written after each key
 
 
 @dataclass(frozen=True)
 class Key:
-    """A value of [axis.law] and what is written beside it."""
+    """Hold a value of [axis.law] and the comment written on the same line."""
 
     value: float
     comment: str
 
 
 def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
-    """The file with these keys in the axis' [axis.law], each with its comment; all else stays as it is written.
+    """Return the file's text with these keys in the axis' [axis.law], each with its comment.
 
-    Raises UsageError where the file's layout does not allow it.
+    Everything else in the file keeps its values and layout. Raises UsageError if the layout prevents the change.
     """
     document: Any = tomlkit.parse(text)
     table = next(table for table in document["axis"] if table["name"] == axis)
@@ -77,7 +76,10 @@ def with_law(text: str, axis: str, keys: Mapping[str, Key]) -> str:
 
 
 def moved(text: str, axis: str, model: str, folder: Path) -> str:
-    """Return the file for another folder: this axis' model is `model`, and other relative paths start at `folder`."""
+    """Return the file's text for use in another folder.
+
+    The axis' model becomes `model`. Other relative paths become absolute, resolved from `folder`.
+    """
     document: Any = tomlkit.parse(text)
     for table in document["axis"]:
         table["model"] = model if table["name"] == axis else str((folder / table["model"]).resolve())
@@ -90,7 +92,7 @@ def moved(text: str, axis: str, model: str, folder: Path) -> str:
 
 
 def differ_in_law_alone(old: str, new: str, axis: str) -> bool:
-    """Whether `new` is what `with_law` makes of `old`."""
+    """Return True if the tuned keys of [axis.law] are the only difference between `old` and `new`."""
     document: Any = tomlkit.parse(new)
     law: Any = next((table.get("law", {}) for table in document.get("axis", []) if table.get("name") == axis), {})
     keys = {}
@@ -104,15 +106,15 @@ def differ_in_law_alone(old: str, new: str, axis: str) -> bool:
 
 NEEDED = frozenset(("tau_m_cmd", "tau_m", "q_m", "omega_m", "q_j", "omega_j"))
 LEAST_MARGIN = 2.0
-DIGITS = 3  # of what is derived
-MOST_COMPENSATION = 0.98  # whatever the interval says: what friction may lose until a guard has seen it
-LEAST_COMPENSATION = 0.8  # an interval that is wider says too little about friction
-STIFFEST = 10.0  # times the model's stiffness, or a tenth: a measurement beyond it is of something else
+DIGITS = 3  # significant digits of derived values
+MOST_COMPENSATION = 0.98  # upper limit for any interval: friction may drop by 2 % before a guard detects it
+LEAST_COMPENSATION = 0.8  # below this, the friction interval is too wide to use
+STIFFEST = 10.0  # largest plausible ratio of measured to model stiffness, or its inverse
 
 
 @dataclass(frozen=True)
 class Mechanics:
-    """What a shaken motor showed; None for what it did not, `notes` say why."""
+    """Hold the results of the shake phase; a result is None if it was not measured, and `notes` give the reason."""
 
     delay: Delay | None
     swing: Swing | None
@@ -121,7 +123,11 @@ class Mechanics:
 
 @dataclass(frozen=True)
 class LawTuning:
-    """`keys` of [axis.law], `quantities` with their intervals, the damping's gain `margin` (None without damping)."""
+    """Hold the derived keys of [axis.law] and the measurements behind them.
+
+    `quantities` are the measurements with their intervals. `margin` is the gain margin of the damping, None without
+    damping.
+    """
 
     keys: Mapping[str, Key]
     quantities: Mapping[str, Quantity]
@@ -133,7 +139,7 @@ class LawTuning:
         return {name: key.value for name, key in self.keys.items()}
 
     def to_dict(self) -> dict[str, Any]:
-        """JSON-ready."""
+        """Return the result in JSON types."""
         return {
             "keys": self.values,
             "quantities": {name: quantity.to_dict() for name, quantity in self.quantities.items()},
@@ -142,7 +148,7 @@ class LawTuning:
 
 
 def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
-    """From logs of a motor that was shaken while the joint slid."""
+    """Measure delay, motor inertia and stiffness from logs of a motor that was shaken while the joint moved."""
     missing = sorted({name for name in NEEDED for log in logs if name not in log})
     if missing:
         note = f"the log has no {', '.join(missing)}: delay and motor inertia are not measured"
@@ -163,15 +169,18 @@ def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
 
 
 def pulling(log: Dataset, inertia: float) -> Dataset:
-    """The log with the torque that reaches the tendons: without what carries the motor (kg*m^2) itself."""
+    """Return the log with the torque that reaches the tendons, tau_m less the motor's acceleration torque.
+
+    `inertia`: of the motor, kg*m^2.
+    """
     carrying = inertia * zero_phase_derivative(log["omega_m"], log.period)
     return dataclasses.replace(log, columns={**log.columns, "tau_m": log["tau_m"] - carrying})
 
 
 def stiffened(model: TendonSheath, found: Swing) -> tuple[TendonSheath, Quantity] | None:
-    """The model with the measured stiffness of its tendons, a series spring with them; and E A (N).
+    """Return the model with the measured tendon stiffness, and E A (N) with its interval.
 
-    None where it is beyond `STIFFEST`.
+    A series spring's stiffness is scaled by the same factor. Returns None if the factor is beyond `STIFFEST`.
     """
     factor = found.stiffness.value / sliding_stiffness(model)
     if not 1.0 / STIFFEST < factor < STIFFEST:
@@ -185,7 +194,7 @@ def stiffened(model: TendonSheath, found: Swing) -> tuple[TendonSheath, Quantity
 def law_tuning(
     configuration: Configuration, axis: AxisSettings, learned: Estimate, found: Mechanics
 ) -> LawTuning | None:
-    """What [axis.law] gets for an estimate; None where nothing was measured."""
+    """Return the keys of [axis.law] for an estimate, or None if the delay was not measured."""
     model = learned.model
     if found.delay is None:
         return None
@@ -234,10 +243,10 @@ def law_tuning(
 
 
 def bearable(compensation: float, given: TendonSheath, learned: Estimate) -> tuple[float, str | None]:
-    """The share of the given file's friction term with which it may be tried, and why that is less than was asked for.
+    """Return the permitted share of the given file's friction term, and the reason if it is below `compensation`.
 
-    c h_given <= h at the lower end of what the logs show: a file that says more friction than the rig has makes the
-    joint run, and would never come through its own trial.
+    The condition is c h_given <= h, with h the friction torque at the lower end of its measured interval. A file that
+    contains more friction than the rig has would drive the joint without a set-point and fail its verification run.
     """
     loop, new = learned.calibration.half_loop_torque, sliding(learned.model)
     least = abs(new.motor_half_loop) * min(1.0, max(0.0, loop.low / loop.value))
@@ -253,7 +262,10 @@ def bearable(compensation: float, given: TendonSheath, learned: Estimate) -> tup
 
 
 def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
-    """As much of the friction term as the half loop's lower end lets be friction; none for a file that wants none."""
+    """Return the compensation that the lower end of the friction torque's interval supports.
+
+    The result is empty if the interval is too wide or if compensation is 0 in the file.
+    """
     loop, given = learned.calibration.half_loop_torque, axis.law.compensation
     share = _floored(min(MOST_COMPENSATION, loop.low / loop.value))
     if not share >= LEAST_COMPENSATION or given == 0.0:
@@ -262,7 +274,7 @@ def _compensation(axis: AxisSettings, learned: Estimate) -> dict[str, Key]:
 
 
 def _floored(value: float) -> float:
-    """Three digits, not more than the value."""
+    """Round down to three significant digits; return 0 for a value that is not positive."""
     if value <= 0.0:
         return 0.0
     step = 10.0 ** (math.floor(math.log10(value)) - DIGITS + 1)

@@ -1,4 +1,4 @@
-"""The guided run: probe, excite, estimate, verify. What it returns is shown to the user, who decides."""
+"""Guide a tuning run through probe, excitation, estimate and verification, for the user to accept or reject."""
 
 from __future__ import annotations
 
@@ -33,19 +33,18 @@ from tsa_ctrl.tune.mechanics import MOTOR, LawTuning, Mechanics, bearable, measu
 from tsa_ctrl.tune.radii import radius_ratio, with_ratio
 from tsa_ctrl.tune.run import RigRunner, Run, longest
 
-# Shaking the motor a little: a fast sweep on top of a slow torque, which shows delay, inertia and stiffness.
-#
-# A sweep passes every frequency so quickly that nothing rings up, and comes back at another place of the joint's
-# motion. It is small beside what the joint slides with; the slow torque keeps a joint moving that nobody else moves.
-
-SHARE = 0.04  # of the torque allowed at the joint
+SHARE = 0.04  # amplitude of the sweeps, as a share of the torque allowed at the joint
 LOWEST = 10.0  # Hz
-HIGHEST = 0.27  # of the loop's rate; the hold of a period blurs what is faster
-SWEEP = 1.1  # s of one, no fraction of a step
+HIGHEST = 0.27  # as a share of the loop rate: the zero-order hold attenuates higher frequencies
+SWEEP = 1.1  # s, duration of one sweep; not a fraction of a step of the slow torque
 
 
 def shaken(slow: Waveform, peak: float, period: float) -> Waveform:
-    """The slow waveform with sweeps of `peak` N*m on it, at the loop's `period` (s)."""
+    """Return the slow waveform with fast sweeps of `peak` N*m added, sampled at the loop's `period` (s).
+
+    The sweeps show delay, inertia and stiffness, and pass each frequency too quickly to excite a resonance. They
+    repeat at other positions of the joint, and the slow torque keeps a free joint moving.
+    """
     t = np.arange(0.0, slow.seconds, period)
     since = np.mod(t, SWEEP)
     highest = HIGHEST / period
@@ -55,22 +54,22 @@ def shaken(slow: Waveform, peak: float, period: float) -> Waveform:
 
 
 def fastest(peak: float, period: float) -> float:
-    """N*m/s that the set-point must be let change, for the sweep's last frequency."""
+    """Return the set-point rate (N*m/s) that the highest frequency of a sweep requires."""
     return 2.0 * np.pi * HIGHEST / period * peak * 1.5
 
 
 PROBE_SECONDS = 6.0
 STIFFNESS = "axial_stiffness"
-BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without what moves or damps the motor by itself
+BARE: Mapping[str, None] = dict.fromkeys(MOTOR)  # the law without the keys that describe and damp the motor
 LawOf = Callable[[Estimate, Mechanics], LawTuning | None]
-Progress = Callable[[str, float], None]  # what is being done, share of the whole that is done
-Ask = Callable[[str], None]  # says what a person is to do, and comes back when they are ready
+Progress = Callable[[str, float], None]  # phase, completed share of the whole run
+Ask = Callable[[str], None]  # shows an instruction and returns when the user is ready
 PHASES = ("probe", "shake", "excitation", "estimate", "without", "before", "after")
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What the user decides; s and N*m."""
+    """Hold the user's settings of a tuning, in s and N*m."""
 
     seconds: float  # of the excitation
     verification_seconds: float
@@ -79,8 +78,8 @@ class Settings:
     certified_gain: bool
     forms: bool
     extended: bool
-    by_stretch: bool = False  # the joint torque is that of the tendons' stretch: there is no sensor
-    excitation: Waveform | None = None  # to play in place of a designed one; then `seconds` are its own
+    by_stretch: bool = False  # estimate the joint torque from the tendon elongation, for a rig without a sensor
+    excitation: Waveform | None = None  # played in place of a designed one; `seconds` is then its duration
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class Verification:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Everything that was found; `text` is the new model file, `law` what the controller's gets."""
+    """Hold the results of a tuning; `text` is the new model file, `law` the new keys of the controller's file."""
 
     nominal: TendonSheath
     estimate: Estimate
@@ -110,7 +109,7 @@ class Outcome:
 
     @property
     def better(self) -> bool:
-        """Whether the new file does better on data that it was not made from."""
+        """Return True if the new file has the smaller error on data that was not used for the estimate."""
         if self.verification is not None:
             return self.verification.after.rms < self.verification.before.rms
         return self.estimate.calibration.rms_after < self.estimate.calibration.rms_before
@@ -118,23 +117,23 @@ class Outcome:
 
 @dataclass(frozen=True)
 class _Trial:
-    """A new file that is tried on the rig."""
+    """Hold a new model file that is tried on the rig."""
 
-    kind: str  # at the end of its names
+    kind: str  # suffix of the names of its file and its run
     found: Estimate
     law: LawTuning | None
     text: str
-    played: tuple[Path, float]  # the file, and the share of the friction term beside it
-    bearable: float  # 1, of the friction term, that the rig bears with the given file
+    played: tuple[Path, float]  # the file and the share of its friction term that is applied
+    bearable: float  # permitted share of the given file's friction term, 1
 
     @property
     def values(self) -> Mapping[str, float | None] | None:
-        """Of [axis.law], its own factor among them."""
+        """Return the values for [axis.law], which include the compensation; None if nothing was derived."""
         return None if self.law is None else self.law.values
 
 
 class Procedure:
-    """The stages on one rig, in order; each run's share of the time is told."""
+    """Run the phases on one rig in order and report the progress."""
 
     def __init__(
         self,
@@ -148,10 +147,18 @@ class Procedure:
         say: Progress,
         ask: Ask | None = None,
     ) -> None:
-        """`path` is the axis' model file and `model` what it says; the new one is tried from `folder`.
+        """Prepare the phases; nothing moves yet.
 
-        `law_of`: what [axis.law] gets for an estimate and what was measured of the motor; `ask`: None where nobody can
-        be asked to move the joint.
+        Args:
+            runner: plays waveforms on the axis.
+            path: model file of the axis.
+            model: parameters in that file.
+            bounds: permitted torque, speed and travel of the joint.
+            settings: the user's settings.
+            law_of: returns the keys of [axis.law] for an estimate and the measurements of the motor.
+            folder: where the new model file is written for its trial.
+            say: receives the progress.
+            ask: asks the user to move the joint; None if no user is present.
         """
         self._runner = runner
         self._path = path
@@ -168,7 +175,7 @@ class Procedure:
     def run(self) -> Outcome:
         """Probe, shake, excite, estimate and verify.
 
-        Raises UsageError when the rig cannot show what is wanted, BusError when a run fails.
+        Raises UsageError if the rig's motion does not suffice for an estimate, BusError if a run fails.
         """
         designed = self._design()
         mechanics = self._shake(designed.shake)
@@ -189,7 +196,7 @@ class Procedure:
         return Outcome(self._model, found, logs, designed, verification, trials[best].text, trials[best].law)
 
     def _trial(self, learned: Estimate, mechanics: Mechanics, logs: Sequence[Dataset], kind: str = "") -> _Trial:
-        """An estimate as it would be written, and what the loop needs to play it."""
+        """Write the model file of an estimate for its trial and return the inputs of the verification run."""
         found = stiff(learned, mechanics)
         law = self._law_of(found, mechanics)
         factor = self._settings.compensation
@@ -202,7 +209,10 @@ class Procedure:
         return _Trial(kind, found, law, text, (new, factor), tried)
 
     def _excite(self, wave: Waveform, mechanics: Mechanics) -> tuple[tuple[Dataset, ...], Estimate]:
-        """The logs and what they show; where a free joint shows too little, once more with a person who moves it."""
+        """Play the excitation and return its logs and the estimate.
+
+        If a free joint moves too little, the excitation is repeated while the user moves the joint.
+        """
         first = self._excitation("excitation", wave, mechanics)
         try:
             return first, learn(first, self._model, self._settings)
@@ -228,13 +238,13 @@ class Procedure:
         return logs if swing is None else tuple(pulling(log, swing.inertia.value) for log in logs)
 
     def _shake(self, slow: Waveform) -> Mechanics:
-        """What a little shaking shows of the motor on its tendons; a rig that cannot be shaken is tuned without."""
+        """Shake the motor and return what could be measured; the tuning continues without the rest."""
         peak, period = SHARE * self._bounds.torque, self._settings.period
         played = self._play("shake", self._path, 0.0, shaken(slow, peak, period), BARE, fastest(peak, period))
         return measured(played.learnable(), self._model)
 
     def _design(self) -> Design:
-        """Little torque first, more until the joint moves."""
+        """Probe with increasing torque until the joint moves, then design the excitation."""
         for number, share in enumerate(PROBE_SHARES):
             wave = probe(self._bounds, share, PROBE_SECONDS)
             played = self._play(f"probe-{number + 1}", self._path, 0.0, wave, BARE)
@@ -266,7 +276,7 @@ class Procedure:
 
 
 def _worse(learned: Estimate, first: Run, second: Run) -> str:
-    """Why what the diagnosis added is not written."""
+    """Return the note that explains why the effects added by the diagnosis are not written."""
     return (
         f"not used: {' and '.join(learned.effects)}, which the diagnosis named; on a motion not used for the fit the "
         f"error is {1e3 * first.rms:.0f} mN·m with and {1e3 * second.rms:.0f} mN·m without"
@@ -274,19 +284,22 @@ def _worse(learned: Estimate, first: Run, second: Run) -> str:
 
 
 def phase(name: str) -> str:
-    """Of a run, with its place among all of them: "phase 3 of 7: excitation"."""
+    """Return the label of a run's phase, for example "phase 3 of 7: excitation"."""
     number = 1 + PHASES.index(name.split("-")[0])
     return f"phase {number} of {len(PHASES)}: {name}"
 
 
 def from_logs(path: Path, model: TendonSheath, logs: Sequence[Dataset], settings: Settings) -> Outcome:
-    """The estimate alone, from logs that exist; nothing moves."""
+    """Return the estimate from existing logs, without moving the rig."""
     found = learn(logs, model, settings)
     return Outcome(model, found, tuple(logs), None, None, new_file(path, found, logs, "tune --from-log"))
 
 
 def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> Estimate:
-    """The new model from logs; raises UsageError when they do not show enough, or contradict the radii."""
+    """Estimate the new model from logs.
+
+    Raises UsageError if the logs contain too little motion or contradict the pulley radii.
+    """
     ratio = radius_ratio(logs, model)
     model, notes = with_ratio(model, ratio)
     if settings.by_stretch:
@@ -299,7 +312,7 @@ def learn(logs: Sequence[Dataset], model: TendonSheath, settings: Settings) -> E
 
 
 def stiff(found: Estimate, mechanics: Mechanics) -> Estimate:
-    """The estimate with the stiffness of the tendons that the motor's swing shows."""
+    """Return the estimate with the tendon stiffness measured from the motor's oscillation, if there is one."""
     changed = None if mechanics.swing is None else stiffened(found.model, mechanics.swing)
     if changed is None:
         return found
@@ -320,7 +333,7 @@ def new_file(
     law: LawTuning | None = None,
     origin: Origin | None = None,
 ) -> str:
-    """Text of the new model file: the old one's comments and layout, the new numbers, and where they came from.
+    """Return the new model file: the old comments and layout, the new values and their provenance.
 
     `origin`: the joint that was tuned; None for logs.
     """

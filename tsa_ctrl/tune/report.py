@@ -1,4 +1,4 @@
-"""A tuning for the terminal and as one JSON object."""
+"""Report a tuning as a self-contained page (numbers, pictures, diff), in the terminal and as one JSON object."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from rich.table import Table
 from tsa_ctrl.identify.quantity import Quantity, spelled
 from tsa_ctrl.tune.procedure import Outcome
 from tsa_ctrl.version import __version__
-
-# One self-contained page about a tuning: numbers, pictures, and the diff of the model file.
 
 TEMPLATE = "page.html.j2"
 

@@ -49,7 +49,7 @@ class Run:
         return float(np.sqrt(np.mean(np.square(self.delivered - self.wanted))))
 
     def learnable(self) -> tuple[Dataset, ...]:
-        """The pieces; raises BusError when there is none."""
+        """Return the pieces of the log without missing cycles; raises BusError if all are too short."""
         if not self.pieces:
             raise BusError(
                 f"the run '{self.name}' has no stretch of {SHORTEST_PIECE:g} s without missing cycles; "
@@ -59,7 +59,7 @@ class Run:
 
 
 class RigRunner:
-    """Plays waveforms on one axis of a rig; everything that is written goes to `folder`."""
+    """Play waveforms on one axis of a rig; all files are written to `folder`."""
 
     def __init__(
         self,
@@ -72,9 +72,9 @@ class RigRunner:
     ) -> None:
         """Prepare the runs of one axis.
 
-        `run` plays `controller-NAME.toml` of a folder, on the rig or in a simulation. `by_stretch`: the joint torque is
-        estimated from the tendon elongation, because there is no sensor. Attribute `origin`: the nodes that the last
-        run found, and whether they were simulated; empty before the first run.
+        `run` plays `controller-NAME.toml` of a folder, on the rig or in a simulation. Set `by_stretch` on a rig without
+        a joint torque sensor to estimate the joint torque from the tendon elongation. The attribute `origin` holds the
+        nodes that the last run found and whether they were simulated. It is empty before the first run.
         """
         self.origin = Origin()
         self._run = run
@@ -97,12 +97,12 @@ class RigRunner:
         law: Mapping[str, float | None] | None = None,
         rate: float | None = None,
     ) -> Run:
-        """Play once and read the log; raises BusError when the run fails.
+        """Play the waveform once and read the log; raises BusError if the run fails.
 
-        The model is played as a file of this rig, whatever joint it was tuned on: a friction term is tried only after
-        the excitation has shown how much friction the rig has.
-        `law`: keys of [axis.law] in place of the file's, None for one that is left out; `rate`: N*m/s that the
-        set-point may change by, in place of the default.
+        The model is played as a file of this rig, whatever joint it was tuned on. This is safe because a friction term
+        is tried only after the excitation has measured the rig's friction.
+        `law`: keys of [axis.law] that replace the file's, None for a key that is left out.
+        `rate`: set-point rate in N*m/s, in place of the default.
         """
         table = np.column_stack([waveform.t, waveform.tau_j_des])
         setpoint = self._folder / f"{name}.csv"

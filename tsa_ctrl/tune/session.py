@@ -1,4 +1,4 @@
-"""One call of `tsa tune`: checks, the folder that it works in, and what is left of it at the end."""
+"""Run one call of `tsa tune`: check the inputs, provide a working folder, and write or undo the results."""
 
 from __future__ import annotations
 
@@ -38,23 +38,19 @@ from tsa_ctrl.tune.procedure import PROBE_SECONDS, Ask, Outcome, Procedure, Prog
 from tsa_ctrl.tune.report import write_page
 from tsa_ctrl.tune.run import Play, RigRunner
 
-# The files' way: what would change as a diff, the old ones kept beside them, and back again.
-#
-# A tuning keeps all files that it replaces under one number, `NAME.~N~`, above those of all files that it may replace.
-# A signal waits until all of them are written.
-
 
 def diff(path: Path, text: str) -> str:
-    """Unified diff from the file to `text`."""
+    """Return the unified diff from the file to `text`."""
     before = path.read_text(encoding="utf-8").splitlines(keepends=True)
     return "".join(difflib.unified_diff(before, text.splitlines(keepends=True), path.name, f"{path.name} (new)"))
 
 
 @postponed()
 def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path, Path]:
-    """Write each text to its path, by renaming; returns where the files that were there are kept.
+    """Write each text to its path by renaming, and return the backup file of each path.
 
-    Their number is above all that these paths and those `beside` have. When one cannot be written, none is.
+    All backups of one call are called `NAME.~N~` with the same N, one above the highest N of `texts` and `beside`. If
+    one file cannot be written, none is changed. SIGINT and SIGTERM wait until all files are written.
     """
     number = 1 + max((n for path in (*texts, *beside) for n in backups(path)), default=0)
     kept = {path: path.with_name(f"{path.name}.~{number}~") for path in texts}
@@ -75,7 +71,10 @@ def replace(texts: Mapping[Path, str], beside: Sequence[Path] = ()) -> dict[Path
 
 
 def last(path: Path, *others: Path) -> dict[Path, Path]:
-    """The newest kept file of `path`, and what was kept of the others with it; raises UsageError when there is none."""
+    """Return the newest backup of `path` and the backups of `others` from the same tuning.
+
+    Raises UsageError if `path` has no backup, or if one of `others` was replaced again since.
+    """
     old = backups(path)
     if not old:
         raise UsageError(f"{path}: nothing to undo, no {path.name}.~N~ is beside it")
@@ -92,7 +91,7 @@ def last(path: Path, *others: Path) -> dict[Path, Path]:
 
 @postponed()
 def undo(kept: Mapping[Path, Path]) -> None:
-    """Put kept files back in place."""
+    """Move the backups (values) back to their paths (keys)."""
     for path, old in kept.items():
         settings.write_text(path, old.read_text(encoding="utf-8"))
     for old in kept.values():
@@ -101,7 +100,7 @@ def undo(kept: Mapping[Path, Path]) -> None:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the user asks for; None where the controller's file decides."""
+    """Hold the options of `tsa tune`; for None the controller's file applies."""
 
     torque: float | None = None  # N*m at the joint
     speed: float | None = None  # rad/s of the joint
@@ -111,13 +110,13 @@ class Plan:
     certified_gain: bool = False
     forms: bool = True
     extended: bool = False
-    setpoint: Path | None = None  # file to play as the excitation, as a diagnosis writes it
-    plant: Path | None = None  # in virtual time on this simulated plant; default: on the rig's bus
+    setpoint: Path | None = None  # file to play as the excitation, in the format that a diagnosis writes
+    plant: Path | None = None  # simulated plant to use in virtual time; default: the rig's bus
     allow_simulated: bool = False  # start on hardware from a model file with simulated numbers
 
 
 class Session:
-    """Everything that is known before anything moves; `path` is the model file that may be written."""
+    """Check one call of `tsa tune`, run it and write its files; `path` is the model file that may be written."""
 
     def __init__(self, controller: Path, axis: str | None, plan: Plan) -> None:
         """Read and check the configuration; raises UsageError."""
@@ -147,7 +146,7 @@ class Session:
 
     @property
     def socket(self) -> str | None:
-        """Where the daemon of each run answers; None where there is none: in virtual time."""
+        """Return the socket path of the daemon, or None in virtual time, where no daemon runs."""
         return None if self._plant is not None else self._configuration.file.socket.path or default_path()
 
     def _chosen(self, controller: Path, name: str | None) -> AxisSettings:
@@ -186,9 +185,9 @@ class Session:
         return Bounds(most if plan.torque is None else plan.torque, speed, travel)
 
     def undo(self) -> dict[Path, Path]:
-        """Put the files back that the last tuning replaced, and return where they were kept.
+        """Restore the files that the last tuning replaced, and return their backups.
 
-        Raises UsageError when there are none, or when the controller's was edited since.
+        Raises UsageError if there are no backups, or if the controller's file was edited since.
         """
         controller = self._configuration.path
         kept = last(self.path, controller)
@@ -203,7 +202,7 @@ class Session:
         return kept
 
     def plan_dict(self) -> dict[str, Any]:
-        """What would be done, JSON-ready."""
+        """Return the planned run in JSON types."""
         settings = self._settings
         return {
             "schema": 1,
@@ -224,7 +223,7 @@ class Session:
         }
 
     def plan_text(self) -> str:
-        """The same for people."""
+        """Return the planned run as text."""
         bounds, settings = self.bounds, self._settings
         wave = (
             f"at {', '.join(f'{f:g}' for f in FREQUENCIES)} Hz" if settings.excitation is None else "of the file given"
@@ -248,7 +247,7 @@ class Session:
 
     @contextlib.contextmanager
     def workspace(self, out: Path | None, keep: bool) -> Iterator[None]:
-        """A folder for everything that is written on the way; it is gone again unless `finish` was reached."""
+        """Provide a temporary folder for all files of the run; it is removed unless `finish` moves it into place."""
         final = out if out is not None else untaken(self._configuration.log_folder, "tune")
         if final.exists() and (not final.is_dir() or any(final.iterdir())):
             raise UsageError(f"{final}: exists already and is not empty; choose another --out")
@@ -264,7 +263,10 @@ class Session:
             shutil.rmtree(temporary, ignore_errors=True)
 
     def run(self, say: Progress, ask: Ask | None = None) -> Outcome:
-        """The whole procedure on the rig; `ask` where a person can move the joint. Raises UsageError, BusError."""
+        """Run the whole procedure on the rig.
+
+        `ask`: asks the user to move the joint; None if no user is present. Raises UsageError, BusError.
+        """
         self._check_ready()
         told = self._settings.by_stretch
         runner = RigRunner(self._configuration, self.axis, self.bounds, self._folder, self._play(), told)
@@ -280,7 +282,10 @@ class Session:
         return functools.partial(play, plant=self._plant)
 
     def _check_ready(self) -> None:
-        """The joint torque is measured, or told by the tendons' stretch, and the bus is there."""
+        """Check that the joint torque is measured or can be estimated from the tendon elongation, and check the bus.
+
+        Raises UsageError, BusError.
+        """
         if not self._has_sensor() and (reason := why_not_told(self._model, self.axis.encoder is not None)):
             raise UsageError(
                 f"{self._configuration.path}: axis '{self.axis.name}' has no joint torque sensor, and {reason}; or "
@@ -298,11 +303,14 @@ class Session:
         return self.axis.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in self.axis.serial)
 
     def from_logs(self, logs: Sequence[str], cutoff: float | None = None) -> Outcome:
-        """The estimate from logs that exist; `cutoff` as of `load_log`. Raises UsageError."""
+        """Return the estimate from existing logs; `cutoff` as in `load_log`. Raises UsageError."""
         return from_logs(self.path, self._model, load_logs(logs, cutoff=cutoff), self._settings)
 
     def changes(self, outcome: Outcome) -> dict[Path, str]:
-        """The files to be written and their new texts: the model's and, with the motor measured, the controller's."""
+        """Return the files to be written and their new texts.
+
+        These are the model file and, if the motor was measured, the controller's file.
+        """
         texts = {self.path: outcome.text}
         if outcome.law is not None:
             configuration = self._configuration
@@ -310,16 +318,16 @@ class Session:
         return texts
 
     def difference(self, outcome: Outcome) -> str:
-        """Diff of the files."""
+        """Return the unified diffs of all files to be written."""
         return "".join(diff(path, text) for path, text in self.changes(outcome).items())
 
     def worth_writing(self, outcome: Outcome) -> bool:
-        """Whether the new file did better, and the loop can use it."""
+        """Return True if the new file has the smaller error; raises UsageError if the loop cannot use it."""
         Feedforward(outcome.estimate.model, self._configuration.period)  # raises UsageError for what it cannot invert
         return outcome.better
 
     def finish(self, outcome: Outcome) -> None:
-        """Draw the page, and put everything in its place."""
+        """Draw the pictures, write the report, and move the working folder into place if it is kept."""
         pictures = draw(outcome, self._folder)
         write_page(outcome, self.axis.name, self.path, self.difference(outcome), pictures, self._folder / "report.html")
         if self._final is None:
@@ -337,7 +345,7 @@ class Session:
         return list(self.changes(outcome)) if self._plant is None else list(self._simulated(outcome))
 
     def write(self, outcome: Outcome) -> dict[Path, Path | None]:
-        """Write the files; returns where those before are kept, None for new ones."""
+        """Write the files, and return the backup of each; None for a file that is new."""
         if self._plant is None:
             return dict(replace(self.changes(outcome), beside=(self._configuration.path,)))
         texts = self._simulated(outcome)
