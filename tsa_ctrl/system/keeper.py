@@ -1,7 +1,8 @@
-"""A process beside the loop in two: a worker, and its parent, which replaces it when it is gone or hangs.
+"""Run a worker process and replace it when it ends or hangs.
 
-The worker leaves a sign of life where both can read it. One that leaves none is killed first, and waited for: never are
-there two. The loop's process has no part in it, as a fork there would cost it cycles.
+The worker periodically leaves a sign of life that its parent, the keeper, can read. The keeper kills a worker that
+hangs and waits for its end before it starts another, so there are never two. The keeper runs in a separate process,
+because a fork in the loop's process would cost the loop cycles.
 """
 
 from __future__ import annotations
@@ -17,22 +18,21 @@ import traceback
 from collections.abc import Callable, Iterator
 from subprocess import Popen
 
-# Processes started for another one: they end with it (Linux: prctl(2), PR_SET_PDEATHSIG), and not by the terminal.
-
-_PARENT = "TSA_PARENT"  # environment: the process that the started one belongs to
+# A child process ends with its parent (Linux: prctl(2), PR_SET_PDEATHSIG), not by a signal of the terminal.
+_PARENT = "TSA_PARENT"  # environment variable with the parent's process id
 _PR_SET_PDEATHSIG = 1
 
 
 def environment() -> dict[str, str]:
-    """The environment for a process that shall get SIGTERM when this one is gone, killed or not."""
+    """Return the environment for a child that shall receive SIGTERM however this process ends."""
     return {**os.environ, _PARENT: str(os.getpid())}
 
 
 @contextlib.contextmanager
 def terminal_blocked() -> Iterator[None]:
-    """What is started inside never gets the terminal's signals, not even before it can say so: its owner ends it.
+    """Block SIGINT and SIGHUP, so that a process started in the block inherits the mask and ignores the terminal.
 
-    They wait for the end of the block here.
+    The parent ends such a process. In this process, both signals are delivered at the end of the block.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
@@ -42,9 +42,9 @@ def terminal_blocked() -> Iterator[None]:
 
 
 def child(module: str, *arguments: object, stdout: int = subprocess.PIPE, fd: int | None = None) -> Popen[bytes]:
-    """`python -m MODULE ARGUMENTS`, told what it needs through its stdin; `fd` is handed on to it.
+    """Start `python -m MODULE ARGUMENTS` with a pipe to its stdin; the file descriptor `fd` is passed on to it.
 
-    Start it before real-time scheduling is asked for, so that it runs without it.
+    Call this before real-time scheduling is requested, so that the child does not inherit it.
     """
     with terminal_blocked():
         return subprocess.Popen(
@@ -56,7 +56,10 @@ def child(module: str, *arguments: object, stdout: int = subprocess.PIPE, fd: in
 
 
 def follow() -> None:
-    """Called by the started process: a parent that is gone already ends it at once."""
+    """Bind the started process to its parent; exit at once if the parent has already ended.
+
+    The started process calls this function itself.
+    """
     parent = os.environ.pop(_PARENT, "")
     if not parent or not sys.platform.startswith("linux"):
         return
@@ -66,14 +69,14 @@ def follow() -> None:
 
 
 def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
-    """From now on this process gets the signal `number` when the one that started it is gone, killed or not."""
+    """Request the signal `number` for this process as soon as its parent ends, for whatever reason."""
     with contextlib.suppress(OSError, AttributeError):  # not Linux
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
 
 
-LOOK = 0.1  # s between two looks at the worker
-REST = 1.0  # s between two starts: one that dies at once shall not take the processor from a loop
-MOST = 10  # workers in the place of another; what needs more of them is better given up and said
+LOOK = 0.1  # s between two checks of the worker
+REST = 1.0  # s between two starts, so that a worker that fails at once takes no processor time from the loop
+MOST = 10  # replacements before the keeper gives up
 
 
 def keep(
@@ -83,12 +86,19 @@ def keep(
     hangs: float,
     replaced: Callable[[int], None],
 ) -> int:
-    """Have `work` done by a process of its own, and by another one whenever that fails; returns its exit code.
+    """Run `work` in a child process and start another one whenever it fails.
 
-    `work` gets how many there were before it; `alive` leaves a sign of life, and `heard` says when the last one was
-    left (s, monotonic); none for `hangs` s is the end of that worker. `replaced` gets how many were, before each new
-    one.
-    Call it in a process of one thread. When this process is gone, so is the worker.
+    Call this in a process with one thread. If this process ends, the worker ends as well.
+
+    Args:
+        work: the worker's function; receives the number of earlier workers and returns an exit code.
+        alive: records a sign of life; called before each start.
+        heard: returns the time of the last sign of life, s of the monotonic clock.
+        hangs: s without a sign of life after which the worker is killed.
+        replaced: called before each replacement with the number of earlier workers.
+
+    Returns:
+        0 when a worker ends with 0, or 1 after `MOST` replacements.
     """
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # waited for, below
     for number in range(MOST + 1):
@@ -123,13 +133,13 @@ def _start(work: Callable[[int], int], number: int) -> int:
 
 
 def _watched(worker: int, heard: Callable[[], float], hangs: float) -> int:
-    """Until it is gone; its exit code, not 0 for one that was killed."""
+    """Wait for the worker's end and return its exit code, which is not 0 for a killed worker."""
     killed = False
     while True:
         done, status = os.waitpid(worker, os.WNOHANG)
         if done:
             return os.waitstatus_to_exitcode(status)
         if not killed and time.monotonic() - heard() > hangs:
-            os.kill(worker, signal.SIGKILL)  # one that waits for a dead disk is gone only when the disk answers
+            os.kill(worker, signal.SIGKILL)  # a worker blocked by a disk ends only when the disk responds
             killed = True
-        signal.sigtimedwait({signal.SIGCHLD}, LOOK)  # at once when it ends: the end of a run waits for it
+        signal.sigtimedwait({signal.SIGCHLD}, LOOK)  # returns at once when the worker ends, as the run's end waits

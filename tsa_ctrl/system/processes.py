@@ -1,4 +1,4 @@
-"""Plant and daemon as the processes that a user would start, watched, and ended whatever happens."""
+"""Start plant and daemon as the processes that a user would start, and end them in every case."""
 
 from __future__ import annotations
 
@@ -21,23 +21,21 @@ from typing import Any
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.keeper import environment
 
-# The process that workers are forked from, which loads what they need while this one does something else.
-
-# Signals of a process: those that are not its concern, and those that shall wait.
-
 
 def ignore(*numbers: signal.Signals) -> None:
-    """These reach the whole group of a terminal; what they mean for this process is decided by another one."""
+    """Ignore signals that a terminal sends to its whole process group, because another process ends this one."""
     for number in numbers:
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
 def unheard_by_children() -> Iterator[None]:
-    """Ctrl-C never reaches a process that this thread starts in the block; its parent, which ends it, has it after it.
+    """Shield processes that this thread starts in the block from Ctrl-C.
 
-    By the mask, which a new program keeps from its first instruction: a handler of its own comes a second too late,
-    and until then it would end with a traceback. The tracker of multiprocessing would undo the mask as it starts.
+    This process receives a pending Ctrl-C after the block and must end its children. The signal mask is used because a
+    new program inherits it from its first instruction. A handler in the child would be installed about a second later,
+    and a Ctrl-C before that would end the child with a traceback. The resource tracker of multiprocessing is started
+    first because its start would reset the mask.
     """
     from multiprocessing import resource_tracker  # most processes have no children
 
@@ -51,10 +49,10 @@ def unheard_by_children() -> Iterator[None]:
 
 @contextlib.contextmanager
 def postponed() -> Iterator[None]:
-    """SIGINT and SIGTERM are handled when the block is left.
+    """Postpone SIGINT and SIGTERM to the end of the block.
 
-    By handlers: a mask is one thread's own, and a signal takes any thread that lets it through. Beside the main thread
-    nothing is to be done, as Python runs handlers in that one alone.
+    Handlers are used because a signal mask applies to one thread only, and another thread could receive the signal.
+    Outside the main thread the block does nothing, because Python runs signal handlers in the main thread only.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -75,10 +73,11 @@ LEAN = "tsa_ctrl.system.lean"
 
 
 def loading(module: str) -> BaseContext:
-    """What starts workers with `module` imported, from a process that imports it from now on; the first call counts.
+    """Return the context that starts workers with `module` imported already.
 
-    A fork of this process would take its threads' locks along. Linear algebra takes one thread in all of them, which
-    would only get in each other's way.
+    A server process imports `module` in the background and forks the workers; only the first call chooses the module.
+    A fork of this process would copy locks that its threads hold. Linear algebra is limited to one thread per process,
+    because the workers would compete for the processors otherwise.
     """
     for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
@@ -91,17 +90,17 @@ def loading(module: str) -> BaseContext:
 
 READY_TIME = 120.0  # s: the plant compiles its physics on the first start of a machine
 END_TIME = 15.0  # s
-OVERTIME = 30.0  # s beyond the asked duration until a daemon counts as hung
+OVERTIME = 30.0  # s beyond the requested duration after which the daemon counts as hung
 
 
 def tsa(*arguments: str) -> list[str]:
-    """The command line of a verb, whatever is on PATH."""
+    """Return the command line of a `tsa` command, independent of PATH."""
     return [sys.executable, "-m", "tsa_ctrl", *arguments]
 
 
 @contextlib.contextmanager
 def plant(folder: Path, record: str | None = None) -> Iterator[subprocess.Popen[str]]:
-    """`tsa plant plant.toml` in `folder`, ready; ended when the block is left."""
+    """Run `tsa plant plant.toml` in `folder`, wait until it is ready, and end it when the block is left."""
     more = [] if record is None else ["--record", record]
     process = subprocess.Popen(
         tsa("plant", "plant.toml", *more),
@@ -148,16 +147,16 @@ def _wait_ready(process: subprocess.Popen[str]) -> None:
 
 
 def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
-    """Run `tsa run controller-NAME.toml` in `folder` for `seconds` of torque; returns its summary.
+    """Run `tsa run controller-NAME.toml` in `folder` for `seconds` of torque, and return its summary.
 
-    However this function is left, the daemon is asked to ramp its torque to 0 and to end, and is waited for. `tick` is
-    called with the share of the time that has gone. Raises BusError with the daemon's last line when it fails.
+    If this function is left early, the daemon receives SIGTERM, which ramps the torque to 0, and is waited for. `tick`
+    is called with the elapsed share of the time. Raises BusError with the daemon's last line if it fails.
     """
     command = tsa("run", f"controller-{name}.toml", "--seconds", f"{seconds:g}", "--json")
     process = None
     begin = time.monotonic()
     try:
-        with postponed():  # no process may start that nobody knows of
+        with postponed():  # a signal between start and assignment would leave a process that is never ended
             process = subprocess.Popen(
                 command, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
             )
