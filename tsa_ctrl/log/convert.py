@@ -1,4 +1,4 @@
-"""A log to CSV, CSV.gz or Parquet: one file per axis, codes as their names, columns that were never there left out."""
+"""Convert a log to CSV, CSV.gz or Parquet: one file per axis, codes as names, without columns that have no values."""
 
 from __future__ import annotations
 
@@ -21,18 +21,19 @@ from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.record import BY_NAME
 from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
 
-# Columns of doubles to CSV: the shortest text that reads back to the same number, nan as an empty field.
-
-ROWS = 16384  # written at once
+ROWS = 16384  # per block that is written at once
 
 Codes = Mapping[str, Mapping[int, str]]
 
 
 class CsvFile:
-    """A CSV file written in blocks of rows, compressed when asked; raises OSError."""
+    """Write a CSV file in blocks of rows, optionally compressed; raises OSError.
+
+    A number is written as the shortest text that reads back to the same number, and nan as an empty field.
+    """
 
     def __init__(self, path: Path, names: Sequence[str], codes: Codes | None = None, compressed: bool = False) -> None:
-        """`codes` gives the names of coded columns' values."""
+        """Open the file and write the header line; `codes` maps the values of coded columns to names."""
         self._names = names
         self._codes = codes or {}
         raw = gzip.GzipFile(path, "wb", compresslevel=4) if compressed else path.open("wb")
@@ -40,7 +41,7 @@ class CsvFile:
         self._stream.write(",".join(names) + "\n")
 
     def write(self, block: NDArray[np.float64]) -> None:
-        """Rows, shape (k, columns)."""
+        """Write rows, shape (k, columns)."""
         columns = [self._texts(name, block[:, i]) for i, name in enumerate(self._names)]
         self._stream.write("".join([",".join(row) + "\n" for row in zip(*columns, strict=True)]))
 
@@ -56,13 +57,13 @@ class CsvFile:
 
 
 def in_blocks(columns: Mapping[str, NDArray[np.float64]]) -> Iterator[NDArray[np.float64]]:
-    """Rows of the columns, each (n,), in blocks of (k, columns)."""
+    """Yield the rows of the columns, each of shape (n,), in blocks of shape (k, columns)."""
     for start in range(0, len(next(iter(columns.values()), ())), ROWS):
         yield np.column_stack([values[start : start + ROWS] for values in columns.values()])
 
 
 def write_columns(path: Path, columns: Mapping[str, NDArray[np.float64]], keeping: bool = True) -> None:
-    """Write a table, compressed where its name ends with .gz; raises UsageError. `keeping`: what was there is kept."""
+    """Write a table, compressed if the name ends with .gz; `keeping` keeps an existing file. Raises UsageError."""
     with (
         outputs.beside(path, keeping) as part,
         contextlib.closing(CsvFile(part, list(columns), compressed=path.suffix == ".gz")) as file,
@@ -72,7 +73,7 @@ def write_columns(path: Path, columns: Mapping[str, NDArray[np.float64]], keepin
 
 
 def coded(values: NDArray[np.float64], names: Mapping[int, str]) -> list[str]:
-    """Codes as their names; one without a name stays a number."""
+    """Return the names of codes; a code without a name is returned as a number."""
     return ["" if v != v else names.get(int(v), f"{v:g}") for v in values.tolist()]
 
 
@@ -84,7 +85,7 @@ Blocks = Iterator[NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class _Source:
-    """One axis to write: its columns, the names of its codes, its rows in blocks (k, columns)."""
+    """Hold one axis to write: its columns, the names of its codes, its rows in blocks of shape (k, columns)."""
 
     axis: str | None
     names: list[str]
@@ -96,7 +97,7 @@ class _Source:
 
 @dataclass(frozen=True)
 class Written:
-    """One file written, and what of the log is not in it, in words."""
+    """Hold the path of one written file and notes on the parts of the log that it does not contain."""
 
     path: Path
     notes: tuple[str, ...]
@@ -193,7 +194,10 @@ def _open(path: Path, part: Path, source: _Source) -> _Sink:
 
 
 class _Parquet:
-    """Gathers the blocks in a database beside the file, so that a log may be larger than memory; codes as text."""
+    """Write a Parquet file, with codes as text, from blocks gathered in a database next to the file.
+
+    The database makes it possible to convert a log that is larger than the memory.
+    """
 
     def __init__(self, path: Path, source: _Source) -> None:
         self._path = path

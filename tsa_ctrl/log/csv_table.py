@@ -1,13 +1,14 @@
-"""CSV files of any size to columns of doubles, with errors that name the place.
+"""Read CSV files of any size into columns of doubles, with errors that state row and column.
 
-Comma, semicolon and tab part the fields; a byte-order mark, Windows line ends, quotes, spaces and `#` lines above the
-header are accepted. A decimal comma is not: a number must read the same everywhere. DuckDB parts the lines and reads
-the numbers (each as `float()` would); here is what it accepts and a log may not have, and the place of what it refuses.
+Fields are separated by comma, semicolon or tab. A byte-order mark, Windows line ends, quotes, spaces and `#` lines
+above the header are accepted. A decimal comma is rejected, because a number must have the same value everywhere. DuckDB
+splits the lines and parses the numbers (each as `float()` would). This module rejects input that DuckDB accepts but a
+log must not contain, and locates the input that DuckDB rejects.
 
-It is DuckDB by measurement, 400,000 rows of 10 numbers: 0.55 s of one processor; pyarrow 0.48 (and 100 MB more on
-disk), pandas 0.24, polars 0.2, numpy's loadtxt 1.3, the csv module and float() 3.0, a reader of our own in numba 0.33
-and 0.8 s more at its first use. pandas and polars take a row that is too short, numpy no empty field; DuckDB refuses
-both kinds and says where.
+DuckDB was chosen by measurement on 400,000 rows of 10 numbers. It takes 0.55 s of one processor, pyarrow 0.48 s (and
+100 MB more on disk), pandas 0.24 s, polars 0.2 s, numpy's loadtxt 1.3 s, and the csv module with float() 3.0 s. A
+custom reader in numba takes 0.33 s, and 0.8 s more at its first use. pandas and polars accept a row that is too short,
+and numpy accepts no empty field. DuckDB rejects short rows with their position.
 """
 
 from __future__ import annotations
@@ -34,12 +35,9 @@ if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
 
 
-# DuckDB as the engine of tables: of one thread, in memory, without the network.
-#
-# It reads and writes CSV and Parquet in 69 MB of disk where pyarrow takes 165.
-
+# DuckDB reads and writes CSV and Parquet; it takes 69 MB of disk, pyarrow 165 MB.
 SETTINGS: dict[str, str | bool | int | float | list[str]] = {
-    "threads": 1,  # a daemon's processors are not for this, and others' timing is not disturbed
+    "threads": 1,  # leaves the other processors to a running daemon
     "autoinstall_known_extensions": False,
     "autoload_known_extensions": False,
 }
@@ -50,7 +48,7 @@ _NAME = re.compile(r"\s*(in|of|for)?( the)?( file)?:? *['\"]?/dev/fd/\d+['\"]?")
 
 @contextlib.contextmanager
 def connected(database: Path | None = None) -> Iterator[DuckDBPyConnection]:
-    """A connection to a new database, in memory or in the file `database`; closed at the end."""
+    """Open a connection to a new database, in memory or in the file `database`, and close it at the end."""
     import duckdb
 
     with duckdb.connect(":memory:" if database is None else str(database), config=SETTINGS) as connection:
@@ -59,7 +57,7 @@ def connected(database: Path | None = None) -> Iterator[DuckDBPyConnection]:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[str]:
-    """The name of `path` for a query: DuckDB takes *, ? and [ in a name for a pattern, here is none."""
+    """Open `path` and return a name for it without *, ? and [, which DuckDB would interpret as a pattern."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         yield f"/dev/fd/{descriptor}"
@@ -68,29 +66,29 @@ def opened(path: Path) -> Iterator[str]:
 
 
 def quoted(name: str) -> str:
-    """A column's name in a query."""
+    """Return a column's name, quoted for a query."""
     return '"' + name.replace('"', '""') + '"'
 
 
 def doubles(values: Any) -> NDArray[np.float64]:
-    """A column of a result as doubles of its own, NULL as nan."""
+    """Return a column of a result as a writable array of doubles, with nan for NULL."""
     filled = values.filled(np.nan) if isinstance(values, np.ma.MaskedArray) else values
     return np.require(filled, dtype=np.float64, requirements="W")
 
 
 def said(error: Exception) -> str:
-    """What is wrong, without `opened`'s name and the advice on queries that follows."""
+    """Return DuckDB's error message in one line, without the file name of `opened` and the advice on queries."""
     text = _NAME.sub("", str(error).partition("\n\n")[0])
     return " ".join(text.partition(" Error: ")[2].split() or text.split())
 
 
-HEAD = 1 << 16  # bytes in which the header is looked for
-BLOCK = 1 << 20  # bytes in which blank lines are looked for: no more of the file than that is in memory for it
+HEAD = 1 << 16  # bytes that are searched for the header
+BLOCK = 1 << 20  # bytes that are searched for blank lines at once, which limits the memory
 LONGEST = 2 << 20  # bytes of a line: 100,000 numbers of 17 digits
 DELIMITERS = ",;\t"
-LOOKED_AT = 1000  # first rows in which a column that is no signal must hold numbers only, to be read at all
+LOOKED_AT = 1000  # first rows; a column that is not a signal is read only if it holds numbers alone in them
 _BLANK = re.compile(rb"\n[ \t\r]*(?=\n)")
-_LINE = re.compile(r"CSV Error on Line: (\d+)")  # as DuckDB says it
+_LINE = re.compile(r"CSV Error on Line: (\d+)")  # message of DuckDB
 _LENGTH = re.compile(r"^Expected Number of Columns: \d+ Found: (\d+)$", re.MULTILINE)
 _NO_NUMBER = re.compile(
     r'^Error when converting column "(\d+)"\. Could not convert string "(.*?)" to ', re.M | re.DOTALL
@@ -100,10 +98,10 @@ Columns = dict[str, NDArray[np.float64]]
 
 
 def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns, list[str], int]:
-    """Read `wanted` columns (None: all signals and whatever else is numeric); an empty field is nan.
+    """Read the columns in `wanted` (None: all signals and all other numeric columns); an empty field is nan.
 
-    Returns the columns, the names of those left out and the number of lines above the first row. Raises UsageError in
-    one line for a file that is no table of numbers.
+    Returns the columns, the names of the columns that were not read and the number of lines above the first row.
+    Raises UsageError with a message of one line if the file is not a table of numbers.
     """
     try:
         with _open(path) as stream:
@@ -125,10 +123,10 @@ def _open(path: Path) -> BinaryIO | gzip.GzipFile:
 
 
 def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) -> int | None:
-    """Bytes before blank lines at the file's end in which there are spaces, that DuckDB takes for rows; None: no such.
+    """Return the number of bytes before trailing lines of spaces, which DuckDB would read as rows; None without them.
 
-    `head` is what has been read of `stream`. Raises UsageError for a blank line before a row, over which DuckDB would
-    go without a word, and for a compressed file that unpacks to more than a log can hold.
+    `head` is the part of `stream` that has been read. Raises UsageError for a blank line before a row, which DuckDB
+    would skip without a warning, and for a compressed file that unpacks to more than a log can hold.
     """
     counted = Unpacked(path) if isinstance(stream, gzip.GzipFile) else None
 
@@ -166,7 +164,7 @@ def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) 
 
 @contextlib.contextmanager
 def _up_to(path: Path, end: int | None) -> Iterator[Path]:
-    """The file, or where `end` is given a copy of so many bytes of what is in it."""
+    """Yield the path of the file, or of an unpacked copy of its first `end` bytes if `end` is given."""
     if end is None:
         yield path
         return
@@ -180,7 +178,7 @@ def _up_to(path: Path, end: int | None) -> Iterator[Path]:
 
 @dataclass(frozen=True)
 class _Source:
-    """A table that DuckDB can read: `file` holds what `path`, the name for messages, does."""
+    """Read a table with DuckDB from `file`, which has the content of `path`; messages state `path`."""
 
     path: Path
     file: Path
@@ -189,7 +187,7 @@ class _Source:
     above: int
 
     def read(self, kept: list[int], numeric: list[int]) -> Columns:
-        """The columns at the places `kept`, of which those in `numeric` must be numbers; others may be left out."""
+        """Return the columns at the places `kept`; those in `numeric` must be numbers, the others may be left out."""
         import duckdb
 
         try:
@@ -213,7 +211,7 @@ class _Source:
         return {self.names[place]: doubles(found.pop(str(place)))[:rows] for place in places}
 
     def _table(self, name: str, numeric: list[int]) -> str:
-        """The table function; its columns are named by their places."""
+        """Return DuckDB's table function, in which the columns are named by their places."""
         kinds = (f"'{place}': '{'DOUBLE' if place in numeric else 'VARCHAR'}'" for place in range(len(self.names)))
         options = {
             "auto_detect": "false",
@@ -230,7 +228,7 @@ class _Source:
         return f"read_csv('{name}', {', '.join(f'{key} = {value}' for key, value in options.items())})"
 
     def _rows(self, columns: list[Any]) -> int:
-        """Number of rows without those at the end that have no entry; raises UsageError for one before others."""
+        """Return the number of rows without empty rows at the end; raises UsageError for an empty row before others."""
         rows = len(columns[0]) if columns else 0
         if not all(isinstance(column, np.ma.MaskedArray) for column in columns):
             return rows
@@ -271,7 +269,7 @@ def _empty(path: Path, row: int, above: int) -> str:
 
 
 def _header(path: Path, head: bytes) -> tuple[list[str], str, int]:
-    """Names, delimiter, and number of lines down to the header."""
+    """Return the columns' names, the delimiter, and the number of lines down to the header."""
     if not head.strip():
         raise UsageError(f"{path}: is empty; give a log with a header row and at least two rows")
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):

@@ -1,4 +1,4 @@
-"""What is in a log: rate, length, jitter, columns with their ranges, and how the recording went."""
+"""Summarise a log: rate, length, jitter, columns with their ranges, and the events of the recording."""
 
 from __future__ import annotations
 
@@ -19,23 +19,26 @@ from tsa_ctrl.log.record import BY_NAME
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, longest_step
 
-# A table as it comes, made one that has a uniform time: doubled stamps joined, split at holes; nothing in silence.
-#
-# A late row, a lost sample and a noisy stamp need no mending here: its stamp says when a row was taken, and straight
-# lines between stamps give the uniform grid (`timing.resampled`). What a straight line cannot give is a hole.
-
 Array = NDArray[np.float64]
 
-SHORTEST = 1.0  # s, of a piece: the ends of a shorter one cost half of it (filters 0.15 s each, friction building up)
-LEAST_KEPT = 0.5  # of the rows: of a table with more holes than this the stamps are wrong, not some rows missing
+SHORTEST = 1.0  # s, of a piece; in a shorter one the ends take half (0.15 s of filter each, friction build-up)
+LEAST_KEPT = 0.5  # share of the rows; if more are lost, the time stamps are wrong rather than some rows missing
 
 
 def mended(table: Table, strict: bool = False) -> list[Table]:
-    """The table in pieces without holes and without doubled stamps, in order; each says in `notes` what was done.
+    """Return the table as pieces without gaps and duplicate time stamps; `notes` of each piece list the changes.
 
-    `strict`: nothing is done, and stamps that do not increase are an error. A daemon's own log, whose losses are known
-    by its cycles, and a table without time come back as they are. Raises UsageError, one line with file, row, column
-    and cure, where time is no number or runs back, or where most rows lie between holes.
+    Late rows, lost samples and noisy stamps are kept, because `timing.resampled` interpolates linearly between the
+    stamps. A gap is a step too long for that. A log of the daemon, which counts its lost cycles, and a table without
+    time are returned unchanged.
+
+    Args:
+        table: the table as it was read.
+        strict: True returns the table unchanged, so that time stamps that do not increase are rejected later.
+
+    Raises:
+        UsageError: time is not a number or decreases, or gaps leave too few rows. The message is one line with file,
+            row, column and remedy.
     """
     t = table.columns.get("t")
     if strict or table.recorded or t is None or len(t) < 3:
@@ -46,7 +49,7 @@ def mended(table: Table, strict: bool = False) -> list[Table]:
 
 
 def _joined(table: Table) -> Table:
-    """Rows of one stamp as one row, their mean: a clock too coarse for the rate, or a row written twice."""
+    """Average rows with the same time stamp, which a coarse clock or a row written twice causes."""
     t = table.columns["t"]
     new = np.concatenate([[True], np.diff(t) > 0.0])
     if new.all():
@@ -167,7 +170,7 @@ class LogInfo:
 
 
 def inspect(path: str | Path) -> LogInfo:
-    """Look into a log. Raises UsageError when it cannot be read or has no usable time."""
+    """Summarise a log. Raises UsageError if it cannot be read or has no usable time."""
     file, axis = split_axis(path)
     sha256 = sha256_of(path)
     if kind_of(file) != ".mcap":
@@ -190,7 +193,7 @@ def inspect(path: str | Path) -> LogInfo:
 
 
 def _to_be_mended(table: Table) -> list[str]:
-    """Doubled stamps and holes in words, as they are told when the log is used."""
+    """Return the notes on duplicate time stamps and gaps, as they are reported when the log is used."""
     try:
         return list(dict.fromkeys(note for piece in mended(table) for note in piece.notes))
     except UsageError as error:

@@ -1,9 +1,9 @@
-"""An MCAP file that is whole after every chunk, however the writing process ends.
+"""Write an MCAP file that is readable up to its last chunk, however the writing process ends.
 
-Format: the MCAP specification, version 0 (mcap.dev/spec). One channel per axis, schema encoding "ros2msg", message
-encoding "cdr": four bytes of header, then the doubles of one record, little-endian. One more channel has what happened
-(faults with their cause), in chunks of its own, as JSON in the schema "foxglove.Log". Chunks carry their check sum;
-indices for quick opening are written at the end.
+Format: the MCAP specification, version 0 (mcap.dev/spec). There is one channel per axis with schema encoding "ros2msg"
+and message encoding "cdr": four bytes of header, then the doubles of one record, little-endian. One more channel holds
+the events (faults with their cause) in separate chunks, as JSON in the schema "foxglove.Log". Chunks carry a checksum.
+Indices for quick opening are written at the end.
 """
 
 from __future__ import annotations
@@ -40,12 +40,14 @@ from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.log.ring import NOTE_BYTES
 
-# What happened, as one line in the log: a fault with its cause, a loss, an end.
-
 
 @dataclass(frozen=True)
 class Note:
-    """`t` in s since the log's start; `axis` is empty for all; `fault`: it stopped the torque."""
+    """Hold one event of the log, such as a fault with its cause, a loss or the end of the run.
+
+    `t` is in s since the log's start. `axis` is empty if the event concerns all axes. `fault` is True if the event
+    stopped the torque.
+    """
 
     t: float
     axis: str
@@ -56,7 +58,7 @@ class Note:
         return f"{self.t:9.3f} s  {'FAULT  ' if self.fault else ''}{self.axis + ': ' if self.axis else ''}{self.text}"
 
     def encoded(self) -> bytes:
-        """JSON for the ring, the text cut where it is too long for it."""
+        """Return JSON for the ring buffer, with the text shortened to fit."""
         text = self.text
         while len(data := json.dumps({**vars(self), "text": text}).encode()) > NOTE_BYTES:
             text = text[: len(text) * 3 // 4]
@@ -64,7 +66,7 @@ class Note:
 
     @staticmethod
     def decoded(data: bytes) -> Note | None:
-        """None for what is no note: it was overwritten while it was read."""
+        """Return the note in `data`, or None if it was overwritten while it was read."""
         try:
             found = json.loads(data)
             return Note(float(found["t"]), str(found["axis"]), str(found["text"]), bool(found["fault"]))
@@ -96,12 +98,12 @@ MESSAGE = np.dtype(
 
 
 def schema_text() -> bytes:
-    """The record as a ROS 2 message definition, unit and meaning as comments."""
+    """Return the record as a ROS 2 message definition, with units and meanings as comments."""
     return "".join(f"float64 {column.name}  # {column.unit}: {column.doc}\n" for column in FIELDS).encode()
 
 
 def notes_schema_text() -> bytes:
-    """JSON schema of a note: foxglove.Log with time, axis and fault as in `Note`."""
+    """Return the JSON schema of a note: foxglove.Log with time, axis and fault as in `Note`."""
     time_type = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
     kinds = {"level": "integer", "message": "string", "name": "string", "t": "number", "fault": "boolean"}
     properties = {"timestamp": time_type, **{name: {"type": kind} for name, kind in kinds.items()}}
@@ -109,7 +111,7 @@ def notes_schema_text() -> bytes:
 
 
 class McapFile:
-    """Writes records chunk by chunk; where one cannot be written, the file stays whole up to the last one."""
+    """Write records chunk by chunk; if a chunk cannot be written, the file stays readable up to the previous one."""
 
     def __init__(self, path: Path, header: LogHeader) -> None:
         """Create `path` (never an existing file) and write the head of the log. Raises OSError."""
@@ -139,11 +141,11 @@ class McapFile:
 
     @property
     def written(self) -> int:
-        """Records written so far."""
+        """Return the number of records written so far."""
         return sum(self._sequence)
 
     def write(self, records: Sequence[NDArray[np.float64]]) -> None:
-        """One chunk: per axis the records since the last one, shape (k, fields). Raises OSError, adding nothing."""
+        """Write one chunk with the records of each axis, shape (k, fields). Raises OSError and then adds nothing."""
         messages = [self._messages(axis, block) for axis, block in enumerate(records)]
         if not any(len(block) for block in messages):
             return
@@ -161,7 +163,7 @@ class McapFile:
             self._sequence[axis] += len(block)
 
     def write_notes(self, notes: Sequence[Note]) -> None:
-        """One chunk of what happened. Raises OSError, adding nothing."""
+        """Write one chunk of events. Raises OSError and then adds nothing."""
         if not notes:
             return
         builder = RecordBuilder()
@@ -189,7 +191,7 @@ class McapFile:
         self._notes += len(notes)
 
     def _write_chunk(self, data: bytes, entries: dict[int, list[tuple[int, int]]], start: int, end: int) -> None:
-        """A chunk of message records with its indices; `entries`: time and place of each message, by channel."""
+        """Write a chunk of message records and its indices; `entries`: time and place of each message, by channel."""
         builder = RecordBuilder()
         Chunk(
             compression="zstd",
@@ -241,7 +243,7 @@ class McapFile:
         return messages
 
     def _append(self, data: bytes) -> None:
-        """All of `data` or nothing of it."""
+        """Append all of `data` or nothing."""
         view = memoryview(data)
         try:
             while view:

@@ -13,12 +13,10 @@ from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
 from tsa_ctrl.system.keeper import child
 from tsa_ctrl.version import __version__
 
-# The header of a log: its origin and the meaning of its codes.
-
 
 @dataclass(frozen=True)
 class LogHeader:
-    """The header of a log.
+    """Hold the header of a log, with its origin and the meaning of its codes.
 
     `files` maps the name of each configuration or model file to its text, `codes` the name of a coded field to
     {code: name}; `started` is the time of t = 0 in s since 1970; `rate` in Hz.
@@ -63,7 +61,7 @@ class LogProcess:
         try:
             self._child.stdin.write(header.to_json().encode() + b"\n")
             self._child.stdin.flush()
-        except BrokenPipeError:  # it ended at once; `alive` and `health` say so
+        except BrokenPipeError:  # the writer has ended already, which `alive` and `health` show
             return
 
     @property

@@ -1,9 +1,9 @@
-"""The daemon's MCAP logs read back, whole or cut off: everything up to the last whole chunk.
+"""Read the daemon's MCAP logs, complete or truncated, up to the last complete chunk.
 
-The records are those of the mcap library; the way through the file is ours, by measurement. Its reader gives message by
-message, 4.9 s of processor time for ten minutes at 1 kHz; chunks decoded as arrays take 0.63 s. Of a file that was cut
-off it reads nothing ("unknown (opcode 196) record has length 16256141150751413024"), a byte that flipped in a chunk it
-passes on as a value; here the one is read up to its last chunk, the other chunk is left out, and both are said.
+The records are parsed with the mcap library, but its reader is not used. It yields single messages and takes 4.9 s of
+processor time for ten minutes at 1 kHz, whereas chunks decoded as arrays take 0.63 s. It reads nothing from a truncated
+file ("unknown (opcode 196) record has length 16256141150751413024") and passes on a flipped byte as a value. This
+module reads a truncated file up to its last chunk and skips damaged chunks. It reports both.
 """
 
 from __future__ import annotations
@@ -29,21 +29,19 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import FILES, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note
 
-# How much a compressed log may unpack to: a small file must not fill the memory of who looks into it.
-
 ALWAYS = 256 << 20  # bytes that any file may unpack to: half an hour of one axis at 1 kHz as CSV
-RATIO = 200  # of the file's size, beyond that: logs of a rig that stands still reach 60, of one that moves 2 to 10
+RATIO = 200  # permitted compression ratio beyond that: logs of a rig at rest reach 60, of a moving rig 2 to 10
 
 
 class Unpacked:
-    """Counts what a file gives."""
+    """Limit the unpacked size of a compressed file, so that a small file cannot fill the reader's memory."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self.left = max(ALWAYS, RATIO * path.stat().st_size)
 
     def take(self, size: int) -> None:
-        """Count `size` bytes; raises UsageError when that is more than a log can hold."""
+        """Count `size` bytes; raises UsageError if the total exceeds the limit."""
         self.left -= size
         if self.left < 0:
             limit = max(ALWAYS, RATIO * self._path.stat().st_size)
@@ -54,7 +52,7 @@ class Unpacked:
 
 
 class CountedStream:
-    """A stream whose bytes are counted as they are read."""
+    """Count the bytes of a stream as they are read."""
 
     def __init__(self, stream: GzipFile, counted: Unpacked) -> None:
         self._stream = stream
@@ -62,14 +60,14 @@ class CountedStream:
         self.closed = False
 
     def read(self, size: int = -1) -> bytes:
-        """As of any stream, but never more than what is left; raises UsageError beyond."""
+        """Read up to `size` bytes (negative: all); raises UsageError if the total exceeds the limit."""
         most = self._counted.left + 1
         data = self._stream.read(most if size < 0 else min(size, most))
         self._counted.take(len(data))
         return data
 
     def close(self) -> None:
-        """Who opened the stream closes it."""
+        """Do nothing, because the caller that opened the stream closes it."""
 
 
 _DAMAGED = (ValueError, LookupError, OverflowError, MemoryError, struct.error, McapError)  # from parsing garbage
@@ -87,16 +85,20 @@ _HEAD = np.dtype(
 
 
 class LogFile:
-    """One log: its head is read at once, its records with `blocks`.
+    """Read one log: the constructor reads the header, `blocks` reads the records.
 
-    `axes` and `fields` in order; `about` is the head's metadata (version, rate, started, units, codes); `files` maps
-    the name of each configuration file to its text. After `blocks` has run to its end, `complete` is false when the
-    file was cut off (its writer was killed or still writes), `damaged` counts chunks with a wrong check sum, `notes`
-    has what happened, in order (none in logs of earlier versions).
+    Attributes:
+        axes: names of the axes, in order.
+        fields: names of the columns, in order.
+        about: metadata of the header (version, rate, started, units, codes).
+        files: text of each configuration file by its name.
+        complete: after `blocks` has ended, False if the file is truncated (its writer was killed or is still writing).
+        damaged: after `blocks` has ended, the number of chunks with a wrong checksum.
+        notes: after `blocks` has ended, the events in order; empty in logs of earlier versions.
     """
 
     def __init__(self, path: Path) -> None:
-        """Raises UsageError when `path` is not a log of this package."""
+        """Read the header; raises UsageError if `path` is not a log of this package."""
         self.path = path
         self.axes: list[str] = []
         self.fields: list[str] = []
@@ -121,13 +123,13 @@ class LogFile:
 
     @property
     def codes(self) -> dict[str, dict[int, str]]:
-        """Names of the coded fields' values."""
+        """Return the names of the values of coded fields."""
         codes: dict[str, dict[str, str]] = self.about.get("codes", {})
         return {field: {int(code): name for code, name in names.items()} for field, names in codes.items()}
 
     @property
     def problems(self) -> list[str]:
-        """What is wrong with the file, in words; known after `blocks` has run to its end."""
+        """Return the defects of the file as text; complete after `blocks` has ended."""
         problems = (
             [] if self.complete else ["the log was cut off, or is still being written; read up to its last chunk"]
         )
@@ -136,7 +138,7 @@ class LogFile:
         return problems
 
     def blocks(self, wanted: Collection[str]) -> Iterator[tuple[str, NDArray[np.float64]]]:
-        """Axis and records of each chunk in turn, shape (k, len(wanted)), the `wanted` fields in that order."""
+        """Yield axis and records of each chunk, shape (k, len(wanted)), with the fields in the order of `wanted`."""
         pick = [self.fields.index(name) for name in wanted]
         message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
         self.complete, self.damaged = False, 0
@@ -164,7 +166,7 @@ class LogFile:
                 yield self._channels[number], np.ascontiguousarray(messages["values"][channel == number][:, pick])
 
     def columns(self, axis: str, wanted: Collection[str]) -> dict[str, NDArray[np.float64]]:
-        """The `wanted` fields of one axis over the whole log."""
+        """Return the `wanted` fields of one axis over the whole log."""
         names = list(wanted)
         found = [bytearray() for _ in names]  # they grow in place: a list of parts would leave holes all over the heap
         for name, block in self.blocks(names):
@@ -174,7 +176,7 @@ class LogFile:
         return {name: np.frombuffer(column, dtype=np.float64) for name, column in zip(names, found, strict=True)}
 
     def read_notes(self) -> list[Note]:
-        """What happened, in order: faults with their cause, losses, the end."""
+        """Return the events in order: faults with their cause, losses, the end."""
         for _ in self.blocks(()):
             pass
         return self.notes
@@ -185,7 +187,7 @@ class LogFile:
         return self._notes_channel is not None and channel == self._notes_channel
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
-        """Opcode and content of each whole record; ends where the file is cut off."""
+        """Yield opcode and content of each complete record, up to the point where the file is truncated."""
         with self.path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             position, end = len(MAGIC), len(data)
             while position + _PREFIX <= end:
@@ -234,7 +236,7 @@ class LogFile:
 
 
 def _notes(data: bytes) -> list[Note]:
-    """The notes in an unpacked chunk of them; what is damaged is left out."""
+    """Return the notes in an unpacked chunk of notes, without damaged ones."""
     found = []
     position = 0
     while position + _PREFIX <= len(data):
@@ -254,7 +256,7 @@ def _stream(content: bytes) -> ReadDataStream:
 
 
 def _unpacked(content: bytes, counted: Unpacked) -> bytes | None:
-    """The messages of a chunk; None where they are damaged, or not as many as it declares. Raises UsageError."""
+    """Return the messages of a chunk, or None if they are damaged or their number is wrong. Raises UsageError."""
     try:
         chunk = Chunk.read(_stream(content))
         if zstandard.frame_content_size(chunk.data) != chunk.uncompressed_size:

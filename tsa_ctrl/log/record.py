@@ -1,16 +1,14 @@
-"""The record of one cycle of one axis: what the loop leaves for the log, by name."""
+"""Define the record of one cycle of one axis, which the loop writes to the log, and the columns of logs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
-# The columns of a log as data: name, unit and meaning, each written once.
-
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a log; `stepped` values hold until the next sample and are never interpolated."""
+    """Describe one column of a log; `stepped` values hold until the next sample and are never interpolated."""
 
     name: str
     unit: str
@@ -35,7 +33,7 @@ SIGNALS: tuple[Column, ...] = (
     Column("tau_j_des", "N*m", "joint torque wanted: the set-point"),
     Column("tau_m_cmd", "N*m", "motor torque commanded, after the limiter"),
 )
-"""What a log may hold for every verb that reads logs."""
+"""Columns that every command accepts in a log."""
 
 CYCLE: tuple[Column, ...] = (
     Column("cycle", "1", "number of the cycle, skipped ones counted", stepped=True),
@@ -57,14 +55,14 @@ CYCLE: tuple[Column, ...] = (
     Column("tau_j_model_low", "N*m", "its band, lower end: the friction's at standstill"),
     Column("tau_j_model_high", "N*m", "its band, upper end"),
 )
-"""What the daemon records besides the signals."""
+"""Columns that the daemon records in addition to the signals."""
 
 BY_NAME: dict[str, Column] = {column.name: column for column in SIGNALS + CYCLE}
 SIGNAL_NAMES: tuple[str, ...] = tuple(column.name for column in SIGNALS)
 
 
 class Record(NamedTuple):
-    """One row of the daemon's log, units and meanings as in `columns`; all are stored as float64, nan is not there."""
+    """Hold one row of the daemon's log, units and meanings as in `FIELDS`; all are float64, nan for a missing value."""
 
     t: float
     tau_m: float

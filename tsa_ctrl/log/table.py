@@ -152,7 +152,10 @@ def _read_parquet(path: Path, wanted: Collection[str] | None) -> Table:
 
 
 def _top_level(elements: list[tuple[str, int, str | None]]) -> list[tuple[str, str | None]]:
-    """Columns of a Parquet schema, which lists each element before its children: (name, number of them, type)."""
+    """Return name and type of the top-level columns of a Parquet schema.
+
+    `elements`: (name, number of children, type); each element comes before its children.
+    """
     columns, deeper = [], 0
     for name, children, kind in elements[1:]:
         if deeper == 0:
@@ -161,11 +164,9 @@ def _top_level(elements: list[tuple[str, int, str | None]]) -> list[tuple[str, s
     return columns
 
 
-# The course of one run of the daemon: what its log holds between the fade-in and the stop.
-
-STOP_MARGIN = 0.05  # s before the end of a run: the stop may have begun
+STOP_MARGIN = 0.05  # s before the end of a run that are left out, because the stop may have begun
 STRETCH = "tau_j_stretch"
-LEAST_CYCLES = 100  # with torque: less shows nothing
+LEAST_CYCLES = 100  # with torque; fewer do not suffice for an evaluation
 
 
 def read_course(
@@ -176,11 +177,24 @@ def read_course(
     cause: str = "",
     by_stretch: bool = False,
 ) -> dict[str, NDArray[np.float64]]:
-    """Columns `names` of an axis, `t` in s since the enable, and tau_j_des, tau_j; `seconds` of torque after `fade_in`.
+    """Return the columns of one run between the fade-in and the stop.
 
-    Cycles that were lost, or without joint torque, are just not there. Raises BusError when it holds too little torque
-    (`cause`: why the run ended), UsageError when the joint torque sensor sent nothing. `by_stretch`: tau_j is that of
-    the tendons' stretch, for a rig without the sensor.
+    Cycles that were lost or have no joint torque are left out.
+
+    Args:
+        log: log of the daemon.
+        names: columns to read in addition to t, tau_j_des, tau_m_cmd and tau_j.
+        fade_in: s after the enable that are left out.
+        seconds: s of torque, from the enable on.
+        cause: why the run ended, for the error message.
+        by_stretch: True takes tau_j from the tendon elongation, for a rig without a joint torque sensor.
+
+    Returns:
+        Arrays of equal length by column, `t` in s since the enable.
+
+    Raises:
+        BusError: the log holds too little torque.
+        UsageError: the joint torque sensor sent nothing.
     """
     columns = read_table(
         log, {"t", "tau_j_des", "tau_m_cmd", "tau_j", *([STRETCH] if by_stretch else []), *names}
