@@ -1,4 +1,4 @@
-"""From a checked configuration to the parts that the loop works with."""
+"""Build the parts of the loop from a checked configuration."""
 
 from __future__ import annotations
 
@@ -44,41 +44,39 @@ from tsa_ctrl.safety.residuals import DOUBT, FRICTION, Give
 from tsa_ctrl.safety.sense import Sense
 from tsa_ctrl.safety.supervisor import Supervisor
 
-# What the loop as a whole does now.
-
 
 class LoopPhase(Enum):
-    """Values are the codes of the status."""
+    """List the phases of the loop; the values are the codes in the status."""
 
-    STARTING = 0  # children run, the bus is brought up
-    SETTLING = 1  # cycles run with torque 0 until all answers come
+    STARTING = 0  # the child processes run, the bus is brought up
+    SETTLING = 1  # cycles run with torque 0 until all nodes respond
     RUNNING = 2
-    FAULTED = 3  # latched; torque 0 until somebody asks for a recovery or a stop
+    FAULTED = 3  # latched; torque 0 until a recovery or a stop is requested
     STOPPING = 4  # the torque ramps to 0, the drives are disabled
-    RESETTING = 5  # a recovery was asked for
+    RESETTING = 5  # a recovery was requested
     ENDED = 6
 
     @property
     def up(self) -> bool:
-        """The start is over: with torque, or with a fault that is latched."""
+        """Return True if startup is over: the loop is running or has latched a fault."""
         return self in (LoopPhase.RUNNING, LoopPhase.FAULTED)
 
     @property
     def ending(self) -> bool:
-        """A run may end without a ramp."""
+        """Return True if the run may end without another ramp."""
         return self in (LoopPhase.STOPPING, LoopPhase.ENDED)
 
 
-# J that a friction term may give the joint before a sensor proves the friction. Worn: a tenth of the energy that a
-# person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which hits only the bench.
+# J that a friction term may feed into the joint before a sensor confirms the friction. Worn: a tenth of the energy that
+# a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
-ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint: what is left of the motor's ringing is slower
+ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the motor's ringing that remains after averaging is slower
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
 
 
 def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, ...]:
-    """One controlled axis for each of the rig's."""
+    """Return one controlled axis for each axis of the rig."""
     file, period = configuration.file, configuration.period
     supervision = file.bus.supervision
     most_age = (supervision.tolerated_misses + 1.5) * period
@@ -156,7 +154,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
 
 
 def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: float) -> Law:
-    """One axis' law with what it looks through: the joint's motion and the tendon's direction."""
+    """Return the control law of one axis, with its filter of the joint's motion and its detector of the direction."""
     r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
     encoder, direction = settings.encoder, settings.direction
     of_motor, of_joint = counts_of(settings, 1.0)
@@ -281,7 +279,7 @@ def _measured_bending(axis: ControlAxis) -> Callable[[], float]:
 
 
 def estimator_of(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, period: float) -> Estimator:
-    """The estimator that the configuration chooses."""
+    """Return the estimator that the configuration selects."""
     chosen = settings.estimator
     if chosen.kind == "fixed":
         return Fixed(model)
@@ -296,12 +294,12 @@ def estimator_of(settings: AxisSettings, model: TendonSheath, joint_torque: Join
 
 
 def tuners_of(axes: Sequence[ControlAxis], period: float) -> tuple[Tuner, ...]:
-    """What moves the parameters of each axis."""
+    """Return the tuner of the live parameters of each axis."""
     return tuple(Tuner(parameters_of(axis), period) for axis in axes)
 
 
 def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Description:
-    """What the socket server has to know."""
+    """Return the description of the run for the socket server."""
     file, load = configuration.file, configuration.load
     return Description(
         path=file.socket.path or default_path(),
@@ -333,7 +331,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
 
 
 def log_header(configuration: Configuration) -> LogHeader:
-    """What stands at the head of the log: the files as they were read, and the names of the codes."""
+    """Return the header of the log: the files as they were read, and the names of the codes."""
     files = {configuration.path.name: configuration.text}
     for settings in configuration.file.axes:
         files[settings.model] = (configuration.folder / settings.model).read_text(encoding="utf-8")

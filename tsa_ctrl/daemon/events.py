@@ -1,4 +1,4 @@
-"""What happened, in order: for the status, the summary and whoever watches. Nothing here prints."""
+"""Keep the events of a run in order, for the status, the summary and connected clients; nothing here prints."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tsa_ctrl.ipc.mailbox import TEXT
 from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.sensors.process import LineState, SerialSensors
 
-MOST = 50  # events that are kept beside the first fault
+MOST = 50  # events that are kept, the first fault among them
 LONGEST = 1000  # characters of a text; the first fault always has room in the mailbox
 LONGEST_NAME = 100  # characters of an axis' name
 
 
 @dataclass(frozen=True)
 class Event:
-    """One event; `t` in s since the start of the loop, `axis` empty for all, `number` counts from 0."""
+    """Hold one event; `t` in s since the start of the loop, `axis` empty for all axes, `number` counts from 0."""
 
     number: int
     t: float
@@ -33,7 +33,7 @@ class Event:
 
 
 class Events:
-    """The kept events; the first fault is never dropped, because it is the cause."""
+    """Keep the newest events and the first fault, which is never dropped because it is the cause."""
 
     def __init__(self) -> None:
         self._kept: list[Event] = []
@@ -63,15 +63,15 @@ class Events:
 
     @property
     def next_number(self) -> int:
-        """The number of the next event."""
+        """Return the number of the next event."""
         return self._number
 
     def since(self, number: int) -> tuple[Event, ...]:
-        """Kept events from this number on."""
+        """Return the kept events from this number on."""
         return tuple(event for event in self._kept if event.number >= number)
 
     def encoded(self) -> bytes:
-        """JSON of the first fault, and of as many of the newest as the mailbox has room for beside it."""
+        """Return JSON of the first fault and of as many of the newest events as fit into the mailbox."""
         kept = [asdict(event) for event in self._kept]
         cause = self.first_fault
         spared = 0 if cause is None else 1
@@ -79,8 +79,6 @@ class Events:
             kept.pop(1 if cause is not None and kept[0]["number"] == cause.number else 0)
         return text
 
-
-# The serial sensors of all axes: their processes, what the loop reads from them, and their health as events.
 
 TOLD = {
     LineState.READING: "values come",
@@ -90,7 +88,10 @@ TOLD = {
 
 
 class AxisSensors:
-    """Starts one process per sensor; before real-time scheduling is taken, which children would inherit."""
+    """Run one process per serial sensor, provide its values to the loop, and report its health as events.
+
+    Create this before real-time scheduling is requested, so that the processes do not inherit it.
+    """
 
     def __init__(self, axes: Sequence[AxisSettings]) -> None:
         self._place = tuple((axis.name, sensor) for axis in axes for sensor in axis.serial)
@@ -99,7 +100,7 @@ class AxisSensors:
         self._gone: set[int] = set()
 
     def sources(self, axis: str) -> dict[str, Callable[[float], float]]:
-        """What reads each quantity of an axis, by its name."""
+        """Return the function that reads each quantity of the axis `axis`, by the quantity's name."""
         return {
             sensor.quantity: self._sensors.reader(index)
             for index, (name, sensor) in enumerate(self._place)
@@ -107,7 +108,7 @@ class AxisSensors:
         }
 
     def check(self, t: float, events: Events) -> None:
-        """Say what has changed since the last look; about once a second is enough."""
+        """Add an event for each sensor whose state has changed since the last check; call it about once a second."""
         for index, (axis, sensor) in enumerate(self._place):
             where = f"serial {sensor.quantity} on {sensor.port}"
             if not self._sensors.alive(index):

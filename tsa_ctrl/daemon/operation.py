@@ -1,6 +1,6 @@
-"""What a run does with a bus: bring-up, loop, a new bring-up when it is asked for, and the one way down.
+"""Run a rig on a bus: bring-up, loop, a new bring-up on request, and a shutdown that every exit passes through.
 
-Nothing here asks the operating system for anything or knows what time it is: the bus says so.
+This module makes no calls to the operating system, and the bus provides the time.
 """
 
 from __future__ import annotations
@@ -26,13 +26,12 @@ from tsa_ctrl.safety.supervisor import Request
 from tsa_ctrl.safety.use_class import stop_bit
 from tsa_ctrl.system.histogram import coarse, distribution
 
-# Torque to zero when the loop itself has failed: the last torque fades, and nothing of the control law is asked.
-#
-# The limiter has the last word here, too: a joint that runs away meanwhile gets no torque, not even a fading one.
-
 
 def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: float) -> None:
-    """Ramp what was last sent to 0 within `stop_time` s, as far as each supervisor and limiter still permit torque."""
+    """Ramp the last torque to 0 within `stop_time` s, without the control law, after the loop has failed.
+
+    Supervisor and limiter of each axis still apply, so a joint that runs away during the ramp gets no torque.
+    """
     steps = max(1, round(stop_time / period))
     last = [axis.terms.tau_m_cmd for axis in axes]
     start = rig.wait(0.0)
@@ -59,7 +58,7 @@ Admit = Callable[[Nodes, bool], None]  # nodes, and whether a drive has digital 
 
 
 class Operation:
-    """One run of a rig that has been put together; `unconfirmed`: drives that did not say that they are off."""
+    """Operate an assembled rig for one run; `unconfirmed` lists the drives that did not confirm that they are off."""
 
     def __init__(
         self,
@@ -76,9 +75,17 @@ class Operation:
     ) -> None:
         """Prepare the operation of a rig.
 
-        `no_loop` surrounds a new bring-up. `configured`: True writes nothing to the nodes, see `daemon.run`. `tell`
-        receives the present stage of a bring-up, and an empty text at its end. `simulated`: True if the nodes are
-        simulated. `admit` is called with the nodes of a bring-up, and may reject them.
+        Args:
+            configuration: the checked configuration.
+            rig: nodes and bus.
+            axes: one controlled axis for each axis of the rig.
+            loop: the control loop.
+            say: receives each line for the user.
+            no_loop: context in which a new bring-up runs.
+            configured: True writes nothing to the nodes, see `daemon.run`.
+            tell: receives the stage of a bring-up, and an empty text at its end.
+            simulated: True if the nodes are simulated.
+            admit: called with the nodes of a bring-up; it may reject them.
         """
         self.unconfirmed: list[str] = []
         self._configuration = configuration
@@ -94,10 +101,10 @@ class Operation:
         self._joint_files = JointFiles(configuration, simulated)
 
     def run(self, seconds: float, reset_faults: bool = False, ready: Callable[[], None] = lambda: None) -> None:
-        """Bring up, run, bring up again when asked to; then descend, whatever happened.
+        """Bring the rig up, run the loop, bring it up again on request, and shut it down in every case.
 
-        `ready` is called once, right before the first cycle. A stop that comes before it ends the bring-up. Raises
-        UsageError or BusError for what fails before.
+        `ready` is called once, directly before the first cycle. An earlier stop request ends the bring-up. Raises
+        UsageError or BusError for a failure before the first cycle.
         """
         period = self._configuration.period
         for line in loose_lines(self._configuration):
@@ -116,7 +123,7 @@ class Operation:
                 while self._loop.recover:
                     self._recover(seconds)
             except Exception:
-                with contextlib.suppress(Exception):  # the first cause is the one to tell, and shut_down follows anyway
+                with contextlib.suppress(Exception):  # the first error is re-raised, and shut_down follows anyway
                     descend(self._rig, self._axes, period, self._configuration.file.controller.stop_time)
                 raise
         finally:
@@ -164,7 +171,7 @@ class Operation:
                 self._tell("")
 
     def _recover(self, seconds: float) -> None:
-        """Configure all nodes anew, as at the start; a failure leaves the fault latched and is told."""
+        """Configure all nodes again, as at startup; a failure leaves the fault latched and is logged."""
         loop = self._loop
         self._rig.bus.clear_fault()
         try:
@@ -172,7 +179,7 @@ class Operation:
                 loop.channel.renew()
                 self._bring_up(reset_faults=False, resets_later=True)  # the supervisors do it
                 self._prove(self._configuration.period)
-        except TsaError as error:  # a drive that was exchanged may contradict the configuration, too
+        except TsaError as error:  # for example, an exchanged drive contradicts the configuration
             loop.note(f"recovery failed: {error}")
             loop.run(seconds, LoopPhase.FAULTED)
             return
@@ -182,7 +189,7 @@ class Operation:
         loop.run(seconds, LoopPhase.RESETTING)
 
     def summary(self, mailbox: Mailbox, rights: str, log: str | None = None, written: int = 0) -> Summary:
-        """What the run was like; `log` is the file in which `written` records are."""
+        """Return the summary of the run; `log` is the log file, which holds `written` records."""
         configuration, rig, loop = self._configuration, self._rig, self._loop
         return Summary(
             bus=configuration.file.bus.channel,

@@ -36,16 +36,17 @@ from tsa_ctrl.system import realtime
 from tsa_ctrl.system.keeper import child
 from tsa_ctrl.system.notify import Notifier
 
-# The processes beside the loop: log writer, socket server, serial readers. Up before it, and then never waited for.
-
 PATIENCE = 2.0  # s for the socket server to end
 
 
 class Children:
-    """The processes and the memory that they share with the loop."""
+    """Own the log writer, the socket server and the serial readers, and the memory that they share with the loop.
+
+    They are started before the loop, and the loop never waits for them.
+    """
 
     def __init__(self, configuration: Configuration, tuners: Sequence[Tuner]) -> None:
-        """Start them; raises UsageError when the log or the socket cannot be there."""
+        """Start the processes; raises UsageError if the log or the socket cannot be created."""
         file = configuration.file
         self.ring: RingWriter | None = None
         self.log: LogProcess | None = None
@@ -85,7 +86,7 @@ class Children:
         return self._server.poll() is None
 
     def end(self) -> None:
-        """Complete the log and end all; may be called twice."""
+        """Complete the log and end all processes; may be called twice."""
         self.sensors.close()
         if self.log is not None and self.log.alive:
             self.log.end()
@@ -127,7 +128,7 @@ def run(
 
 
 class Daemon:
-    """One run; every way out of it goes through the same descent."""
+    """Run the controller once; every exit passes through the same ramp to zero torque."""
 
     def __init__(
         self,
@@ -230,14 +231,14 @@ class Daemon:
         require(self._configuration, missing_on_bus(self._configuration, nodes, has_inputs))
 
     def _enter(self, loop: Loop) -> None:
-        """From here on a signal goes to the loop, and through it to the bring-up; one that came before as well."""
+        """Pass signals to the loop from now on, an earlier one included; the bring-up checks the loop for a stop."""
         self._loop = loop
         if self._early_stop is not None:
             loop.stop(self._early_stop)
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        """SIGTERM, SIGINT and SIGHUP (the terminal is gone) ask for the descent; a second one changes nothing."""
+        """Let SIGTERM, SIGINT and SIGHUP (closed terminal) request the stop; a second signal has no effect."""
 
         def handle(number: int, frame: FrameType | None) -> None:
             name = signal.Signals(number).name

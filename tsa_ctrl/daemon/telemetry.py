@@ -1,4 +1,4 @@
-"""What the loop tells others: a record per axis and cycle, a status snapshot, and the health of who receives them."""
+"""Publish a record per axis and cycle and a status snapshot, and monitor the processes that receive them."""
 
 from __future__ import annotations
 
@@ -22,21 +22,27 @@ from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.system.notify import Notifier
 
-# Supervises the processes next to the loop, and reports when one of them hangs, was replaced, or has ended.
-
-SILENT = 1.0  # s without a sign of life until that is said: each leaves five a second and more
+SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
 
 
 class Helper:
-    """One of them; two looks at shared memory, so that the loop may ask with every status."""
+    """Monitor one process next to the loop, and add an event when it hangs, is replaced, or responds again.
+
+    A check only reads shared memory twice, so the loop can make one with every status.
+    """
 
     def __init__(
         self, name: str, heard: Callable[[], float], replaced: Callable[[], int], words: tuple[str, str]
     ) -> None:
-        """`heard`: of its last sign of life, s, monotonic, 0 before the first; `replaced`: how many of it were, by now;
-        `words`: what it means that it hangs, and that another one took over.
+        """Prepare the monitoring of one process.
+
+        Args:
+            name: of the process, for the events.
+            heard: returns the time of its last sign of life, s of the monotonic clock, 0 before the first.
+            replaced: returns how often it was replaced so far.
+            words: consequences of a hanging process and of its replacement, for the events.
         """
-        self.silent = 0.0  # s for which nothing was heard of it, once that is too long
+        self.silent = 0.0  # s since the last sign of life if more than `SILENT`, else 0
         self._name = name
         self._heard = heard
         self._replaced = replaced
@@ -44,7 +50,7 @@ class Helper:
         self._known = 0
 
     def look(self, t: float, now: float, events: Events) -> None:
-        """`t` in s of the log, `now` in s, monotonic."""
+        """Check the process and add events; `t` in s of the log, `now` in s of the monotonic clock."""
         heard, replaced = self._heard(), self._replaced()
         if heard == 0.0:  # it has not begun
             return
@@ -62,7 +68,7 @@ class Helper:
 
 
 def socket_server(heard: Callable[[], float], replaced: Callable[[], int]) -> Helper:
-    """Of the socket's."""
+    """Return the monitoring of the socket server."""
     return Helper(
         "socket",
         heard,
@@ -75,7 +81,7 @@ def socket_server(heard: Callable[[], float], replaced: Callable[[], int]) -> He
 
 
 def log_writer(heard: Callable[[], float], replaced: Callable[[], int]) -> Helper:
-    """Of the log."""
+    """Return the monitoring of the log writer."""
     return Helper(
         "log",
         heard,
@@ -87,7 +93,7 @@ def log_writer(heard: Callable[[], float], replaced: Callable[[], int]) -> Helpe
     )
 
 
-# Where an axis has each signal of the record, of the status, and of a reading.
+# Attribute of `ControlAxis` for each signal of the record, of the status and of a reading.
 _SOURCES = {
     "t": "terms.t",
     "tau_m": "image.tau_m",
@@ -133,7 +139,7 @@ LEASE_APART = 1.0  # s between two events of it
 
 
 class Telemetry:
-    """Writes to shared memory only; nobody here can make the loop wait."""
+    """Write records, status and measurements to shared memory, so that no receiver can delay the loop."""
 
     def __init__(
         self,
@@ -147,8 +153,9 @@ class Telemetry:
         sensors: AxisSensors | None = None,
         notifier: Notifier | None = None,
     ) -> None:
-        """`ring` and `log` are None when nothing is logged, `sensors` when there is none on a serial line, `notifier`
-        when no service manager is to be told.
+        """Prepare the telemetry of a rig.
+
+        `ring` and `log` are None without a log, `sensors` without serial sensors, `notifier` without a service manager.
         """
         self.log_lost = 0
         self.channel = SecondChannel()
@@ -176,7 +183,7 @@ class Telemetry:
         self._heard = [[-math.inf] * len(axis.image.nodes) for axis in axes]  # s of the log, of each node's PDOs
 
     def record(self, t: float, cycle: float, lateness: float, work: float) -> None:
-        """One record per axis; `t` is the planned time, SYNC went out `lateness` later (s)."""
+        """Write one record per axis; `t` (s) is the planned time, and SYNC was sent `lateness` s later."""
         push = self._push
         for index, axis in self._axes:
             terms = axis.terms
@@ -233,7 +240,7 @@ class Telemetry:
             self._note_events()
 
     def measure(self, now: float, cycle: int, phase: int) -> None:
-        """What this cycle measured, for clients that control by it; `now` in s, monotonic."""
+        """Publish the measurements of this cycle for clients that use them for control; `now` in s, monotonic."""
         self._mailbox.measure(now, cycle, phase, [_reading(axis) for _, axis in self._axes])
 
     def tell_lease(self, t: float, start: float) -> None:
@@ -243,7 +250,7 @@ class Telemetry:
             self._events.add(found[0] - start, "", found[1])
 
     def last_words(self, t: float, cause: str, unconfirmed: Sequence[str]) -> None:
-        """To the log: why the run ended, and which drives did not confirm that they are off."""
+        """Log why the run ended, and which drives did not confirm that they are off."""
         self._note_events()
         if self._note is not None:
             for line in unconfirmed:
@@ -251,7 +258,7 @@ class Telemetry:
             self._note(Note(t, "", f"ended: {cause}", fault=False).encoded())
 
     def _note_events(self) -> None:
-        """Hand new events to the log, so that the cause of a stop stays with the records of it."""
+        """Pass new events to the log, so that it holds the cause of a stop."""
         for event in self._events.since(self._noted):
             self._noted = event.number + 1
             if self._note is not None:
@@ -278,12 +285,12 @@ class Telemetry:
         return status, tuple(parameter.value for parameter in self._tuners[index].parameters)
 
     def check_sensors(self, t: float) -> None:
-        """About once a second: say when a serial sensor is lost or back."""
+        """Add an event when a serial sensor is lost or has returned; called about once a second."""
         if self._sensors is not None:
             self._sensors.check(t, self._events)
 
     def check_bus(self, t: float) -> None:
-        """About once a second: say that error frames or warnings came."""
+        """Add an event for new error frames and warnings; called about once a second."""
         self._tell_warnings(t)
         more = self._rig.error_frames - self._error_frames
         if more:
@@ -291,7 +298,7 @@ class Telemetry:
             self._events.add(t, "", f"error frames: {more}, the last one: {self._rig.last_error}")
 
     def _tell_warnings(self, t: float) -> None:
-        """Emergencies that the profile calls warnings."""
+        """Add an event for each new emergency that the profile classifies as a warning."""
         for index, axis in self._axes:
             for place, health in enumerate(axis.image.nodes):
                 key = (index, place)
@@ -302,19 +309,22 @@ class Telemetry:
                     self._events.add(t, axis.name, f"warning of {health}: {health.warning}{times}")
 
     def watch_server(self, alive: Callable[[], bool]) -> None:
-        """Look after the socket server, too."""
+        """Monitor the socket server as well."""
         self._server_alive = alive
         mailbox = self._mailbox
         self._helpers.append(socket_server(lambda: mailbox.heard, lambda: mailbox.replaced))
 
     def check_server(self, t: float) -> None:
-        """About once a second: say it when nobody answers on the socket any longer."""
+        """Add an event when the socket server no longer responds; called about once a second."""
         if self._server_alive is not None and not self._server_alive():
             self._server_alive = None
             self._events.add(t, "", "socket: its process is gone; the loop goes on, a signal (SIGTERM) ends it")
 
     def check_log(self, t: float, records: int) -> None:
-        """About once a second: say it when the log writer is in trouble or gone; `records` is how many it was given."""
+        """Add an event when the log writer fails or has ended; called about once a second.
+
+        `records`: number of records that were passed to it.
+        """
         log = self._log
         if log is None or not self._log_alive:
             self.log_lost += records - self._written if log is not None else 0
