@@ -32,7 +32,7 @@ T = TypeVar("T")
 
 
 class AxisMeasured(msgspec.Struct, frozen=True):
-    """One axis in one cycle; None where this rig does not measure it."""
+    """Hold the measurements of one axis in one cycle; None for a quantity that this rig does not measure."""
 
     name: str
     tau_j_des: float | None  # N*m, joint torque wanted
@@ -52,7 +52,7 @@ class AxisMeasured(msgspec.Struct, frozen=True):
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """What a cycle measured; `measured["knee"]` is one axis."""
+    """Hold the measurements of one cycle; `measured["knee"]` is one axis."""
 
     time: float  # s, CLOCK_MONOTONIC, of the cycle
     age: float | None  # s since then; None before the first cycle
@@ -69,7 +69,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 class Told(msgspec.Struct, frozen=True):
-    """An event of the daemon: `t` in s since its first cycle, `axis` empty for all."""
+    """Hold an event of the daemon; `t` in s since its first cycle, `axis` empty for all axes."""
 
     number: int
     t: float
@@ -80,7 +80,7 @@ class Told(msgspec.Struct, frozen=True):
 
 
 class Client:
-    """A connection; use it as a context manager. For one thread."""
+    """Connect to the daemon; use the client as a context manager and in one thread only."""
 
     def __init__(
         self,
@@ -136,11 +136,11 @@ class Client:
                 time.sleep(QUEUE_WAIT)
 
     def close(self) -> None:
-        """A lease ends with it."""
+        """Close the connection, which also ends a lease."""
         self._socket.close()
 
     def ask(self, request: AnyRequest) -> dict[str, Any]:
-        """The answer's object; raises UsageError when the request is refused, BusError when no answer comes."""
+        """Return the answer's object; raises UsageError if the request is rejected, BusError without an answer."""
         with contextlib.suppress(OSError):  # a refusal may wait to be read
             self._write(msgspec.json.encode(request) + b"\n", self._timeout)
         end = time.monotonic() + self._timeout
@@ -153,7 +153,10 @@ class Client:
             self._read(end - time.monotonic())
 
     def measure(self) -> Measured:
-        """What the newest cycle measured, zeros with the age None before the first; BusError when no answer comes."""
+        """Return the measurements of the newest cycle; before the first cycle, zeros with the age None.
+
+        Raises BusError without an answer.
+        """
         return self._as(self.ask(protocol.Measure()), Measured)
 
     def cycles(self, rate: float) -> Iterator[Measured]:
@@ -175,7 +178,7 @@ class Client:
             self._sleep(due - now)
 
     def events(self) -> list[Told]:
-        """What the daemon told since the last call, faults among it; raises BusError when no answer comes."""
+        """Return the events since the last call, faults included; raises BusError without an answer."""
         found = self._as(self.ask(protocol.Events(self._next_event)).get("events"), list[Told])
         if found:
             self._next_event = found[-1].number + 1
@@ -225,7 +228,7 @@ class Client:
             raise BusError(f"{self._path}: the daemon is of another version ({error}); start it anew") from None
 
     def _ended(self, why: str) -> BusError:
-        """What is raised when nothing more will come."""
+        """Return the error to raise when the connection has ended."""
         if self._lease is None or self._lease.given_back:
             return BusError(f"{self._path}: {why}")
         self._lease.why = self._lease.why or why
@@ -240,7 +243,7 @@ class Client:
                     raise BusError(f"{self._path}: the daemon does not read; is it hanging?") from None
 
     def _read(self, patience: float) -> None:
-        """What comes within `patience` s; without any patience, what is there. Raises BusError, LeaseLostError."""
+        """Read the data that arrives within `patience` s (0: without waiting). Raises BusError, LeaseLostError."""
         if self._socket.fileno() < 0:
             raise self._ended("the connection is closed")
         readable = select.select([self._socket], [], [], max(patience, 0.0))[0]
@@ -262,7 +265,7 @@ class Client:
             yield msgspec.json.decode(line)
 
     def _take(self, message: dict[str, Any]) -> bool:
-        """Whether that was no answer, but told to the lease's holder."""
+        """Return True if the message is an event for the lease's holder rather than an answer."""
         if "event" not in message:
             return False
         if self._lease is not None:
@@ -288,22 +291,26 @@ class Lease:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with contextlib.suppress(BusError, UsageError):  # what ended it was told, or is being told
+        with contextlib.suppress(BusError, UsageError):  # the error that ended the block has priority
             self.release()
 
     @property
     def held(self) -> bool:
-        """As far as this end knows."""
+        """Return True unless this client has learned that the lease is lost."""
         return not self.why
 
     def send(self, values: Mapping[str, float], wanted: float | None = None) -> None:
         """Send the desired joint torque (N*m) by axis without an answer; a new value replaces the last of its axis.
 
-        The time-out counts from `wanted` (s of `clock`), default now. A value beyond the axis' `set_point_limit` is
-        clamped to it; `clamped` and the next measurement show this.
+        A value beyond the axis' `set_point_limit` is clamped to it; `clamped` and the next measurement show this.
 
-        Raises LeaseLostError if the lease is lost; UsageError if a value is not finite, or this or an earlier one was
-        rejected.
+        Args:
+            values: N*m by axis.
+            wanted: time stamp of the set-points, from which their time-out counts, s of `clock`; None: now.
+
+        Raises:
+            LeaseLostError: the lease is lost.
+            UsageError: a value is not finite, or this or an earlier value was rejected.
         """
         client = self._client
         now = client.clock()
@@ -323,13 +330,13 @@ class Lease:
             raise UsageError(f"daemon: {refused}")
 
     def release(self) -> None:
-        """Give it back: what was wanted goes to 0 at the set-point's rate. Nothing, when it is lost already."""
+        """Release the lease, so that the set-point goes to 0 at its rate; does nothing if the lease is lost."""
         if self.held:
             self.why, self.given_back = "it was given back", True
             self._client.ask(protocol.Release())
 
     def take(self, message: Mapping[str, Any]) -> None:
-        """What the server tells of it."""
+        """Process an event of the server about the lease."""
         if message["event"] == "clamped":
             self.clamped[message["axis"]] = message["clamped"]
         elif message["event"] == "refused":

@@ -1,4 +1,4 @@
-"""One client of the socket server: who it is, what it has asked and was not answered yet, what it has not read yet."""
+"""Handle one client of the socket server: its user and role, its pending requests and its unread answers."""
 
 from __future__ import annotations
 
@@ -16,15 +16,13 @@ import msgspec
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.protocol import LONGEST_LINE
 
-# Who is at the other end of a local socket, by the kernel's word, and what he may do there.
-
 _CREDENTIALS = struct.Struct("=3i")  # struct ucred: process, user, group
 _SO_PEERGROUPS = 59  # asm-generic/socket.h, Linux 4.13; the socket module has no name for it
 _MOST_GROUPS = 1024  # bytes: the most that getsockopt of Python takes, 256 groups
 
 
 class Role(IntEnum):
-    """Each may do what those before it may."""
+    """List the roles of a client; each role includes the permissions of the lower ones."""
 
     WATCH = 1  # status, measurements, events
     COMMAND = 2  # also parameters, the lease of the set-point, stop; recovery while it holds the lease
@@ -32,7 +30,7 @@ class Role(IntEnum):
 
 
 class Peer(NamedTuple):
-    """The process that connected; its groups include the supplementary ones."""
+    """Identify the process that connected; `groups` includes its supplementary groups."""
 
     process: int
     user: int
@@ -47,24 +45,27 @@ class Peer(NamedTuple):
 
 
 def peer_of(connection: socket.socket) -> Peer:
-    """Who connected (SO_PEERCRED, SO_PEERGROUPS)."""
+    """Return the process that connected, as the kernel reports it (SO_PEERCRED, SO_PEERGROUPS)."""
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     process, user, group = _CREDENTIALS.unpack(data)
     try:
         data = connection.getsockopt(socket.SOL_SOCKET, _SO_PEERGROUPS, _MOST_GROUPS)
         groups = frozenset(struct.unpack(f"={len(data) // 4}I", data))
-    except OSError:  # more groups than that: the first one alone counts
+    except OSError:  # more groups than fit: only the primary group counts
         groups = frozenset()
     return Peer(process, user, groups | {group})
 
 
 def user_of(connection: socket.socket) -> int:
-    """The user at the other end of a local socket."""
+    """Return the user id of the process that connected."""
     return peer_of(connection).user
 
 
 def role_of(peer: Peer, command: Collection[int], watch: Collection[int]) -> Role | None:
-    """What a peer may do, by the groups that may command and watch; None: nothing at all."""
+    """Return the role of a peer by its user and groups, or None if it has no permission.
+
+    `command` and `watch` are the groups with that role. Root and the user of this process have the role OWNER.
+    """
     if peer.user in (0, os.getuid()):
         return Role.OWNER
     if not peer.groups.isdisjoint(command):
@@ -78,14 +79,17 @@ _encode = msgspec.json.encode
 
 
 class Connection:
-    """A non-blocking socket with its lines; `gone` when the other end is, or reads nothing."""
+    """Hold a non-blocking socket with its requests and answers.
+
+    `gone` is True if the client has disconnected or does not read its answers.
+    """
 
     def __init__(self, connection: socket.socket, peer: Peer, role: Role, now: float) -> None:
         self.socket = connection
         self.peer = peer
         self.role = role
         self.last = now  # s, of its last request
-        self.lines: deque[bytes] = deque()  # asked, and not looked at yet
+        self.lines: deque[bytes] = deque()  # requests that were received and not processed yet
         self.pending: list[tuple[int, float, dict[str, Any]]] = []  # ticket, since when, answer
         self.gone = False
         self._received = b""
@@ -113,19 +117,19 @@ class Connection:
             self.gone = True
 
     def push(self, message: dict[str, Any]) -> None:
-        """One object, to be sent as soon as the client takes it."""
+        """Queue one object to be sent as soon as the client reads."""
         self._unsent += _encode(message) + b"\n"
 
     def refuse(self, text: str) -> None:
         self.push({"ok": False, "error": text})
 
     def dismiss(self, text: str) -> None:
-        """Send the reason for the end of the connection, as far as the client takes it."""
+        """Send the reason for the end of the connection, without waiting for the client."""
         self.refuse(text)
         self.send()
 
     def settle(self, taken: Callable[[int], bool], now: float, patience: float) -> None:
-        """Answer the commands that the loop has taken, or has not taken within `patience` s."""
+        """Answer the commands that the loop has accepted, and those that it has not accepted within `patience` s."""
         waiting = []
         for ticket, since, answer in self.pending:
             if taken(ticket):
@@ -151,6 +155,6 @@ class Connection:
 
 
 def may(client: Connection, verb: str, role: Role) -> None:
-    """Raises UsageError when this client may not do that."""
+    """Raise UsageError if the client's role is below `role`."""
     if client.role < role:
         raise UsageError(f"{verb}: user {client.peer.user} may only watch here; see [socket] group and watch_group")

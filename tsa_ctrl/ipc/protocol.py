@@ -1,4 +1,4 @@
-"""The protocol of the socket: requests of a client and answers of the server, one strict JSON object per line.
+"""Define the protocol of the socket: requests of a client and answers of the server, one JSON object per line.
 
 Requests: {"verb": "status"}, {"verb": "measure"}, {"verb": "events", "since": 0}, {"verb": "stop"},
 {"verb": "set", "name": "knee.compensation", "value": 0.9}, {"verb": "lease", "seconds": 0.2}, {"verb": "release"},
@@ -51,28 +51,28 @@ class SetPointValue(Request, frozen=True, tag="setpoint"):
 
     axis: str
     value: float  # N*m
-    time: float | None = None  # s, CLOCK_MONOTONIC, when it was wanted; without it, when the server reads it
+    time: float | None = None  # s, CLOCK_MONOTONIC, time stamp of the set-point; None: when the server reads it
     quiet: bool = False  # without an answer
 
 
 class Lease(Request, frozen=True, tag="lease"):
-    """Own the set-points of all axes, or renew that."""
+    """Take the lease of the set-points of all axes, or renew it."""
 
     seconds: float  # s without a set-point or a renewal, after which it is lost
 
 
 class Release(Request, frozen=True, tag="release"):
-    """Give the lease back: what was wanted is withdrawn."""
+    """Release the lease and withdraw the set-points."""
 
 
 class Measure(Request, frozen=True, tag="measure"):
-    """Ask for what the last cycle measured."""
+    """Ask for the measurements of the last cycle."""
 
 
 class Events(Request, frozen=True, tag="events"):
-    """Ask for what happened."""
+    """Ask for the events."""
 
-    since: int = 0  # number of the first event that is wanted
+    since: int = 0  # number of the first event to return
 
 
 class Recover(Request, frozen=True, tag="recover"):
@@ -80,7 +80,7 @@ class Recover(Request, frozen=True, tag="recover"):
 
 
 class Stop(Request, frozen=True, tag="stop"):
-    """Ramp down, disable, end."""
+    """Ramp the torque down, disable the drives and end the daemon."""
 
 
 AnyRequest = Status | Measure | Events | Set | Lease | SetPointValue | Release | Recover | Stop
@@ -98,7 +98,7 @@ def is_stop(line: bytes) -> bool:
 
 
 class Range(msgspec.Struct, frozen=True):
-    """One live parameter as the server knows it; without bounds it cannot be set on this axis."""
+    """Describe one live parameter; without bounds it cannot be set on this axis."""
 
     name: str
     unit: str
@@ -109,7 +109,7 @@ class Range(msgspec.Struct, frozen=True):
 
 
 class Description(msgspec.Struct, frozen=True):
-    """What the daemon tells its socket server at the start."""
+    """Hold the data that the daemon passes to its socket server at startup."""
 
     path: str
     group: str | None
@@ -121,27 +121,27 @@ class Description(msgspec.Struct, frozen=True):
     estimate_states: list[str]
     reasons: list[str]
     phases: list[str]
-    set_point_limit: list[float | None]  # N*m per axis, None where it does not come over the socket
-    figures: dict[str, Any]  # bus load and the like, constant for the run
+    set_point_limit: list[float | None]  # N*m per axis, None if the set-point does not come over the socket
+    figures: dict[str, Any]  # constant figures of the run, such as the bus load
     remedies: dict[str, str] = {}  # of a fault, by its cause_id
     set_point_timeout: list[float] = []  # s per axis
     watch_group: str | None = None
-    estimators: list[str] = []  # per axis: which it has, and why not the one by the stretch
-    loose_bounds: list[str] = []  # safety bounds that are looser than shipped, a line each
+    estimators: list[str] = []  # per axis: its estimator, and why it is not the one by the tendon elongation
+    loose_bounds: list[str] = []  # safety bounds that are looser than the defaults, one line each
 
 
 def default_path() -> str:
-    """$XDG_RUNTIME_DIR/tsa.sock, else tsa.sock in a folder of this user's own among the temporary ones."""
+    """Return $XDG_RUNTIME_DIR/tsa.sock, or tsa.sock in the user's private folder if the variable is not set."""
     return str(Path(os.environ.get("XDG_RUNTIME_DIR") or private_folder()) / "tsa.sock")
 
 
 def private_folder() -> str:
-    """Where nobody else may make a file first: it has mode 0700 (see `make_private`)."""
+    """Return the user's private folder, in which no other user can create files (mode 0700, see `make_private`)."""
     return f"/tmp/tsa-{os.getuid()}"
 
 
 def make_private(folder: str) -> None:
-    """Make it, or make sure that it is this user's alone; raises UsageError when somebody else made it."""
+    """Create the folder, or check that it belongs to this user with mode 0700; raises UsageError otherwise."""
     try:
         Path(folder).mkdir(0o700)
     except FileExistsError:
@@ -153,7 +153,7 @@ def make_private(folder: str) -> None:
 
 
 def is_socket(path: str) -> bool:
-    """Whether a socket lies there."""
+    """Return True if `path` is a socket."""
     try:
         return stat.S_ISSOCK(Path(path).lstat().st_mode)
     except OSError:
