@@ -1,8 +1,8 @@
-"""The master's duties at start: boot, identity, errors, configuration with read-back, rated torque, start.
+"""Bring the nodes up as the CANopen master: boot, identity, errors, configuration, rated torque, start.
 
-Everything written is read back, and what the node had before is kept, so that the report shows what was changed.
-Nothing here applies torque or enables a drive. What is refused before anything was written has sent nothing but
-questions by SDO; what fails later is answered by NMT to the nodes that were addressed.
+Every written object is read back. Its previous value is kept, so that the report shows each change. Nothing here
+applies torque or enables a drive. If a check fails before the first write, only SDO reads have been sent. A later
+failure sends NMT commands to the nodes that were addressed.
 """
 
 from __future__ import annotations
@@ -42,17 +42,15 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import BusError, StoppedError, TsaError, UsageError
 
-# What a drive itself makes of signs and positions (0x607E, 0x608F, 0x6091, 0x6092), against the configuration.
-#
-# Another tool may have turned them since the configuration was measured; a sign that is wrong pushes where it should
-# give way. Only what a drive has is compared, and nothing is changed here: `polarity` in [axis.drive] has 0x607E
-# written.
-
-_TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 0x607E
+_TURNED = ((0x80, "position"), (0x40, "velocity"), (0x20, "torque"))  # bits of 0x607E that reverse a sign
 
 
 def check_signs(session: Session, node: Node) -> None:
-    """Raise UsageError if a drive's polarity or its counts per revolution differ from the configuration."""
+    """Raise UsageError if a drive's polarity or its counts per revolution differ from the configuration.
+
+    Another tool may have changed 0x607E, 0x608F, 0x6091 or 0x6092 since the signs were measured, and a wrong sign makes
+    the joint push where it should yield. Only objects that the drive has are compared, and none is written here.
+    """
     _check_polarity(session, node)
     _check_counts(session, node)
 
@@ -72,7 +70,10 @@ def _check_polarity(session: Session, node: Node) -> None:
 
 
 def _check_counts(session: Session, node: Node) -> None:
-    """Positions are increments of the encoder, or units of a feed constant behind the drive's own gear."""
+    """Raise UsageError if the counts per revolution of the motor differ from the configuration.
+
+    A position is in encoder increments (0x608F), or in units of the feed constant (0x6092) after the gear (0x6091).
+    """
     increments = _share(session, node, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
     gear = _share(session, node, objects.GEAR_MOTOR, objects.GEAR_SHAFT) or Fraction(1)
     feed = _share(session, node, objects.FEED, objects.FEED_SHAFT)
@@ -95,7 +96,7 @@ def _check_counts(session: Session, node: Node) -> None:
 
 
 def _share(session: Session, node: Node, first: Object, second: Object) -> Fraction | None:
-    """One object by the other; None where the drive does not have both, or says nothing by them."""
+    """Return the ratio of two objects, or None if the drive lacks one of them or one of them is 0."""
     above, below = _look(session, node, first), _look(session, node, second)
     return Fraction(above, below) if above and below else None
 
@@ -104,13 +105,11 @@ def _look(session: Session, node: Node, entry: Object) -> int | None:
     return node.look(session, entry) if node.profile.has(entry) else None
 
 
-# Equal drives: only their serial numbers tell them apart, and exchanged ids would exchange the joints.
-
-
 def check_twins(nodes: Sequence[Node], reports: Sequence[NodeReport]) -> None:
-    """Two drives of one make and model have their serial numbers in the configuration; raises UsageError.
+    """Raise UsageError unless the configuration holds the serial numbers of all drives of the same model.
 
-    Where the drives themselves have no serial numbers that differ, that is noted: nothing tells them apart.
+    Drives of one model differ only in their serial numbers, and exchanged node ids would exchange the joints. If their
+    serial numbers are missing or equal, the drives cannot be distinguished, and a note is added to their reports.
     """
     drives = {node.node_id: (node, report) for node, report in zip(nodes, reports, strict=True) if _is_drive(node)}
     for (one, first), (other, second) in itertools.combinations(drives.values(), 2):
@@ -136,10 +135,10 @@ def _model(report: NodeReport) -> tuple[int | None, ...]:
     return tuple(report.identity.get(entry.name) for entry in (objects.VENDOR_ID, objects.PRODUCT_CODE))
 
 
-START_TIMEOUT = 2.0  # s, until a heartbeat says "operational"
+START_TIMEOUT = 2.0  # s until a heartbeat reports "operational"
 
 Tell = Callable[[str], None]
-Identify = Callable[[AxisNodes, Role, int | None], None]  # axis, node, 0x1018:4 (None: absent); raises for a wrong one
+Identify = Callable[[AxisNodes, Role, int | None], None]  # axis, node, 0x1018:4 (None: absent); raises to reject it
 
 
 def bring_up(
@@ -224,7 +223,7 @@ def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:
 
 
 def _be_alone(bus: Bus, session: Session, nodes: Sequence[Node]) -> None:
-    """Nobody else leads this bus; a drive that makes SYNC is told to stop, where its profile says that it may."""
+    """Raise an error if another master is active; stop the SYNC of a drive if its profile permits that."""
     rpdos = [layout_of(node.axis.drive).rpdo_id for node in nodes if node.role is Role.DRIVE]
     heard = session.listen(rpdos)
     if heard != {cia301.SYNC}:
@@ -282,7 +281,7 @@ def _boot(bus: Bus, session: Session, nodes: Sequence[Node], there: set[int], te
 
 
 def _not_booted(bus: Bus, session: Session, late: Sequence[Node], there: set[int]) -> str:
-    """Told apart: nodes that are slow, nodes that are not there, and a bus on which nobody is."""
+    """Return the message about nodes that did not boot: slow nodes, missing nodes, or a bus without any node."""
     node = late[0]
     names = ", ".join(node.name for node in late)
     if any(node.node_id in there for node in late):
@@ -349,14 +348,14 @@ def _start(bus: Bus, session: Session, nodes: Sequence[Node], tell: Tell) -> Non
 
 
 def _what_they_said(session: Session, nodes: Sequence[Node]) -> str:
-    """Emergencies since the session began, the last of each node, as the end of a message."""
+    """Return the last emergency of each node since the session began, as the end of a message."""
     names = {node.node_id: node.name for node in nodes}
     last = [f"{name} sent {session.emcys(node_id)[-1]}" for node_id, name in names.items() if session.emcys(node_id)]
     return f"; meanwhile {', and '.join(last)}" if last else ""
 
 
 def _leave(session: Session, nodes: Sequence[Node], settings: BusSettings) -> None:
-    """Nodes that were addressed: nobody is guarded any longer, all pre-operational; a drive that is on is stopped."""
+    """Disarm the nodes that were addressed and set them pre-operational; a drive that is on is set to stopped."""
     for node in nodes:
         if node.node_id not in session.touched:
             continue

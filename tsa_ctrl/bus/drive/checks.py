@@ -16,8 +16,6 @@ from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, Session
 from tsa_ctrl.bus.settings import AxisNodes, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
-# The findings and changes of a bring-up at each node.
-
 
 @dataclass(frozen=True)
 class Row:

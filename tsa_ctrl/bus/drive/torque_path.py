@@ -13,15 +13,13 @@ from tsa_ctrl.bus.drive.session import SdoRefusedError, Session
 from tsa_ctrl.bus.settings import DriveSettings, EncoderSettings
 from tsa_ctrl.errors import UsageError
 
-# Device units to SI and back: each factor is written once here and used both ways.
-
 PER_MILLE = 1000
 _I16_MAX = 32767
 
 
 @dataclass(frozen=True)
 class DriveScale:
-    """One digit of each channel of a drive, at the motor pulley, sign included."""
+    """Hold the factors between device units and SI of each channel of a drive, at the motor pulley, with the sign."""
 
     torque: float  # N*m per digit of 0x6071 and 0x6077
     position: float  # rad per digit of 0x6064
@@ -32,7 +30,7 @@ class DriveScale:
 
 
 def drive_scale(drive: DriveSettings, profile: DriveProfile, where: str) -> DriveScale:
-    """Scale of a drive; raises UsageError when a clamp does not fit its object."""
+    """Return the scale of a drive; raises UsageError if a limit exceeds the range of its object."""
     ratio, counts = drive.gear_ratio, drive.counts_per_revolution
     rated = drive.rated_torque * ratio
     torque = rated / profile.units.torque

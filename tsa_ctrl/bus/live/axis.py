@@ -17,15 +17,13 @@ from tsa_ctrl.bus.live.read_back import Hearing
 from tsa_ctrl.bus.settings import AxisNodes, NodeSettings, Role
 from tsa_ctrl.bus.wire.seam import Bus
 
-# Position counts to unwrapped angle and angular velocity.
-#
-# Velocity: the difference of two positions over the measured interval, through a first-order low-pass of cutoff f_c,
-#     omega += (1 - exp(-2 pi f_c dt)) (dq/dt - omega),
-# so its delay is 1 / (2 pi f_c) and a missed sample only makes dt longer.
-
 
 class PositionTracker:
-    """Follows a counter that wraps.
+    """Convert a position counter that wraps into an unwrapped angle and an angular velocity.
+
+    The velocity is the difference of two positions over the measured interval dt, filtered by a first-order low-pass
+    with the cutoff f_c, omega += (1 - exp(-2 pi f_c dt)) (dq/dt - omega). Its delay is 1 / (2 pi f_c), and a missed
+    sample only makes dt longer.
 
     `radians_per_count` carries the sign. `zero`: the count at angle 0; the first angle is the one nearest to 0.
     `cutoff`: Hz. `angle` (rad) and `velocity` (rad/s) are nan and 0 until the first sample.

@@ -24,25 +24,24 @@ from tsa_ctrl.bus.drive.checks import Report
 from tsa_ctrl.bus.live.image import Image
 from tsa_ctrl.bus.wire.seam import Bus
 
-# Which command a drive heard last: what its 0x6071 holds, asked for now and then, against what was sent to it.
-#
-# A command that is lost on its way, or in a drive that looks at its PDOs too seldom, tells nothing: the RPDO timer
-# counts only those that are lost in a row. How far behind its question an answer may lie is the drive's own, a SYNC or
-# a cycle of its firmware, and is learned as the least that was ever seen; a little more (JITTER) is no loss. What
-# rests, or comes back to a value that it had, shows nothing, and does no harm either.
-
-# commands beyond its usual that a drive may show late: its PDOs and its SDO server are often two tasks, neither in step
-# with SYNC; two periods are no danger either, and a drive that hears each fifth command passes them half the time
+# Commands by which an answer may exceed the drive's usual delay, because PDOs and SDO server are often separate tasks.
+# Two periods are harmless, and a drive that receives only every fifth command exceeds them half the time.
 JITTER = 2
-HISTORY = 64  # commands that are remembered: more than a drive may miss before its RPDO timer ends, at 1 kHz
+HISTORY = 64  # commands that are stored: at 1 kHz more than a drive may miss before its RPDO timer expires
 
 
 class Hearing:
-    """One drive's. Digits of 0x6071, as they are sent.
+    """Detect lost commands of one drive by comparing its 0x6071, read now and then, with the commands sent.
 
-    Attributes: `sent` (those since the last question, the newest last; whoever sends appends), `asked` (answers since
-    the start), `unheard` (of them those that held a command older than they may), `too_many` (of these within a
-    second).
+    The RPDO timer of a drive detects only commands that are lost in succession. The usual delay of an answer depends on
+    the drive and is learned as the smallest delay so far. An answer older than that by more than `JITTER` commands
+    counts as a loss. A command that is constant or returns to an earlier value cannot be checked.
+
+    Attributes:
+        sent: commands since the last request, in digits of 0x6071, newest last; the sender appends them.
+        asked: answers since the start.
+        unheard: answers since the start that held too old a command.
+        too_many: number of such answers within a second that is a fault.
     """
 
     def __init__(self) -> None:
@@ -54,46 +53,48 @@ class Hearing:
         self._usual = HISTORY
 
     def begin(self, too_many: int) -> None:
-        """The drive was configured anew, and may be another one."""
+        """Forget the usual delay after the drive was configured again, because it may be another drive.
+
+        `too_many`: number of answers with too old a command within a second that is a fault.
+        """
         self.too_many = too_many
         self._usual = HISTORY
 
     def ask(self) -> None:
-        """A question goes out now."""
+        """Start a new list of commands, because a request is being sent."""
         self._known = [*self._known, *self.sent][-HISTORY:]
         self.sent.clear()
 
     def answered(self, value: int) -> None:
-        """The answer to the last question."""
+        """Evaluate the answer to the last request; `value` in digits of 0x6071."""
         self.asked += 1
         since = list(self.sent)
         everything = [*self._known, *since]
         ages = [age for age, digits in enumerate(reversed(everything)) if digits == value]
-        if not ages:  # never sent: rounded or clamped there
+        if not ages:  # not a sent value: the drive rounds or clamps it
             return
-        if ages[-1] < len(everything) - 1:  # else it may be of a command before these
+        if ages[-1] < len(everything) - 1:  # else it may stem from a command before the stored ones
             self._usual = min(self._usual, ages[-1])
         self.unheard += ages[0] - len(since) > self._usual + JITTER
 
-
-# The emergency stop at a drive's digital inputs (0x60FD), read by SDO while the loop runs.
-#
-# No PDO has room for it: the two that a drive sends are full. It is a second path. The first one is the drive's own
-# safe-torque-off input, which needs no software.
 
 UNREAD = 0.25  # s without an answer, after which the state of the stop is unknown; a slow drive answers within 0.05
 
 
 @dataclass(frozen=True)
 class StopBit:
-    """Where the stop is wired."""
+    """Describe how the emergency stop is wired."""
 
     bit: int  # of 0x60FD
     level: int  # of that bit while the stop is pressed, 0 or 1
 
 
 class StopInput:
-    """The stop of one axis; writes its state to the axis' image."""
+    """Read the emergency stop at a drive's digital inputs (0x60FD) by SDO and write its state to the axis' image.
+
+    Both PDOs that a drive sends are full, so 0x60FD is read by SDO. This is a second path; the first one is the drive's
+    safe-torque-off input, which needs no software.
+    """
 
     def __init__(self, node_id: int, entry: Object, wiring: StopBit, image: Image) -> None:
         """`entry`: 0x60FD of the axis."""
@@ -104,7 +105,7 @@ class StopInput:
         self._due = math.inf  # s, when the state becomes unknown
 
     def asked(self, now: float) -> None:
-        """Judge how long no answer has come, at each question; `now` in s."""
+        """Check at each request (`now` in s) whether answers are overdue."""
         self._due = min(self._due, now + UNREAD)
         if now >= self._due and self._image.pressed is None:
             self._image.pressed = f"{self._image.nodes[0]}: no answer about {self.entry} for {UNREAD:g} s"
@@ -116,17 +117,17 @@ class StopInput:
         self._image.pressed = f"{self._image.nodes[0]}: bit {self._wiring.bit} of {self.entry}" if pressed else None
 
 
-INTERVAL = 0.02  # s between two questions at `BITRATE`: question and answer are 1.3 % of the bus then
-# s between two questions for a command, no multiple of any cycle: else the same of those that a drive hears by turns
-# would be met each time. The part beyond 20 ms is the golden ratio's of a millisecond.
+INTERVAL = 0.02  # s between two requests at `BITRATE`; request and answer then take 1.3 % of the bus
+# s between two requests for a command. It is not a multiple of any cycle, so that the requests do not always meet the
+# same command of a periodic loss. The part beyond 20 ms is the golden ratio of a millisecond.
 LISTEN = 0.020618
-LEAST_UNHEARD = 3  # commands within a second, where few are asked for: one that is lost with an error stops nothing
+LEAST_UNHEARD = 3  # lost commands within a second that are a fault at least; a single loss never is
 BITRATE = 1_000_000  # bit/s
-PATIENCE = 1.0  # s for an answer; what does not come is asked again in the next round
-STOP_PATIENCE = 0.05  # s, after which the emergency stop is asked for although another answer has not come
-STOP_INTERVAL = 0.05  # s at most between two questions for it, however slow the bus is
-BETWEEN = 4  # other objects between two questions for a torque offset, which turns the motor at command 0
-_MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, objects.MODE.name})  # others write them, too
+PATIENCE = 1.0  # s for an answer; without one, the object is read again in the next round
+STOP_PATIENCE = 0.05  # s after which the emergency stop is read although another answer is still missing
+STOP_INTERVAL = 0.05  # s at most between two requests for the emergency stop, on a slow bus as well
+BETWEEN = 4  # other objects between two requests for a torque offset, which moves the motor at command 0
+_MOVES = frozenset({objects.CONTROLWORD.name, objects.TARGET_TORQUE.name, objects.MODE.name})  # change while running
 _QUESTION = struct.Struct("<BHB4x")
 _KEY = struct.Struct("<xHB")
 _UPLOAD = 0x40
@@ -137,7 +138,7 @@ _EXPEDITED_BITS = 0xE3
 
 @dataclass(frozen=True)
 class Held:
-    """An object of a node, and the value that was read back at the start."""
+    """Hold an object of a node and its value that was read back at startup."""
 
     node_id: int
     entry: Object
@@ -145,7 +146,10 @@ class Held:
 
 
 def held_by(report: Report) -> tuple[Held, ...]:
-    """Everything that a bring-up wrote and the loop does not change; what a drive shares with another axis once."""
+    """Return all objects that a bring-up wrote and the loop does not change.
+
+    An object that a drive shares with another axis appears once.
+    """
     rows = [
         Held(node.node_id, row.entry, row.after)
         for node in report.nodes
@@ -157,7 +161,7 @@ def held_by(report: Report) -> tuple[Held, ...]:
 
 @dataclass(frozen=True)
 class Heard:
-    """Where a drive shows the command that it heard last."""
+    """Hold the object in which a drive shows the last command that it received."""
 
     node_id: int
     entry: Object
@@ -165,7 +169,7 @@ class Heard:
 
 
 def _rotation(held: Sequence[Held]) -> Iterator[Held]:
-    """Yield all objects by turns without end, and a torque offset after every `BETWEEN` others."""
+    """Yield all objects in turn without end, and a torque offset before every `BETWEEN` others."""
     offsets = [each for each in held if each.entry.name == objects.TORQUE_OFFSET.name]
     others = [each for each in held if each not in offsets]
     if not offsets or not others:
@@ -178,7 +182,7 @@ def _rotation(held: Sequence[Held]) -> Iterator[Held]:
 
 
 class ReadBack:
-    """Asks and compares; `altered` says for each node what it no longer holds as it was written."""
+    """Read objects back and compare them; `altered` holds a message for each node with a changed object."""
 
     def __init__(
         self,
@@ -189,7 +193,10 @@ class ReadBack:
         lost_share: float = 1.0,
         stops: Sequence[StopInput] = (),
     ) -> None:
-        """`bitrate` in bit/s; `lost_share`: 1, of the commands asked for in a second that may be older ones."""
+        """Prepare the reading of `held`, `heard` and `stops`.
+
+        `bitrate` in bit/s; `lost_share`: share of the answers within a second, 1, that may hold too old a command.
+        """
         self.altered: dict[int, str] = {}
         self._send = bus.send
         slower = max(1.0, BITRATE / bitrate)
@@ -199,7 +206,7 @@ class ReadBack:
         self._stops = itertools.cycle(stops)
         self._stop_interval = min(self._interval, STOP_INTERVAL) / max(1, len(stops))
         self._asked: Held | Heard | StopInput | None = None
-        self._again: Held | None = None  # differed, and is asked once more before it counts
+        self._again: Held | None = None  # differed, and is read a second time before it counts
         self._next = -math.inf
         self._next_heard = -math.inf if heard else math.inf
         self._next_stop = -math.inf if stops else math.inf
@@ -227,7 +234,7 @@ class ReadBack:
             self._next = now + self._interval
             asked = self._again or next(self._round)
         else:
-            behind = now - self._next_heard  # of a grid that is no cycle's
+            behind = now - self._next_heard  # keeps the grid of `LISTEN`, which no cycle matches
             self._next_heard = now + self._listen - (behind if behind < self._listen else 0.0)
             asked = next(self._drives)
             asked.hearing.ask()
@@ -238,7 +245,7 @@ class ReadBack:
         self._send(SDO_REQUEST + asked.node_id, _QUESTION.pack(_UPLOAD, *asked.entry.key))
 
     def answer(self, node_id: int, data: bytes) -> bool:
-        """An SDO answer of a node; True when it shows for the second time what was not written."""
+        """Evaluate an SDO answer of a node; return True if an object differs from its value for the second time."""
         asked = self._asked
         if asked is None or asked.node_id != node_id or len(data) != 8 or _KEY.unpack_from(data) != asked.entry.key:
             return False

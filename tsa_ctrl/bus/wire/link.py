@@ -182,11 +182,11 @@ def _state(value: int | None) -> CanState | None:
     return CanState(value) if value is not None and value in CanState._value2member_map_ else None
 
 
-# Open the bus that the settings name.
-
-
 def open_bus(settings: BusSettings) -> Bus:
-    """A raw socket for "socketcan", python-can for everything else; raises BusError when it is not ready."""
+    """Open the configured bus and return it; raises BusError if it is not ready.
+
+    "socketcan" uses a raw socket, every other interface uses python-can.
+    """
     if settings.interface == "socketcan":
         if settings.options:
             raise UsageError(

@@ -1,4 +1,4 @@
-"""Raw SocketCAN (Linux, AF_CAN): one precompiled struct, no threads, no queue of its own."""
+"""Access raw SocketCAN (Linux, AF_CAN) with one precompiled struct, and without threads or a user-space queue."""
 
 from __future__ import annotations
 
@@ -15,8 +15,6 @@ from select import select
 from tsa_ctrl.bus.wire.seam import BusFault, Counters, Frame
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.sleep import Alarm, sleep_until
-
-# Many CAN frames by one call of the kernel: recvmmsg(2), which Python's socket module does not offer.
 
 FRAME = struct.Struct("=IB3x8s")  # struct can_frame: can_id, len, padding, data
 _MOST = 64  # frames taken by one call
@@ -47,7 +45,10 @@ _recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int
 
 
 class Batch:
-    """Takes what waits on one raw CAN socket, without waiting."""
+    """Receive many frames of one raw CAN socket with one kernel call (recvmmsg(2)), without waiting.
+
+    Python's socket module does not offer this call.
+    """
 
     def __init__(self, raw: socket.socket) -> None:
         self._fd = raw.fileno()
@@ -61,7 +62,7 @@ class Batch:
         self._address = ctypes.addressof(self._messages)
 
     def take(self, most: int) -> tuple[list[tuple[int, bytes]], int]:
-        """At most `most` frames, and the kernel's error number (0 when there was none; EAGAIN is none)."""
+        """Return at most `most` frames and the kernel's error number, 0 without an error or for EAGAIN."""
         frames: list[tuple[int, bytes]] = []
         while most > 0:
             wanted = most if most < _MOST else _MOST
@@ -86,7 +87,7 @@ _MAX_FILTERS = 512  # CAN_RAW_FILTER_MAX
 _SIOCGIFFLAGS = 0x8913
 _IFF_UP = 0x1
 _TRUESIZE = 1024  # bytes that one queued CAN frame is charged to the socket, rounded up
-_TICK = 0.01  # s: a time-out that much later than what is to come before makes the kernel set no timer
+_TICK = 0.01  # s; with a time-out so much later than the next event, the kernel sets no timer
 _FLUSH_LIMIT = 100_000  # frames; a bus never holds more, so a flood cannot keep flush() busy for ever
 
 _NOTHING: list[int] = []
@@ -99,10 +100,10 @@ _FAULTS = {
 
 
 class SocketCan:
-    """A `Bus` on a SocketCAN interface.
+    """Implement `Bus` on a SocketCAN interface.
 
-    `channel`: interface name. `send_queue`: frames that may wait in the kernel; a further one is dropped and counted,
-    so that no stale torque plays out after a bus has recovered. Raises BusError when the interface is missing or down.
+    `channel`: interface name. `send_queue`: frames that may wait in the kernel. Further frames are dropped and counted,
+    so that no stale torque is sent after a bus has recovered. Raises BusError if the interface is missing or down.
     """
 
     def __init__(self, channel: str, send_queue: int = 32) -> None:
@@ -218,7 +219,7 @@ class SocketCan:
         return frames
 
     def _note(self, number: int | None) -> None:
-        """Latch what ends the bus; a full queue (send) or an empty one (recv) is no fault."""
+        """Latch a fault of the bus; a full queue (send) or an empty one (recv) is not a fault."""
         if number not in _DROPPED and self.fault is None:
             self.fault = _FAULTS.get(number or 0, BusFault.ADAPTER)
 
