@@ -1,4 +1,4 @@
-"""The CAN interface as the kernel reports it, its echo, and the bus load."""
+"""Check the CAN interface as the kernel reports it, the traffic and load of the bus, and its response time."""
 
 from __future__ import annotations
 
@@ -15,11 +15,9 @@ from tsa_ctrl.bus.wire.link import CanState, open_bus, read
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import TsaError
 
-# One finding about the machine: the found and the required state, and the command that fixes it.
-
 
 class Result(Enum):
-    """What a check found."""
+    """List the possible results of a check."""
 
     PASS = "pass"
     WARN = "warn"
@@ -28,7 +26,10 @@ class Result(Enum):
 
 @dataclass(frozen=True)
 class Check:
-    """`fix` is a command or one sentence; empty for a pass."""
+    """Hold the result of one check, with the actual and the required state.
+
+    `fix` is the remedy: a command or one sentence, empty for a pass.
+    """
 
     name: str
     result: Result
@@ -47,20 +48,23 @@ class Check:
 
 
 def judge(name: str, good: bool, found: str, wanted: str, fix: str, otherwise: Result = Result.WARN) -> Check:
-    """A pass when `good`, else `otherwise` with its fix."""
+    """Return a pass if `good` is True, else a check with the result `otherwise` and its fix."""
     return Check(name, Result.PASS, found, wanted) if good else Check(name, otherwise, found, wanted, fix)
 
 
 MOST_QUEUE = 256  # frames: a longer queue plays stale torque out late
-LISTEN_TIME = 0.5  # s, in which traffic of others is counted
+LISTEN_TIME = 0.5  # s, in which the frames of other nodes are counted
 UPLOAD_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0x00, 0, 0, 0, 0))  # CiA 301: initiate upload of 0x1000:0
 ROUND_TRIPS = 20
 ANSWER_TIME = 0.1  # s
-MOST_ROUND_TRIP = 5.0  # ms, median: an SDO server may take its time, an adapter may not
+MOST_ROUND_TRIP = 5.0  # ms, median over `ROUND_TRIPS`
 
 
 def checks(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Iterator[Check]:
-    """Interface state, bit rate, error counters, queue length (SocketCAN only), traffic, and the load at `rate` Hz."""
+    """Yield the checks of interface state, bit rate, error counters, queue length, traffic, and load at `rate` Hz.
+
+    The queue length is checked for SocketCAN only.
+    """
     if settings.interface == "socketcan":
         yield from _socketcan(settings)
     yield from _traffic(settings, axes)
@@ -128,7 +132,7 @@ def _traffic(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[Check
 
 
 def listen(bus: Bus) -> dict[int, int]:
-    """Frames of each identifier that others send within half a second; ends early when the bus fails."""
+    """Count the frames of other nodes by identifier for `LISTEN_TIME` s; ends early if the bus fails."""
     seen: dict[int, int] = {}
     end = time.monotonic() + LISTEN_TIME
     while bus.fault is None and (left := end - time.monotonic()) > 0.0:
@@ -139,7 +143,7 @@ def listen(bus: Bus) -> dict[int, int]:
 
 
 def judged(bus: Bus, seen: Mapping[int, int], wanted: str) -> Check:
-    """What `listen` heard: a failed bus or another master fails."""
+    """Return the check of the frames that `listen` counted; it fails for a failed bus or another master."""
     found = f"{sum(seen.values()) / LISTEN_TIME:.0f} frames/s heard"
     if bus.fault is not None:
         return Check("bus", Result.FAIL, f"{found}; {bus.fault.value}", wanted, "mend wiring and power of the bus")
@@ -151,7 +155,7 @@ def judged(bus: Bus, seen: Mapping[int, int], wanted: str) -> Check:
 
 
 def _round_trip(bus: Bus, axis: AxisNodes) -> Check:
-    """Time from an SDO request for 0x1000 (device type) to its answer: adapter, wire and drive together."""
+    """Check the time from an SDO request for 0x1000 (device type) to its answer: adapter, wire and drive together."""
     node, name = axis.drive.node_id, f"round trip to node {axis.drive.node_id}"
     times = [took for _ in range(ROUND_TRIPS) if (took := answering(bus, node)) is not None]
     if not times:
@@ -164,7 +168,7 @@ def _round_trip(bus: Bus, axis: AxisNodes) -> Check:
 
 
 def answering(bus: Bus, node: int) -> float | None:
-    """Seconds until a node answered an SDO request; None when it did not."""
+    """Return the seconds until a node answered an SDO request, or None if it did not."""
     begin = time.monotonic()
     bus.send(0x600 + node, UPLOAD_DEVICE_TYPE)
     while (left := begin + ANSWER_TIME - time.monotonic()) > 0.0 and bus.fault is None:
