@@ -13,13 +13,14 @@ from tsa_ctrl.demo.rig import VIRTUAL, BusChoice
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system.processes import daemon, plant
 
-# Where the demo's runs take place: plant and daemon as processes on a bus, or both in virtual time.
-
 Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
 
 
 def runs_on(bus: BusChoice) -> Run:
-    """Return a function that runs `controller-NAME.toml` of a folder on a new plant, and returns the run's summary."""
+    """Return a function that runs `controller-NAME.toml` of a folder on a new plant, and returns the run's summary.
+
+    Plant and daemon run as processes on the bus, or both in this process in virtual time.
+    """
     if bus.virtual:
         from tsa_ctrl.virtual.stage import play  # the loop and the plant in this process
 
@@ -37,7 +38,7 @@ RATE = 500.0  # Hz: what the diagnosis needs of these motions, at half the time 
 
 @dataclass(frozen=True)
 class Example:
-    """The log, the model file that does not know what is hidden, and what that is."""
+    """Hold the paths of the log and of the model file without the hidden cause, and that cause."""
 
     log: Path
     model: Path

@@ -1,4 +1,4 @@
-"""The demo's files as data: a plant whose parameters are NOT the controller's, and controllers to compare on it."""
+"""Build the demo's files: a plant with parameters that differ from the controller's, and controllers to compare."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 
-# The best bus that this machine has: a vcan that is there, one that this user may make, else UDP multicast.
-
 
 @dataclass(frozen=True)
 class BusChoice:
-    """An interface and channel of python-can, or virtual time; `name` is said to people."""
+    """Hold an interface and channel of python-can, or virtual time; `name` is the text shown to the user."""
 
     interface: str
     channel: str
-    virtual: bool = False  # no bus at all; interface and channel are what the files name, to be run on one later
+    virtual: bool = False  # no bus is used; interface and channel are written to the files for a later run on a bus
 
     @property
     def name(self) -> str:
@@ -39,8 +37,9 @@ VIRTUAL = BusChoice("socketcan", "vcan0", virtual=True)
 def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: None) -> BusChoice:
     """Return the requested bus (a CAN interface, or INTERFACE:CHANNEL of python-can), else the best available one.
 
-    A vcan that is down is brought up; if this user may not, `say` reports it, and another bus is used. Raises
-    UsageError when a CAN interface that was asked for does not exist or is down.
+    The order of preference is an existing vcan, a new vcan, UDP multicast. A vcan that is down is brought up. Without
+    the permission for that, `say` receives a message and another bus is used.
+    Raises UsageError if the requested CAN interface does not exist or is down.
     """
     there = can_interfaces()
     up = [name for name, link in there.items() if link.up]
@@ -70,7 +69,7 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
     if not virtual:
         try:
             make_vcan("vcan0")
-        except OSError:  # no right to it, or no such kind of link: nobody was promised one
+        except OSError:  # no permission, or a kernel without vcan: the fallback below needs neither
             pass
         else:
             return BusChoice("socketcan", "vcan0")
@@ -79,7 +78,7 @@ def choose(asked: str | None = None, say: Callable[[str], None] = lambda line: N
 
 MOST_TORQUE = 1.1  # N*m at the joint: within the tendons' domain at the pretension below
 FADE_IN = 1.0  # s
-MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's own: a motor's data sheet says it
+MOTOR_INERTIA = 1e-4  # kg*m^2, the plant's value, which a real motor's data sheet contains
 
 NOMINAL = TendonSheath(
     motor_pulley_radius=0.020,
@@ -94,7 +93,7 @@ NOMINAL = TendonSheath(
     bending_centre=0.5,
     source="nominal.toml",
 )
-TRUTH = {"friction_coefficient": 1.08, "pretension": 0.95, "axial_stiffness": 0.9}  # factors: the truth is not nominal
+TRUTH = {"friction_coefficient": 1.08, "pretension": 0.95, "axial_stiffness": 0.9}  # true value / nominal value
 
 Tables = dict[str, Any]
 
@@ -102,7 +101,7 @@ Tables = dict[str, Any]
 def plant(
     bus: BusChoice, tendon: str, axis: Mapping[str, Mapping[str, Any]] | None = None, load: str = "imposed"
 ) -> Tables:
-    """The plant's configuration; `tendon` is its kind, `axis` changes or adds tables of its one axis."""
+    """Return the plant's configuration; `tendon` is the tendon's kind, `axis` changes or adds tables of its axis."""
     tables: Tables = {
         "name": "joint",
         "actuator": "nominal.toml",
@@ -115,7 +114,7 @@ def plant(
         tables[name] = {**tables.get(name, {}), **values}
     return {
         "bus": {"interface": bus.interface, "channel": bus.channel},
-        # The same motion in every run; and a real machine does not wait for the controller either.
+        # The motion starts at the first enable, so that it is the same in every run.
         "physics": {"start": "first_enable", "priority": 90},
         "axis": [tables],
     }
@@ -124,9 +123,9 @@ def plant(
 def controller(
     bus: BusChoice, name: str, rate: float, model: str, compensation: float, estimator: Mapping[str, Any] | None = None
 ) -> Tables:
-    """A controller's configuration that bears a busy machine: stalls of 10 ms and more, no real-time rights.
+    """Return a controller's configuration for a loaded machine without real-time permissions.
 
-    `estimator`: its [axis.estimator]; what is left out is the loop's default.
+    It tolerates stalls of 10 ms and more. `estimator`: its [axis.estimator]; missing keys have the loop's defaults.
     """
     law: Tables = {"compensation": compensation, "fade_in": FADE_IN}
     if compensation > 0.0:  # without compensation is tau_J* r_M/r_J, and nothing for the motor's own motion
@@ -164,7 +163,7 @@ def controller(
 
 
 def write(folder: Path, play: Play, plant_tables: Tables, controllers: Mapping[str, Tables]) -> None:
-    """Write nominal model, set-point, motion, `plant.toml` and one `controller-NAME.toml` each."""
+    """Write nominal model, set-point, motion, `plant.toml` and one `controller-NAME.toml` for each controller."""
     save_model(NOMINAL, folder / "nominal.toml")
     play.write_setpoint(folder / "setpoint.csv")
     play.write_motion(folder / "motion.csv")
