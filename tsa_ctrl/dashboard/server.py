@@ -1,10 +1,11 @@
-"""The server of the page: loopback only, a token for every request, and no answer to pages of other origins.
+"""Serve the dashboard page on the loopback interface, with a token for every request.
 
-GET / the page; GET /events the status as server-sent events; POST /set {"name", "value"}, /stop, /recover. The token
-is part of the page's address and of each request. Requests whose Host or Origin is not this server are rejected.
+GET / returns the page, and GET /events the status as server-sent events. POST /set {"name", "value"}, /stop and
+/recover are commands. The token is part of the page's address and of each request. Requests whose Host or Origin is
+not this server are rejected.
 
-A stop has separate threads. All pages share one poll of the daemon, static files are sent from memory, and a new
-connection replaces the one that has been idle longest. So a stop is answered under any load of other requests.
+Stop requests have separate threads. All pages share one poll of the daemon, static files are sent from memory, and a
+new connection replaces the one that has been idle longest. So a stop is answered under any load of other requests.
 """
 
 from __future__ import annotations
@@ -37,15 +38,16 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client, stop_daemon
 from tsa_ctrl.ipc.protocol import Recover, Set, Status
 
-# Data and requests of the page, over the daemon's local socket: nothing here delays the loop.
-
 TIMEOUT = 2.0  # s for an answer
 STOP_TIMEOUT = 0.5  # s: a working server answers within milliseconds; after that the daemon gets SIGTERM
 LONGEST_NAME = 64
 
 
 class Feed:
-    """One connection to the daemon, made anew when it was lost. Thread-safe."""
+    """Pass the page's requests to the daemon over its local socket, which cannot delay the loop. Thread-safe.
+
+    A lost connection is opened again at the next request.
+    """
 
     def __init__(self, path: str) -> None:
         self.path = path
@@ -53,19 +55,25 @@ class Feed:
         self._lock = threading.Lock()
 
     def status(self) -> dict[str, Any]:
-        """The daemon's status, or {"error": ...} while nobody answers."""
+        """Return the daemon's status, or {"error": ...} if the daemon does not answer."""
         try:
             return self._ask(Status())
         except BusError as error:
             return {"error": str(error)}
 
     def set(self, name: object, value: object) -> dict[str, Any]:
-        """Change a parameter; the daemon checks name and bounds. Raises UsageError, BusError, ValueError (nonsense)."""
+        """Change a parameter; the daemon checks the name's existence and the bounds.
+
+        Raises:
+            UsageError: the daemon rejected the change.
+            BusError: the daemon did not answer.
+            ValueError: `name` is not a non-empty text of at most `LONGEST_NAME` characters, or `value` is not finite.
+        """
         if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME:
             raise ValueError("name: a parameter as the status lists them is wanted")
         try:
             number = math.nan if isinstance(value, bool) or not isinstance(value, (int, float)) else float(value)
-        except OverflowError:  # an integer of some hundred digits
+        except OverflowError:  # an integer beyond the range of a float
             number = math.inf
         if not math.isfinite(number):
             raise ValueError("value: a finite number is wanted")
@@ -81,7 +89,7 @@ class Feed:
         return stop_daemon(self.path, STOP_TIMEOUT)
 
     def recover(self) -> dict[str, Any]:
-        """Recover from a latched fault. Raises UsageError when refused, BusError."""
+        """Recover from a latched fault. Raises UsageError if it is rejected, BusError if the daemon does not answer."""
         return self._ask(Recover())
 
     def close(self) -> None:
@@ -106,14 +114,14 @@ class Feed:
 
 
 STATIC = Path(__file__).parent / "static"
-RATE = 40.0  # Hz of events: the page draws at 30, what waits between two is dropped
+RATE = 40.0  # Hz of the events; the page draws at 30 Hz and skips events in between
 LOOPBACK = "127.0.0.1"
 MOST_BODY = 1024  # bytes of a request
 MOST = 64  # connections at once; a browser keeps six to one server
 FRESH = 1.0  # s from its start in which a connection without a request is not replaced
 CEILING = 256  # connections at once, fresh ones included
 STOPPING = 8  # threads for stop requests
-ASK_TIME = 5.0  # s in which a connection has to ask for something
+ASK_TIME = 5.0  # s within which a connection must send a request
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'"
@@ -174,7 +182,7 @@ class Bounded(H11Protocol):
 
 
 class Guard:
-    """Refuses what does not come from this server's own page with its token."""
+    """Reject requests that do not come from this server's page with its token."""
 
     def __init__(self, app: ASGIApp, token: str, hosts: frozenset[str]) -> None:
         self._app = app
@@ -208,7 +216,7 @@ class Guard:
 
 
 def application(feed: Feed, token: str, port: int) -> Starlette:
-    """The page and its few requests."""
+    """Return the application that serves the page and its requests."""
 
     files = {path.name: path.read_bytes() for path in STATIC.iterdir()}
     poll = Poll(feed)
@@ -267,7 +275,7 @@ def application(feed: Feed, token: str, port: int) -> Starlette:
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    """The JSON object of a request; raises ValueError."""
+    """Return the JSON object of a request; raises ValueError."""
     data = b""
     async for part in request.stream():
         data += part
