@@ -1,4 +1,4 @@
-"""Starting and ending the processes that read serial sensors; the loop only asks for values."""
+"""Start and end the processes that read serial sensors, and provide their newest values to the loop."""
 
 from __future__ import annotations
 
@@ -16,23 +16,22 @@ from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.keeper import child as start
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 
-# The newest value of each serial sensor in shared memory: one writer per slot, read by the loop without a lock.
-
+# One slot in shared memory per sensor, with one writer each; the loop reads it without a lock.
 _READING = struct.Struct("=ddQQq")  # value, monotonic time in s, values, rejected lines, LineState
 
 
 class LineState(IntEnum):
-    """The state of a serial line, reported by its reading process."""
+    """List the states of a serial line, reported by its reading process."""
 
     STARTING = 0
     READING = 1
-    SILENT = 2  # open, but nothing that can be read comes
+    SILENT = 2  # open, but no valid value arrives
     LOST = 3  # cannot be opened, or was unplugged
 
 
 @dataclass(frozen=True)
 class Reading:
-    """`value` in SI units, sampled at monotonic `time` in s; counts since the start."""
+    """Hold the newest `value` in SI units, its arrival `time` (s, monotonic) and the counts since the start."""
 
     value: float
     time: float

@@ -1,7 +1,7 @@
-"""The process that reads one serial sensor: `python -m tsa_ctrl.sensors.reader FD COUNT INDEX SETTINGS-JSON`.
+"""Read one serial sensor in a separate process: `python -m tsa_ctrl.sensors.reader FD COUNT INDEX SETTINGS-JSON`.
 
-It opens the port, and opens it again after it was unplugged; it stamps each value with the monotonic time of its
-arrival and leaves it in its slot. It ends when its standard input is closed, that is when the daemon is gone.
+The process opens the port and reopens it after it was unplugged. It writes the newest value to its slot, with the
+monotonic time of its arrival. It ends when its standard input is closed, which happens when the daemon ends.
 """
 
 from __future__ import annotations
@@ -22,14 +22,16 @@ from tsa_ctrl.sensors.process import LineState, Reading, Slots
 from tsa_ctrl.sensors.settings import SerialSensorSettings
 from tsa_ctrl.system.processes import ignore
 
-# Bytes of an ASCII line protocol to values: pure, bounded, and forgiving of noise, cuts and half lines.
-
-MOST_LINE = 256  # bytes: longer is noise, thrown away up to the next line end
+MOST_LINE = 256  # bytes; a longer line is noise and is discarded up to the next line end
 _END = re.compile(rb"[\r\n]+")
 
 
 class LineParser:
-    """Feed bytes, get SI values. The first, possibly cut, line after a (re)connection is never used."""
+    """Convert the bytes of an ASCII line protocol to values in SI units.
+
+    The parser does no input or output, holds a bounded number of bytes, and tolerates noise and incomplete lines. The
+    first line after each connection is discarded, because its start may be missing.
+    """
 
     def __init__(self, settings: SerialSensorSettings) -> None:
         self._pattern = re.compile(settings.pattern)
@@ -43,12 +45,15 @@ class LineParser:
         self.rejected = 0
 
     def reset(self) -> None:
-        """The connection was cut: what is half read is worth nothing."""
+        """Discard the incomplete line after the connection was lost."""
         self._rest = b""
         self._synchronised = False
 
     def feed(self, data: bytes) -> list[float]:
-        """Values of the complete lines in `data` and what was left before, oldest first."""
+        """Return the values of all lines that `data` completes, oldest first.
+
+        The start of an incomplete last line is kept for the next call.
+        """
         pieces = _END.split(self._rest + data)
         self._rest = pieces.pop()
         if len(self._rest) > MOST_LINE:
@@ -83,12 +88,12 @@ class LineParser:
 
 
 RETRY = 0.5  # s between attempts to open a port
-TICK = 0.05  # s: how often the parent's life and the line's silence are looked at
+TICK = 0.05  # s between checks of whether the parent has ended and the sensor is silent
 CHUNK = 4096  # bytes
 
 
 class SerialReader:
-    """Reads one line into one slot until told to end."""
+    """Read one serial line into one slot until the parent ends."""
 
     def __init__(self, settings: SerialSensorSettings, slots: Slots, index: int) -> None:
         self.settings = settings
@@ -101,7 +106,7 @@ class SerialReader:
         self._next_request = 0.0
 
     def run(self) -> None:
-        """Until standard input is closed."""
+        """Read until standard input is closed; reopen the port after each failure."""
         while not parent_gone(0.0):
             try:
                 port = serial.serial_for_url(self.settings.port, self.settings.baud_rate, timeout=0, write_timeout=TICK)
@@ -119,7 +124,7 @@ class SerialReader:
                 return
 
     def listen(self, port: serial.SerialBase) -> bool:
-        """Read until the port fails (SerialException, OSError); True when the parent is gone."""
+        """Read until the port fails (SerialException, OSError); return True when the parent has ended."""
         opened = time.monotonic()
         while True:
             self.ask(port)
@@ -139,7 +144,7 @@ class SerialReader:
             self.say(LineState.SILENT if quiet else LineState.READING)
 
     def ask(self, port: serial.SerialBase) -> None:
-        """Send the request when it is time, for sensors that answer only when asked."""
+        """Send the request at the configured rate, for sensors that respond only to requests."""
         now = time.monotonic()
         if self.settings.request and now >= self._next_request:
             port.write(self.settings.request.encode("ascii", errors="replace"))
@@ -150,14 +155,14 @@ class SerialReader:
 
 
 def parent_gone(wait: float) -> bool:
-    """Whether standard input is closed within `wait` s."""
+    """Return True if standard input is closed within `wait` s."""
     ready, _, _ = select.select([sys.stdin], [], [], wait)
     return bool(ready) and os.read(sys.stdin.fileno(), 1) == b""
 
 
 def main() -> None:
     """Read one sensor until the daemon ends this process."""
-    ignore(signal.SIGINT, signal.SIGHUP)  # they are for the daemon, which then ends this process
+    ignore(signal.SIGINT, signal.SIGHUP)  # the daemon handles both and then ends this process
     fd, count, index, text = sys.argv[1:]
     settings = msgspec.json.decode(text, type=SerialSensorSettings)
     SerialReader(settings, Slots(int(count), int(fd)), int(index)).run()
