@@ -60,7 +60,7 @@ def read(text: str) -> tuple[configparser.RawConfigParser, list[str]]:
 
 
 def is_used(section: str) -> bool:
-    """Whether this controller reads or writes the object of a section."""
+    """Return True if this controller reads or writes the object of a section."""
     match = _OBJECT.match(section)
     return match is not None and int(match[1], 16) in _USED
 

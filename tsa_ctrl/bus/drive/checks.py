@@ -213,7 +213,7 @@ def read_errors(session: Session, node: Node, report: NodeReport) -> None:
 
 
 def is_on(session: Session, node: Node) -> bool:
-    """Whether a drive has power on its motor."""
+    """Return True if a drive has power on its motor."""
     return node.state(session) in _ON
 
 

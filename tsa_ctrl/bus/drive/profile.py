@@ -159,7 +159,7 @@ class DriveProfile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     extra: list[ExtraWrite] = []
 
     def has(self, entry: objects.Object) -> bool:
-        """Whether the drive is expected to have an optional object."""
+        """Return True if the drive is expected to have an optional object."""
         return entry.name not in self.absent
 
 
