@@ -211,7 +211,7 @@ def counts_of(settings: AxisSettings, geared: float) -> tuple[float, float]:
 
 
 def sense_of(settings: AxisSettings, model: TendonSheath, period: float) -> Sense:
-    """What tells which way the motor pulls, and how much."""
+    """Return the check of the motor torque's direction and size."""
     geared = model.joint_pulley_radius / model.motor_pulley_radius
     counts = math.hypot(*counts_of(settings, geared))  # they round by chance
     stiffness = least_stiffness(model) if settings.plausibility.slip is None else 0.0
@@ -220,7 +220,7 @@ def sense_of(settings: AxisSettings, model: TendonSheath, period: float) -> Sens
 
 
 def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float, period: float) -> JointTorque:
-    """What tells the joint torque without its sensor: by the model always, by the tendons' stretch where that can."""
+    """Return the estimate of the joint torque without its sensor: by the model and, if possible, by the elongation."""
     encoder = settings.encoder
     by_model = ModelTorque(model, period, inertia)
     if encoder is None:
@@ -245,12 +245,15 @@ def proven_friction_of(
 
 
 def has_torque_sensor(settings: AxisSettings) -> bool:
-    """On the bus, or on a serial line."""
+    """Return True if the axis has a joint torque sensor, on the bus or on a serial line."""
     return settings.torque_sensor is not None or any(sensor.quantity == "tau_j" for sensor in settings.serial)
 
 
 def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTorque, why_fixed: str) -> Bound:
-    """How much of the friction this axis may compensate; `why_fixed`: why no estimate is the default's."""
+    """Return the bound on the friction that this axis may compensate.
+
+    `why_fixed`: why the estimator is not the one by the tendon elongation; empty if it is.
+    """
     estimator = settings.estimator
     follows = estimator.kind != "tension" or estimator.attribute is Attribution.BENDING
     bound = bound_of(

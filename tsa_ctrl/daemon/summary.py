@@ -1,4 +1,4 @@
-"""What a run was like: printed as tables for people, or as one JSON object."""
+"""Summarise a run as tables for the terminal or as one JSON object."""
 
 from __future__ import annotations
 

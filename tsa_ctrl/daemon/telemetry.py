@@ -244,7 +244,7 @@ class Telemetry:
         self._mailbox.measure(now, cycle, phase, [_reading(axis) for _, axis in self._axes])
 
     def tell_lease(self, t: float, start: float) -> None:
-        """Who owns the set-point, or no longer, in the server's words: once a second at most, whatever clients do."""
+        """Add an event when the set-point's owner changes, with the server's text, at most once a second."""
         if t - self._lease_told >= LEASE_APART and (found := self._mailbox.told()) is not None:
             self._lease_told = t
             self._events.add(found[0] - start, "", found[1])
