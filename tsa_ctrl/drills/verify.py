@@ -116,7 +116,7 @@ def verify(configuration: Configuration, torque: float, say: Callable[[str], Non
 
 
 def check_folder(folder: Path) -> None:
-    """Whether a record can be kept there, before anything moves; raises UsageError."""
+    """Check before anything moves that a record can be written to the folder; raises UsageError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
