@@ -61,7 +61,7 @@ class Measured(msgspec.Struct, frozen=True):
     axes: list[AxisMeasured]
 
     def __getitem__(self, name: str) -> AxisMeasured:
-        """Raises KeyError for an axis that is not there."""
+        """Return the measurements of one axis; raises KeyError for an unknown axis."""
         for axis in self.axes:
             if axis.name == name:
                 return axis

@@ -162,7 +162,7 @@ class Mailbox:
 
     @property
     def replaced(self) -> int:
-        """How many servers were replaced by another."""
+        """Return the number of socket servers that were replaced."""
         return self._words[_REPLACED // 8]
 
     def close(self) -> None:
@@ -190,7 +190,7 @@ class Mailbox:
         return self._put - 1
 
     def taken(self, ticket: int) -> bool:
-        """Whether the loop has taken the command of this ticket."""
+        """Return True if the loop has taken the command of this ticket."""
         return self._words[_TAIL // 8] > ticket
 
     def want(self, axis: int, value: float, time: float) -> None:
