@@ -83,7 +83,7 @@ class Ring:
 
     @property
     def replaced(self) -> int:
-        """How many log writers were replaced by another."""
+        """Return the number of log writers that were replaced."""
         return self._words[_Word.REPLACED]
 
     def word(self, word: _Word) -> int:

@@ -78,7 +78,7 @@ class ForeignTable:
         return np.array(found) - (found[0] if found else 0.0)
 
     def is_date(self, name: str) -> bool:
-        """Whether the column begins with a date and time."""
+        """Return True if the column begins with a date and time."""
         first = next((cell.strip().strip('"') for cell in self.cells[name] if cell.strip()), "")
         return re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d", first) is not None
 
