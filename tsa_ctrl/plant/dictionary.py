@@ -43,7 +43,7 @@ _RESTRICTED = (  # first and last identifier that no communication object may be
 
 
 def is_restricted(can_id: int) -> bool:
-    """Whether an identifier belongs to NMT, SDO, heartbeat or LSS, or is kept for later."""
+    """Return True if an identifier belongs to NMT, SDO, heartbeat or LSS, or is reserved."""
     return any(first <= can_id <= last for first, last in _RESTRICTED)
 
 
@@ -91,7 +91,7 @@ class Type(Enum):
 
 
 class Access(Enum):
-    """Who may read and write over SDO."""
+    """List the access rights of an object over SDO."""
 
     CONST = "const"
     RO = "ro"

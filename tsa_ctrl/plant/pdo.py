@@ -35,7 +35,7 @@ class PdoDefault:
 
 
 def is_synchronous(transmission: int) -> bool:
-    """Whether a transmission type goes with SYNC (CiA 301, 7.5.2.36)."""
+    """Return True if a transmission type is synchronous (CiA 301, 7.5.2.36)."""
     return transmission <= 240
 
 

@@ -10,7 +10,7 @@ from tsa_ctrl.plant.effects import EFFECT_FIELDS
 
 
 class Load(IntEnum):
-    """What the joint drives."""
+    """List the kinds of load that the joint drives."""
 
     IMPOSED = 0
     FREE = 1
