@@ -104,7 +104,7 @@ class SerialSensors:
         return self._slots.read(index)
 
     def alive(self, index: int) -> bool:
-        """Whether the process of a sensor runs."""
+        """Return True if the process of a sensor runs."""
         return self._children[index].poll() is None
 
     def close(self) -> None:
