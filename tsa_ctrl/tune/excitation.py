@@ -69,7 +69,7 @@ class Waveform:
 
 @dataclass(frozen=True)
 class Response:
-    """What a probe showed: speed (rad/s, peak and RMS), angle range (rad), the motion's main frequency (Hz)."""
+    """Hold the result of a probe: speed (rad/s, peak and RMS), angle range (rad), the motion's main frequency (Hz)."""
 
     peak_speed: float
     rms_speed: float
@@ -150,7 +150,7 @@ def playing(designed: Design, wave: Waveform) -> Design:
 
 
 def response(run: Dataset) -> Response:
-    """What the joint did during a probe."""
+    """Evaluate the joint's motion during a probe."""
     omega, torque = run["omega_j"], run["tau_m"]
     period = run.period
     level = np.column_stack([torque, np.gradient(torque, period), np.cumsum(torque - torque.mean()) * period])
