@@ -1,4 +1,4 @@
-"""What the demo plays: joint torque wanted and the joint's motion, built in or from a file."""
+"""Provide the desired joint torque and the joint motion of the demo, built in or from a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a demo measured: errors of the joint torque from the daemon's own logs, as table, JSON and picture."""
+"""Report the joint torque errors of a demo, from the daemon's logs, as table, JSON and picture."""
 
 from __future__ import annotations
 
