@@ -78,7 +78,7 @@ ROOMS: dict[str, str] = {
 # What is still to be mended. A line that is no longer true fails the test, so that it goes.
 CIRCLES: tuple[frozenset[str], ...] = ()
 MOST_LINES = 700  # of a module: what is longer is two modules
-MEDIAN_LINES = (100, 200)  # of the package: neither a file for each function nor a few files for all
+MEDIAN_LINES = (120, 200)  # of the package: neither a file for each function nor a few files for all
 
 
 @cache

@@ -25,7 +25,6 @@ import math
 import os
 import platform
 import re
-import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -38,11 +37,12 @@ import numpy as np
 
 from tools import command
 from tools.pin_rows import Job, Values, data, jobs
+from tools.revision import WORKTREES, worktree
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 
 FILE = command.ROOT / "tools" / "pins.json"
-PLACE = command.ROOT / ".cache" / "against" / "pins"  # one worktree: numba's cache stays valid where files are equal
+PLACE = WORKTREES / "pins"  # one worktree: numba's cache stays valid where files are equal
 ZERO = 1e-12  # SI units: smaller values are rounding errors
 VARYING = ("sha256", "date", "version", "recorded_by")  # keys of values that vary from run to run or with the release
 QUICK = r"a .* 90[04]$|b .* sine, fault none|c tsa (run|plant|init|data|doctor) "
@@ -155,23 +155,10 @@ def run(rows: Mapping[str, Job], processes: int) -> dict[str, Values | None]:
 def reference(revision: str, processes: int, selection: list[str]) -> dict[str, Values | None]:
     """Return the values of the selected rows on the package and configuration of a revision, in a worktree."""
 
-    def git(folder: Path, *arguments: str) -> str:
-        done = subprocess.run(["git", "-C", str(folder), *arguments], capture_output=True, text=True, check=False)
-        if done.returncode != 0:
-            raise UsageError(f"--against {revision}: {(done.stderr.strip().splitlines() or ['git failed'])[-1]}")
-        return done.stdout.strip()
-
-    commit = git(command.ROOT, "rev-parse", "--verify", f"{revision}^{{commit}}")  # HEAD is another one in the worktree
     PLACE.parent.mkdir(parents=True, exist_ok=True)
     with PLACE.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        git(command.ROOT, "worktree", "prune")
-        if not PLACE.is_dir():
-            git(command.ROOT, "worktree", "add", "--detach", str(PLACE), commit)
-        git(PLACE, "checkout", "--force", "--detach", commit)
-        for name in ("tools", "tests/blind"):  # this revision's cases
-            shutil.rmtree(PLACE / name, ignore_errors=True)
-            shutil.copytree(command.ROOT / name, PLACE / name, ignore=shutil.ignore_patterns("__pycache__"))
+        worktree(revision, PLACE, ("tools", "tests/blind"))  # with this revision's cases
         values = PLACE.with_suffix(".json")
         call = [sys.executable, str(PLACE / "tools"), "pins", *selection, "--processes", str(processes)]
         environment = {**os.environ, "TSA_DATA": str(data())}

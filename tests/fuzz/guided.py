@@ -32,7 +32,10 @@ Line = tuple[str, int]
 
 @dataclass(frozen=True)
 class Target:
-    """`call` takes any bytes; what it may raise it catches itself. `goal`: share of the lines of `modules`."""
+    """`call` takes any bytes, and catches the errors that it may raise. `goal`: share of the lines of `modules`.
+
+    An entry of `modules` is "MODULE", or "MODULE:NAME NAME ..." for some functions and classes of it.
+    """
 
     name: str
     call: Callable[[bytes], None]
@@ -51,16 +54,23 @@ class Reached:
 
 
 def lines_of(modules: Sequence[str]) -> set[Line]:
-    """Every line inside a function of these modules."""
+    """Return every line inside a function of these modules, or of the names that an entry gives."""
     found: set[Line] = set()
-    for name in modules:
-        module = importlib.import_module(name)
-        path = Path(inspect.getfile(module))
+    for entry in modules:
+        names = entry.partition(":")[2].split()
+        path = Path(inspect.getfile(module_of(entry)))
         code = compile(path.read_text(encoding="utf-8"), str(path), "exec")
         for inner in _functions(code):
+            if names and inner.co_qualname.partition(".")[0] not in names:
+                continue
             first = inner.co_firstlineno
             found |= {(str(path), line) for _, _, line in inner.co_lines() if line is not None and line != first}
     return found
+
+
+def module_of(entry: str) -> ModuleType:
+    """Return the module of an entry of `Target.modules`."""
+    return importlib.import_module(entry.partition(":")[0])
 
 
 def _functions(code: CodeType) -> Iterator[CodeType]:
@@ -156,7 +166,7 @@ def run(target: Target, seconds: float, seed: int, most: int | None = None, save
     """Fuzz it for so many s of processor time, or `most` inputs; `save`: write what reached something anew."""
     part, draw = Part(target.name), random.Random(seed)
     everything = lines_of(target.modules)
-    modules: list[ModuleType] = [importlib.import_module(name) for name in target.modules]
+    modules: list[ModuleType] = [module_of(entry) for entry in target.modules]
     tracer = Tracer(frozenset(inspect.getfile(module) for module in modules))
     reached = Reached()
     corpus: list[bytes] = []

@@ -269,7 +269,7 @@ def targets() -> tuple[Target, ...]:
             "frames",
             _frames,
             ("tsa_ctrl.bus.live.rig", "tsa_ctrl.bus.live.axis", "tsa_ctrl.bus.live.read_back",
-             "tsa_ctrl.bus.live.read_back", "tsa_ctrl.bus.canopen.emcy"),
+             "tsa_ctrl.bus.canopen.emcy"),
             (bytes((17, 4, 8, 0x10, 0x23, 1, 0, 0, 0, 0, 0, 17, 6, 1, 5, 18, 19)),),
             (b"\x11", b"\x12\x13", b"\x09\x08"),
             0.75,
@@ -294,7 +294,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "http",
             _http,
-            ("tsa_ctrl.dashboard.server", "tsa_ctrl.dashboard.server"),
+            ("tsa_ctrl.dashboard.server",),
             _text(
                 f"GET /\n{HOST}\n", f"GET /events\n{HOST}\n", f"GET /?token={TOKEN}\nhost: localhost:{PORT}\n\n",
                 f'POST /set\n{HOST}\n{{"name": "compensation", "value": 0.5}}', f"POST /stop\n{HOST}\n",
@@ -317,10 +317,11 @@ def targets() -> tuple[Target, ...]:
         Target(
             "csv",
             _in_file(".csv", read_table),
-            ("tsa_ctrl.log.csv_table", "tsa_ctrl.log.table"),
+            ("tsa_ctrl.log.csv_table", "tsa_ctrl.log.table:kind_of split_axis check_readable sha256_of read_table "
+             "_read_log _read_parquet _top_level"),
             _text(CSV, CSV.replace(",", ";"), CSV + "\n \n", CSV + '"1,2\n'),
             _text("t,", "# ", "\n", ",", ";", "nan", '"', "1e999"),
-            0.6,  # the module writes tables, too
+            0.65,
         ),
         Target(
             "set-point",
@@ -333,7 +334,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "mcap",
             _in_file(".mcap", _log),
-            ("tsa_ctrl.log.reader", "tsa_ctrl.log.reader"),
+            ("tsa_ctrl.log.reader",),
             (_mcap(),),
             (b"\x89MCAP0\r\n", b"\x05", b"\x06", b"\x0c", struct.pack("<Q", 1 << 40)),
             0.75,
@@ -349,9 +350,9 @@ def targets() -> tuple[Target, ...]:
         Target(
             "serial",
             _serial,
-            ("tsa_ctrl.sensors.reader",),
+            ("tsa_ctrl.sensors.reader:LineParser",),
             _text("x\n1.5\n-2e3 N\r\n", "0.1 N\n\n12 kg\n"),
             _text("\n", "\r", " N", "-", "1e", "9" * 300),
-            0.4,  # the module also opens and watches the lines
+            0.95,
         ),
     )  # fmt: skip

@@ -24,7 +24,7 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.redundancy import compare, judge
 from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.model.predict import predict
-from tsa_ctrl.model.signals import low_pass
+from tsa_ctrl.model.signals import last_reversal, low_pass
 from tsa_ctrl.model.sliding import sliding as steady_sliding
 from tsa_ctrl.model.sliding import wound_by_friction
 
@@ -166,9 +166,7 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
         judge("", "simulated tau_j", "tau_j", compare(*pair, dataset.period), math.inf, signed=False)
     except UsageError as error:
         return str(error).removeprefix(": ")
-    correlation = _following(
-        dataset, expected, sliding & _slid_through(dataset, model), abs(steady_sliding(model).half_loop)
-    )
+    correlation = _following(dataset, model, expected, sliding)
     if correlation < FOLLOWS:
         return (
             f"column tau_j does not follow the joint torque that tau_m gives by the model (correlation "
@@ -194,30 +192,22 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
     return ""
 
 
-def _slid_through(dataset: Dataset, model: TendonSheath) -> NDArray[np.bool_]:
-    """Return where the joint has moved so far since its last reversal that the whole sheath slides."""
-    omega = dataset["omega_j"]
-    path = np.cumsum(np.abs(omega)) * dataset.period
-    reversals = np.flatnonzero(np.diff(np.sign(omega), prepend=0.0))
-    begin = np.zeros(len(path))
-    begin[reversals] = np.diff(path[reversals], prepend=0.0)
-    wound = wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius
-    return path - np.cumsum(begin) > THROUGH * wound
-
-
-def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_], friction: float) -> float:
+def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: NDArray[np.bool_]) -> float:
     """Return the correlation of the measured with the simulated joint torque, apart from direction, weight and inertia.
 
-    Both are taken up to BAND. It is nan where the measured torque hardly changes compared with the simulated one: then
-    the load is constant, and the simulation only shows the ripple of the motor torque. It is nan as well where the
-    simulated one varies by less than the friction torque (N*m at the joint) may vary beyond the model.
+    Both are low-passed at BAND. Only samples count at which a reversal has run through the whole sheath. The result is
+    nan if the measured torque hardly changes compared with the simulated one: the load is then constant, and the
+    simulation only shows the ripple of the motor torque. It is also nan if the simulated torque varies by less than
+    friction itself may vary beyond the model.
     """
     omega, thin = dataset["omega_j"], max(1, len(expected) // MOST)
     angle = dataset["q_j"] if "q_j" in dataset else np.cumsum(omega) * dataset.period
     acceleration = np.gradient(low_pass(omega, dataset.period, BAND), dataset.period)
     apart = [np.sign(omega), angle, np.sin(angle), np.cos(angle), acceleration, np.ones_like(omega)]
     torques = [low_pass(values, dataset.period, BAND) for values in (expected, dataset["tau_j"])]
-    here = np.flatnonzero(sliding)[::thin]
+    path = np.cumsum(np.abs(omega)) * dataset.period
+    through = wound_by_friction(model) * model.motor_pulley_radius / model.joint_pulley_radius
+    here = np.flatnonzero(sliding & (path - path[last_reversal(omega)] > THROUGH * through))[::thin]
     if len(here) < FEWEST:
         return math.nan
     columns = np.column_stack(apart)[here]
@@ -226,7 +216,7 @@ def _following(dataset: Dataset, expected: Array, sliding: NDArray[np.bool_], fr
         values[here] - columns @ np.linalg.lstsq(columns, values[here], rcond=1e-9)[0] for values in torques
     )
     sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(measured))
-    varies = friction * math.sqrt(len(here)) * VARIES
+    varies = abs(steady_sliding(model).half_loop) * math.sqrt(len(here)) * VARIES
     if sizes[0] <= varies or sizes[1] < CHANGES * sizes[0]:
         return math.nan
     return float(measured @ simulated) / (sizes[0] * sizes[1])

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.functions import Array
@@ -104,6 +105,12 @@ class Signals:
             return self.acceleration_m
         velocity = self.motor_velocity
         return None if velocity is None else zero_phase_derivative(velocity, self.period)
+
+
+def last_reversal(omega: Array) -> NDArray[np.intp]:
+    """Return the sample at which the present direction began, shape (n,); 0 before the first reversal."""
+    flips = np.concatenate([[True], np.diff(hold_direction(omega)) != 0.0])
+    return np.maximum.accumulate(np.where(flips, np.arange(len(omega)), 0))
 
 
 def hold_direction(omega: Array) -> Array:

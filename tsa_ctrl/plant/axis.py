@@ -61,19 +61,12 @@ class Record(Protocol):
     def flush(self, clock: float) -> None: ...
 
 
-class Recorder:
-    """Append rows to a CSV file and flush it every 0.25 s, so that a killed process loses only the newest rows."""
+class Rows:
+    """Decide when a row is due: one every `period` s."""
 
-    def __init__(self, path: str | Path, period: float) -> None:
+    def __init__(self, period: float) -> None:
         self.period = period
         self._due = -1.0
-        self._flush_due = 0.0
-        try:
-            self._file: TextIO = Path(path).open("w", encoding="ascii", buffering=1 << 20)  # noqa: SIM115
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
-        self._file.write(",".join(name for name, _ in COLUMNS) + "\n")
-        self._format = ",".join(["%.6f", "%.6f", "%d", "%d", "%d", "%d"] + ["%.9g"] * (len(COLUMNS) - 6)) + "\n"
 
     def due(self, t: float) -> bool:
         """Return True if a row is due at plant time t (s); periods that were missed are skipped."""
@@ -81,6 +74,20 @@ class Recorder:
             return False
         self._due = max(self._due + self.period, t + 0.5 * self.period)
         return True
+
+
+class Recorder(Rows):
+    """Append rows to a CSV file and flush it every 0.25 s, so that a killed process loses only the newest rows."""
+
+    def __init__(self, path: str | Path, period: float) -> None:
+        super().__init__(period)
+        self._flush_due = 0.0
+        try:
+            self._file: TextIO = Path(path).open("w", encoding="ascii", buffering=1 << 20)  # noqa: SIM115
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be written ({error.strerror}); choose another place") from None
+        self._file.write(",".join(name for name, _ in COLUMNS) + "\n")
+        self._format = ",".join(["%.6f", "%.6f", "%d", "%d", "%d", "%d"] + ["%.9g"] * (len(COLUMNS) - 6)) + "\n"
 
     def row(self, values: Sequence[float]) -> None:
         self._file.write(self._format % tuple(values))

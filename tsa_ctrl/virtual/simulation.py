@@ -30,7 +30,7 @@ from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter
 from tsa_ctrl.log.writer import LogWriter
 from tsa_ctrl.monitor.watch import Frame, Monitor, Watched
 from tsa_ctrl.outputs import keep, move_into, refuse_inputs
-from tsa_ctrl.plant.axis import COLUMNS, Recorder
+from tsa_ctrl.plant.axis import COLUMNS, Recorder, Rows
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
@@ -109,7 +109,7 @@ NAMES = tuple(name for name, _ in COLUMNS)
 _PLACE = NAMES.index("axis")
 
 
-class Truth:
+class Truth(Rows):
     """Record the true state of a machine with the columns of `tsa plant --record`, one row per axis and period.
 
     The rows are kept in memory, and also written to a file if a path is given.
@@ -117,19 +117,11 @@ class Truth:
 
     def __init__(self, axes: int, period: float, path: Path | None = None) -> None:
         """Prepare the record; `period`: s between two rows. Raises UsageError if `path` cannot be written."""
-        self.period = period
+        super().__init__(period)
         self._path = path
         self._beside = None if path is None else path.with_name(f".{path.name}.part")
-        self._due = -1.0
         self._rows = [array("d") for _ in range(axes)]
         self._file = None if self._beside is None else Recorder(self._beside, period)
-
-    def due(self, t: float) -> bool:
-        """Return True if a period has passed at the plant time t (s); missed rows are not added later."""
-        if t < self._due:
-            return False
-        self._due = max(self._due + self.period, t + 0.5 * self.period)
-        return True
 
     def row(self, values: Sequence[float]) -> None:
         self._rows[int(values[_PLACE])].extend(values)

@@ -24,7 +24,6 @@ import functools
 import itertools
 import json
 import math
-import shutil
 import subprocess
 import sys
 import zlib
@@ -39,6 +38,7 @@ from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.experiment import SENSORS, Experiment
+from tools.revision import WORKTREES, commit_of, worktree
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult
@@ -52,7 +52,6 @@ LOSS_FROM, LOSS_TO, HELD = 1.5, 20.0, 0.2  # s of the log, s over which the torq
 MOST = {"confirmed": 1.2, "again": 1.3}  # times the other revision
 LEAST = 2.0  # mN*m: smaller errors are equal
 MOST_LOSS = 5.0  # %
-WORKTREES = command.ROOT / ".cache" / "against"
 
 
 @dataclass(frozen=True)
@@ -113,16 +112,8 @@ def cells(chosen: argparse.Namespace) -> list[Cell]:
 
 def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) -> dict[Cell, dict[str, Any]]:
     """Return the rows of the same cells on another revision's package, run by these tools in a worktree of it."""
-    git = ["git", "-C", str(command.ROOT)]
-    named = subprocess.run([*git, "rev-parse", "--short", revision], capture_output=True, text=True, check=False)
-    if named.returncode != 0:
-        raise UsageError(f"--against {revision}: no such revision; git log --oneline lists them")
-    place = WORKTREES / named.stdout.strip()
-    if not place.is_dir():
-        subprocess.run([*git, "worktree", "prune"], check=True)
-        subprocess.run([*git, "worktree", "add", "--quiet", "--detach", str(place), revision], check=True)
-    shutil.rmtree(place / "tools")
-    shutil.copytree(command.ROOT / "tools", place / "tools")
+    place = WORKTREES / commit_of(revision)[:8]
+    worktree(revision, place)
     measured_by = b"".join(Path(__file__).with_name(name).read_bytes() for name in ("tracking.py", "experiment.py"))
     rows = place / f"tracking-{zlib.crc32(measured_by):08x}.jsonl"
     names = {"--" + name.replace("_", "-"): getattr(chosen, name) for name in ("sensors", "loads", "set_points")}
@@ -131,10 +122,10 @@ def reference(revision: str, found: Sequence[Cell], chosen: argparse.Namespace) 
     run = [sys.executable, str(place / "tools"), "campaign/runaway", "tracking", *options]
     run += ["--processes", str(chosen.processes)]
     done = subprocess.run(run, cwd=place, capture_output=True, text=True, check=False)
-    if done.returncode not in (0, 1):
+    kept = {cell_of(row): row for row in map(json.loads, done.stdout.splitlines())}
+    if not kept.keys() >= set(found):
         raise UsageError(f"--against {revision}: {(done.stderr.strip().splitlines() or ['ended'])[-1]}")
-    kept = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    return {cell_of(row): row for row in kept if cell_of(row) in found}
+    return {cell: kept[cell] for cell in found}
 
 
 def missed(row: dict[str, Any], other: dict[str, Any] | None) -> list[str]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.model.signals import Signals, hold_direction
+from tsa_ctrl.model.signals import Signals, last_reversal
 
 BLOCKS = 24  # for block-robust statistics
 SHORT_BIN = 8  # samples, below which column sums take a quarter of the time of means over rows, in the same order
@@ -59,8 +59,7 @@ class Run:
     def since_reversal(self) -> tuple[Array, Array]:
         """Time (s) and distance (rad) since the last reversal, at the compute rate."""
         s, angle = self.signals, self.angle
-        flips = np.concatenate([[True], np.diff(hold_direction(s.omega_j)) != 0.0])
-        last = np.maximum.accumulate(np.where(flips, np.arange(len(s)), 0))
+        last = last_reversal(s.omega_j)
         elapsed = np.asarray((np.arange(len(s)) - last) * s.period, dtype=np.float64)
         return elapsed, np.asarray(np.abs(angle - angle[last]), dtype=np.float64)
 
