@@ -25,7 +25,10 @@ def commit_of(revision: str) -> str:
     Raises:
         UsageError: there is no such revision.
     """
-    return _git(command.ROOT, revision, "rev-parse", "--verify", f"{revision}^{{commit}}")
+    try:
+        return _git(command.ROOT, revision, "rev-parse", "--verify", f"{revision}^{{commit}}")
+    except UsageError:
+        raise UsageError(f"--against {revision}: no such revision; git log --oneline lists them") from None
 
 
 def worktree(revision: str, place: Path, copied: Sequence[str] = ("tools",)) -> None:
