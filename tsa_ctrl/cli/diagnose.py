@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from tsa_ctrl.identify.diagnosis import Diagnosis
     from tsa_ctrl.identify.quantity import Quantity
 
-# Up to which two processes diagnose: each needs as much memory, and both a gigabyte with twelve minutes at 1 kHz
-MOST_SAMPLES = 720_000
 EXAMPLES = """\b
 Examples:
   tsa diagnose a.csv b.csv --model actuator.toml --out out/diagnosis
@@ -139,7 +137,6 @@ def _diagnose(
     from tsa_ctrl.identify.diagnosis.report.page import JSON, MODEL, write
     from tsa_ctrl.model.parameters import load_model
     from tsa_ctrl.system.memory import give_back_large
-    from tsa_ctrl.system.twin import in_step
 
     give_back_large()
     given = load_model(model)
@@ -155,10 +152,7 @@ def _diagnose(
 
         datasets = load_logs(logs, strict, cutoff)
 
-        def work(leads: bool) -> Diagnosis:
-            return diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say if leads else None)
-
-        result = in_step(work) if sum(map(len, datasets)) <= MOST_SAMPLES else work(True)
+        result = diagnose(datasets, given, hold_out=hold_out, seed=seed, progress=say)
         say("report")
         for name in (JSON, MODEL):
             outputs.keep(out / name)

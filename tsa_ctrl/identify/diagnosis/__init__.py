@@ -19,10 +19,6 @@ refusals    logs that cannot tell, which is the verdict `insufficient` and no er
 report      `conclude`: the `result` as data; `words`, `page` and `pictures` of it, these drawn
             `beside` the search by processes of their own, and the next `experiment`
 
-Inside `system.twin.in_step`, as the verb runs it, two processes go through the same stages in step, and what is
-independent (responses, whitening, fits, draws) is computed in two halves at once, one by each; a caller gets no
-process, and the halves are the same where there is one core.
-
 To add a stage: a module in the folder of what it needs last, with one public function from what is there to a frozen
 record (arrays with shape and unit, nothing drawn but from the generator that it is given); one line in
 `pipeline.diagnose`; a field in `report.details.Outcome`, and what `report.conclude` says of it (a new key of

@@ -39,9 +39,7 @@ from tsa_ctrl.identify.diagnosis.rivals.by_stretch import by_stretch
 from tsa_ctrl.identify.diagnosis.rivals.stretched import parted
 from tsa_ctrl.identify.diagnosis.selection.detection_limits import detection_limits
 from tsa_ctrl.identify.diagnosis.selection.forward import select
-from tsa_ctrl.identify.diagnosis.selection.step import parts_of
 from tsa_ctrl.model.parameters import Model
-from tsa_ctrl.system.twin import both
 
 Progress = Callable[[str], None]
 
@@ -87,17 +85,10 @@ def diagnose(
         share = structure_share(findings)
         claimed = claims(selection, groups, base, data, share)
         selection, errors, formula = claimed.selection, claimed.errors, claimed.formula
-        chosen = selection
-        (beside, reported), limits = both(
-            lambda: (
-                by_stretch(chosen, scales),
-                in_proportion(
-                    data.frame, profile_refined(chosen.problem, refit(chosen.problem, chosen.fitted, share > 0.0))
-                ),
-            ),
-            lambda: detection_limits(chosen, share),
-            parts_of(chosen.fitted, ()),
-        )
+        beside = by_stretch(selection, scales)
+        refitted = refit(selection.problem, selection.fitted, share > 0.0)
+        reported = in_proportion(data.frame, profile_refined(selection.problem, refitted))
+        limits = detection_limits(selection, share)
         refuse_unrelated(problem, data.held, errors, share, formula)
         refuse_useless(problem, bool(selection.fitted.names), errors)
         if formula is not None:  # what follows a formula is no noise

@@ -9,14 +9,13 @@ low-pass that follows is the one that it began with. What the highest frequencie
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
 from tsa_ctrl.identify.smoothing.averaged import band_densities, bands, plateau
 from tsa_ctrl.identify.smoothing.bandwidth import Choice, LowPass, Noise, choose, filtered, motion_density
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.system.twin import at_once
 
 DRAWS = 4  # of positions between the counts: what the noise's density is the mean of; of short logs more
 DRAWN = 65_536  # samples in all draws at least: a minute at 1 kHz
@@ -163,7 +162,7 @@ def _noise(
         found: list[Array] = []
         for _ in range(0, count, together):
             errors = [_rounded_again(path, step, deviation, rng) for _ in range(together)]
-            found += at_once([partial(_densities, error, period) for error in errors])
+            found += [band_densities(error, period)[0] for error in errors]
         draws = np.array(found)
         density = draws.mean(axis=0)
         more = float(np.median(measured[top]) - np.median(density[top]))
@@ -172,10 +171,6 @@ def _noise(
             density = density + more
         noise = Noise(density, draws.std(axis=0))
     return noise
-
-
-def _densities(y: Array, period: float) -> Array:
-    return band_densities(y, period)[0]
 
 
 def _rounded_again(path: Array, step: float, deviation: float, rng: np.random.Generator) -> Array:

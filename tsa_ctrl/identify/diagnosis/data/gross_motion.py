@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,7 +22,6 @@ from tsa_ctrl.model.effects.memory import PreslidingHysteresis
 from tsa_ctrl.model.effects.search import geometric
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
-from tsa_ctrl.system.twin import both
 
 SURE = 3.0  # t of 23 degrees of freedom: 0.3 % by chance; of 17 blind logs without such friction the largest had 1.9
 DISTANCES = 24  # of presliding: 1.34 apart, so that the nearest is off by 16 %, and its friction by a tenth, at most
@@ -74,19 +72,12 @@ def _left(frame: Frame) -> Array:
     ]
     always.append(frame.stack([run.angle for run in frame.runs]))  # a spring
 
-    def best_of(effects: Sequence[PreslidingHysteresis]) -> tuple[float, Array]:
-        best, least = np.ones(1), math.inf
-        for effect in effects:
-            columns = np.column_stack([*always, *_friction(frame, effect)])[used]
-            rest = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
-            if (whole := float(rest @ rest)) < least:
-                best, least = np.bincount(blocks, rest**2) / np.bincount(blocks), whole
-        return least, best
-
-    effects = _presliding(frame)
-    half = len(effects) // 2
-    found = both(lambda: best_of(effects[:half]), lambda: best_of(effects[half:]))
-    _, best = min(found, key=lambda each: each[0])
+    best, least = np.ones(1), math.inf
+    for effect in _presliding(frame):
+        columns = np.column_stack([*always, *_friction(frame, effect)])[used]
+        rest = target - columns @ np.linalg.lstsq(columns, target, rcond=None)[0]
+        if (whole := float(rest @ rest)) < least:
+            best, least = np.bincount(blocks, rest**2) / np.bincount(blocks), whole
     return np.asarray(np.maximum(best, np.finfo(np.float64).tiny))
 
 

@@ -7,7 +7,6 @@ refined by a fit afterwards.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -18,11 +17,9 @@ from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
 from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.system.twin import both
 
 # Amplitude (in units of the torque) of a nearly linear response: small, so that it is linear; far above rounding
 TRIAL = 0.02
-Measure = tuple[Array, float, float]  # of a score: start, gain, whole
 STRETCH = 1.6  # a grid point may stand for an effect so many times its own, before the fit refines it
 
 
@@ -48,22 +45,7 @@ class Score:
 
 def responses(problem: Problem, fitted: Fit, variants: Iterable[Variant]) -> list[Response]:
     """The responses of each start of each variant beside the effects of `fitted`; impossible combinations left out."""
-    variants = list(variants)
     present = problem.predicted(fitted.hypothesis.model(fitted.point))
-    # Those without an amplitude look for the same states with each fit, which are kept where they are computed
-    late = [variant for variant in variants if variant.amplitude]
-    first, second = both(
-        lambda: _responses(problem, fitted, present, [variant for variant in variants if not variant.amplitude]),
-        lambda: _responses(problem, fitted, present, late),
-        variants,
-    )
-    by_variant: dict[int, list[Response]] = defaultdict(list)
-    for response in (*first, *second):
-        by_variant[id(response.variant)].append(response)
-    return [response for variant in variants for response in by_variant[id(variant)]]
-
-
-def _responses(problem: Problem, fitted: Fit, present: Array, variants: Sequence[Variant]) -> list[Response]:
     out = []
     for variant in variants:
         hypothesis = fitted.hypothesis.plus(variant)
@@ -100,34 +82,22 @@ def scores(problem: Problem, fitted: Fit, found: Sequence[Response]) -> list[Sco
         return []
     basis = orthonormal(fitted.jacobian)
     residual = fitted.residual - basis @ (basis.T @ fitted.residual)
-
-    def measured(part: Sequence[Response]) -> tuple[Array, list[Measure]]:
-        white = problem.whiten(np.concatenate([response.columns for response in part], axis=1))
-        white -= basis @ (basis.T @ white)
-        return white, [_measure(response, columns, residual) for response, columns in _columns_of(part, white)]
-
-    _ = problem.measured  # what it needs of the noise and the nuisance, once and not in both processes
-    halves = found[: (len(found) + 1) // 2], found[(len(found) + 1) // 2 :]
-    parts = both(lambda: measured(halves[0]), lambda: measured(halves[1])) if halves[1] else (measured(halves[0]),)
-    return [
-        Score(response.variant, start, gain, columns, whole)
-        for half, (white, told) in zip(halves, parts, strict=False)
-        for (response, columns), (start, gain, whole) in zip(_columns_of(half, white), told, strict=True)
-    ]
+    white = problem.whiten(np.concatenate([response.columns for response in found], axis=1))
+    white -= basis @ (basis.T @ white)
+    ends = np.cumsum([response.columns.shape[1] for response in found])
+    parts = np.split(white, ends[:-1], axis=1)
+    return [_score(response, columns, residual) for response, columns in zip(found, parts, strict=True)]
 
 
-def _columns_of(found: Sequence[Response], white: Array) -> list[tuple[Response, Array]]:
-    """Each response with its own columns (m, k) of all that were whitened together."""
-    ends = np.cumsum([0, *(response.columns.shape[1] for response in found)])
-    return [(each, white[:, start:end]) for each, start, end in zip(found, ends, ends[1:], strict=False)]
-
-
-def _measure(response: Response, columns: Array, residual: Array) -> Measure:
-    if response.variant.amplitude:
-        start, gain = _amplitudes(response.variant, response.start, columns, residual)
-        return start, gain, gain
-    start, gain = _whole(response.variant, response.start, columns, residual)
-    return start, gain, 2.0 * float(columns[:, 0] @ residual) - float(columns[:, 0] @ columns[:, 0])
+def _score(response: Response, columns: Array, residual: Array) -> Score:
+    """Return the score of a response with its white columns (m, k)."""
+    variant = response.variant
+    if variant.amplitude:
+        start, gain = _amplitudes(variant, response.start, columns, residual)
+        return Score(variant, start, gain, columns, gain)
+    start, gain = _whole(variant, response.start, columns, residual)
+    whole = 2.0 * float(columns[:, 0] @ residual) - float(columns[:, 0] @ columns[:, 0])
+    return Score(variant, start, gain, columns, whole)
 
 
 def best_by_effect(found: Iterable[Score]) -> list[Score]:

@@ -7,7 +7,7 @@ which keeps whatever noise is really like within a block. What is left must beat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,23 +40,20 @@ class Finding:
 
 def dependence(
     residual: Array, jacobian: Array, columns: Mapping[str, Array], blocks: NDArray[np.int64], rng: np.random.Generator
-) -> Callable[[], list[Finding]]:
-    """What gives one finding per family; its random numbers are drawn already.
+) -> list[Finding]:
+    """Return one finding per family.
 
     residual (m,) and columns (m, k) white; jacobian (m, p) of what was fitted.
     """
     basis = orthonormal(jacobian)
     rest = residual - basis @ (basis.T @ residual)
-    tests = []
+    findings = []
     for what, family in columns.items():
         free = orthonormal(family - basis @ (basis.T @ family), DISTINCT)
         scaled = free * np.sqrt(len(rest) / max(free.shape[1], 1))
-        tests.append((what, scaled, _drawn(int(blocks[-1]) + 1, free.shape[1], rng)))
-
-    def findings() -> list[Finding]:
-        found = [(what, *_predictable(rest, free, blocks, draws)) for what, free, draws in tests]
-        return [Finding(what, share, score, score > SURE and share > LEAST_SHARE) for what, share, score in found]
-
+        draws = _drawn(int(blocks[-1]) + 1, free.shape[1], rng)
+        share, score = _predictable(rest, scaled, blocks, draws)
+        findings.append(Finding(what, share, score, score > SURE and share > LEAST_SHARE))
     return findings
 
 

@@ -23,7 +23,6 @@ from tsa_ctrl.identify.diagnosis.residual.changes import BURST
 from tsa_ctrl.identify.diagnosis.residual.dependence import Finding, dependence
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, forward_on_simulation_error
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.system.twin import both
 
 # Share of what is left that is structure: from half on it is more than the noise, which then no longer decides
 STRUCTURE = 0.5
@@ -82,31 +81,20 @@ def _findings(problem: Problem, fitted: Fit, rng: np.random.Generator) -> list[F
     masked = {name: factor[problem.mask] for name, factor in factors.items()}
     dependences = dependence(fitted.residual, known, columns, problem.blocks, rng)
     noise = rng.standard_normal((problem.count, changes.DRAWS))
-
-    def in_time() -> list[Finding]:
-        told = problem.nuisance.told(len(frame))
-        rest = _interpolated(frame.target - predicted, told, frame.period)
-        return [
-            changes.steps(problem, fitted.residual, known, factors, noise),
-            changes.lines(fitted.residual, masked, frame.period),
-            changes.bursts(fitted.residual, frame.period),
-            changes.drift(rest, problem.mask, frame.slices, frame.period, problem.noise.rms),
-        ]
-
-    found, more = both(dependences, in_time)
-    return [*found, *more]
+    told = problem.nuisance.told(len(frame))
+    rest = _interpolated(frame.target - predicted, told, frame.period)
+    return [
+        *dependences,
+        changes.steps(problem, fitted.residual, known, factors, noise),
+        changes.lines(fitted.residual, masked, frame.period),
+        changes.bursts(fitted.residual, frame.period),
+        changes.drift(rest, problem.mask, frame.slices, frame.period, problem.noise.rms),
+    ]
 
 
 def _white(problem: Problem, fitted: Fit, families: Mapping[str, Array]) -> tuple[Array, dict[str, Array]]:
-    """What is no structure (see `_explained`), and the columns (m, k) of each family, white; the two cores share it."""
-    raw = np.concatenate(list(families.values()), axis=1)
-    half = raw.shape[1] // 2
-    (known, first), second = both(
-        lambda: (_explained(problem, fitted), problem.whiten(raw[:, :half])), lambda: problem.whiten(raw[:, half:])
-    )
-    ends = np.cumsum([family.shape[1] for family in families.values()])
-    pieces = np.split(np.concatenate([first, second], axis=1), ends[:-1], axis=1)
-    return known, dict(zip(families, pieces, strict=True))
+    """What is no structure (see `_explained`), and the columns (m, k) of each family, white."""
+    return _explained(problem, fitted), {name: problem.whiten(family) for name, family in families.items()}
 
 
 def _explained(problem: Problem, fitted: Fit) -> Array:

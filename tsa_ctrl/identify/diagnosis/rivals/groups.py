@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -24,12 +23,11 @@ from tsa_ctrl.identify.diagnosis.residual.structure import ErrorCriterion
 from tsa_ctrl.identify.diagnosis.rivals.elsewhere import elsewhere
 from tsa_ctrl.identify.diagnosis.selection.forward import PER_COORDINATE
 from tsa_ctrl.identify.diagnosis.selection.meaning import BY_NOISE, meaningless, meaningless_by_error
-from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, parts_of, step_from_nominal
+from tsa_ctrl.identify.diagnosis.selection.step import backward_step, best_steps, step_from_nominal
 from tsa_ctrl.model.catalogue import PARAMETER_ERROR, twins_of
 from tsa_ctrl.model.effects.search import Coordinate, Value, Variant
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import Signals
-from tsa_ctrl.system.twin import at_once
 
 # Times the deviation in white noise that blocks may show: as much as an interval may be widened (refit.WIDEST)
 MOST_SPREAD = 3.0
@@ -107,8 +105,7 @@ def _group(problem: Problem, fitted: Fit, index: int, catalogue: Catalogue, stru
         fits.append((UNRECORDED, _temperature_confound(problem, fitted, smaller, index)))
     others = all_but(fitted.names, catalogue)
     bare = [variant for variant in others if not variant.coordinates]
-    found_bare = at_once([partial(step_from_nominal, problem, smaller, v) for v in bare], parts_of(smaller, bare))
-    fits += zip((variant.effect for variant in bare), found_bare, strict=True)
+    fits += ((variant.effect, step_from_nominal(problem, smaller, variant)) for variant in bare)
     tolerance = min(INPUT_TOLERANCE * (smaller.rss - fitted.rss), MOST_INPUT_TOLERANCE)
     found = [compared(problem, fitted, rival, other, tolerance) for other, rival in fits if rival is not None]
     limits = _limits(problem, name)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +25,6 @@ from tsa_ctrl.identify.diagnosis.fitting.simulation_error import (
 from tsa_ctrl.identify.diagnosis.noise.nuisance import Nuisance
 from tsa_ctrl.identify.diagnosis.selection.meaning import meaningless
 from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS
-from tsa_ctrl.system.twin import at_once
 
 DRAWS = 300  # of the best of all candidates: its tail is a Gumbel law of their mean and spread, known to 6 %
 # Chance that the best candidate passes on noise alone: 1 % of logs in all may name something, in five rounds
@@ -75,8 +73,7 @@ def entry_threshold(rng: np.random.Generator, found: Sequence[Score]) -> float:
 
     Parametric bootstrap: white noise projected on every candidate's response; the maximum's tail by a Gumbel law.
     """
-    bases = at_once([partial(orthonormal, score.columns) for score in found])
-    bases = [basis for basis in bases if basis.shape[1]]
+    bases = [basis for basis in (orthonormal(score.columns) for score in found) if basis.shape[1]]
     if not bases:
         return 0.0
     columns = np.concatenate(bases, axis=1)

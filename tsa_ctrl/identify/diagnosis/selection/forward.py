@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -37,11 +36,9 @@ from tsa_ctrl.identify.diagnosis.selection.step import (
     best_scores,
     best_steps,
     forward_step,
-    parts_of,
     step_from_nominal,
     step_with_late_reversals,
 )
-from tsa_ctrl.system.twin import at_once
 
 MOST_CAUSES = 4  # beyond which a list of causes is a fit of functions: targets and tests hide two
 PER_COORDINATE = 7.0  # decrease of the sum of squares that a further coordinate must bring (logarithm of samples)
@@ -108,14 +105,13 @@ def _round(problem: Problem, fitted: Fit, catalogue: Catalogue, rng: np.random.G
     scored = scores(problem, fitted, found)
     best = best_scores(problem, fitted, scored, found)
     promising = [s for s in best if s.gain > NEAR_BEST * best[0].gain][:FITTED]
-    tries: list[Callable[[], Fit | None]] = [partial(forward_step, problem, fitted, score) for score in promising]
+    steps = [forward_step(problem, fitted, score) for score in promising]
     for variant in variants:
         late = variant.effect in LATE_REVERSALS
         hidden = late and not fitted.names  # what these do then may be hidden without a trace
         if hidden or fitted.rss > MORE_THAN_NOISE * problem.count:
             tried = step_with_late_reversals if late else step_from_nominal
-            tries += [partial(tried, problem, fitted, variant, start) for start in variant.full_strength]
-    steps = at_once(tries, parts_of(fitted, variants))
+            steps += [tried(problem, fitted, variant, start) for start in variant.full_strength]
     ranked = [found for found in steps if found is not None and found.rss < fitted.rss]
     ranked.sort(key=lambda found: found.rss + PER_COORDINATE * len(found.point))
     return Round(fitted, tuple(_simpler_first(ranked)), tuple(best), tuple(found), entry_threshold(rng, scored))

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterable, Sequence
-from functools import partial
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from tsa_ctrl.identify.diagnosis.hypotheses.candidates import Catalogue, all_but
 from tsa_ctrl.identify.diagnosis.noise.nuisance import nuisance
 from tsa_ctrl.model.effects.search import Variant
 from tsa_ctrl.model.functions import Array
-from tsa_ctrl.system.twin import at_once
 
 LATE_REVERSALS = ("transport_delay", "velocity_lag")  # effects by which reversals come later than the log's velocity
 FITTED = 5  # best candidates that are refined, and fitted in full: one of them enters, and the others are asked again
@@ -80,13 +78,8 @@ def best_steps(
     found = responses(problem, smaller, variants)
     best = best_scores(problem, smaller, scores(problem, smaller, found), found)
     tried = [*best[:most], *(score for score in best[most:] if score.variant.effect in always)]
-    fits = at_once([partial(forward_step, problem, smaller, score) for score in tried], parts_of(smaller, variants))
+    fits = (forward_step(problem, smaller, score) for score in tried)
     return sorted((step for step in fits if step is not None), key=lambda f: f.rss)
-
-
-def parts_of(fitted: Fit, variants: Iterable[Variant]) -> list[object]:
-    """What fits with one of these effects more share with `fitted`: functions, which are the same in two processes."""
-    return [fitted.hypothesis.base, *fitted.hypothesis.variants, *variants]
 
 
 def best_scores(
@@ -105,9 +98,7 @@ def best_scores(
         number = id(score.variant)
         if score.variant.effect in names and (number not in by_variant or score.whole > by_variant[number].whole):
             by_variant[number] = score
-    coarse = list(by_variant.values())
-    searched = [partial(_refined, problem, fitted, score, found) for score in coarse]
-    finer = at_once(searched, [*coarse, *(score.variant for score in coarse)])
+    finer = [_refined(problem, fitted, score, found) for score in by_variant.values()]
     others = [score for score in best_by_effect(scored) if score.variant.effect not in names]
     return finer if each else best_by_effect([*finer, *others])
 
