@@ -53,10 +53,9 @@ def test_every_parameter_has_its_annotation(spec: Specification) -> None:
 
 
 @pytest.mark.parametrize("spec", CATALOGUE.values(), ids=list(CATALOGUE))
-def test_what_is_shown_and_hidden_is_allowed(spec: Specification) -> None:
-    """Parameters of the gallery, and ten draws of the demo, within the effect's bounds."""
+def test_what_is_hidden_is_allowed(spec: Specification) -> None:
+    """Ten draws of the demo are within the effect's bounds."""
     rng = np.random.default_rng(3)
-    check_effects({spec.name: spec.shown.parameters}, "gallery")
     for _ in range(10 if spec.demo else 0):
         drawn = {key: size.value(rng) if isinstance(size, Draw) else size for key, size in (spec.demo or {}).items()}
         check_effects({spec.name: drawn}, "demo")

@@ -43,7 +43,6 @@ LONG = {
     "bench/trend --days 8 --folders 2": "false alarms",
     "bench/two_encoders --draws 1 --rows nothing:joint": "groups became single names",
     "campaign/mutate limiter --sample 2": "limiter.py",
-    "figures/gallery gravity_load --out {out}": "",
     "measured/stretch": "",
 }
 

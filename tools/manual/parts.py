@@ -34,7 +34,7 @@ def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
 def catalogue() -> str:
     """Every effect: where it enters, its parameters, what a log needs."""
     rows = [
-        (f"`{spec.name}`", spec.shown.equation, _parameters(spec), _columns(spec), spec.summary)
+        (f"`{spec.name}`", spec.equation, _parameters(spec), _columns(spec), spec.summary)
         for spec in CATALOGUE.values()
     ]
     return table(("name", "how it enters", "parameters (unit)", "needs", "in words"), rows)

@@ -19,7 +19,7 @@ import numpy as np
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.effects.lever import State
-from tsa_ctrl.model.effects.specification import Columns, Parameter, Setting, Shown, Specification, Stage
+from tsa_ctrl.model.effects.specification import Columns, Parameter, Setting, Specification, Stage
 from tsa_ctrl.model.expression import Program, parse
 from tsa_ctrl.model.filters import Memories
 from tsa_ctrl.model.functions import Array, F
@@ -53,7 +53,7 @@ class Custom:
         search=lambda name, scales: (),  # the user's own formula is no hypothesis
         named=True,
         live_columns=_columns,
-        shown=Shown({"expression": "k*sin(3*q_j)", "k": 0.08}, "angle", "τ_J ← τ_J − f(ω, q, τ, σ, t, T)", short=True),
+        equation="τ_J ← τ_J − f(ω, q, τ, σ, t, T)",
     )
 
     constants: tuple[tuple[str, float], ...] = ()

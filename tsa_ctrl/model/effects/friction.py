@@ -17,7 +17,6 @@ from tsa_ctrl.model.effects.specification import (
     Draw,
     Motion,
     Parameter,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -64,9 +63,7 @@ class StribeckFriction:
         search=_velocities,
         unresolved="the velocity is too noisy to resolve slow motion",
         twins=(Twins(("velocity_lag", "motor_side_friction", "parameter_error"), (Motion.SPEEDS,)),),
-        shown=Shown(
-            {"static_excess": 0.3, "stribeck_velocity": 0.25}, "speed", "μ ← μ (1 + k exp(−|ω/ω_s|^n))", short=True
-        ),
+        equation="μ ← μ (1 + k exp(−|ω/ω_s|^n))",
         demo={"static_excess": Draw(0.5, 0.9), "stribeck_velocity": Draw(0.25, 0.45)},
     )
 
@@ -95,7 +92,7 @@ class ThermalFrictionDrift:
         twins=(Twins(("pretension_relaxation",), (Motion.WARM,)),),
         asks=Motion.WARM,
         columns=(("temperature",),),
-        shown=Shown({"temperature_coefficient": 0.01}, "temperature", "μ ← μ (1 + a (ϑ − ϑ_0))"),
+        equation="μ ← μ (1 + a (ϑ − ϑ_0))",
     )
 
     def factor(self, functions: Functions[F], state: State[F]) -> F:
@@ -116,7 +113,7 @@ class TensionDependentFriction:
         search=linear("exponent", one, 0.0, 1.0, full_strength=((0.4,), (0.8,))),
         twins=(Twins(("torque_constant_error",), (Motion.BENDING, Motion.GAIN)),),
         rigid_drive=False,
-        shown=Shown({"exponent": 0.2}, "load", "x_i ← x (T_i / T_ref)^−n"),
+        equation="x_i ← x (T_i / T_ref)^−n",
     )
 
     LOWEST: ClassVar[float] = 0.05  # of T_ref: keeps x finite in a slack tendon
@@ -143,7 +140,7 @@ class LoadDependentFriction:
         summary="friction in the joint grows with its load",
         search=linear("coefficient", one, 0.0, 0.95),
         twins=(Twins(("sheath_asymmetry", "tendon_slack", "tension_dependent_friction"), (Motion.SIGNS,)),),
-        shown=Shown({"coefficient": 0.06}, "load", "τ_J ← τ_J − σ k |τ_J|"),
+        equation="τ_J ← τ_J − σ k |τ_J|",
         demo={"coefficient": Draw(0.15, 0.25)},
     )
 

@@ -12,7 +12,6 @@ from tsa_ctrl.model.effects.specification import (
     Draw,
     Motion,
     Parameter,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -38,7 +37,7 @@ class ViscousFriction:
             Twins(("sheath_asymmetry",), (Motion.BOTH_WAYS,)),
             Twins(("motor_side_friction", "parameter_error", "stribeck_friction"), (Motion.SPEEDS,)),
         ),
-        shown=Shown({"coefficient": 0.05}, "speed", "τ_J ← τ_J − b ω", short=True),
+        equation="τ_J ← τ_J − b ω",
         demo={"coefficient": Draw(0.08, 0.16)},
     )
 
@@ -58,7 +57,7 @@ class DirectionAsymmetricFriction:
         summary="friction proportional to speed that differs by direction",
         search=linear("viscous_difference", lambda s: s.torque / s.speed),
         twins=(Twins(("viscous_friction", "sheath_asymmetry"), (Motion.BOTH_WAYS,)),),
-        shown=Shown({"viscous_difference": 0.05}, "speed", "τ_J ← τ_J − b |ω|", short=True),
+        equation="τ_J ← τ_J − b |ω|",
         demo={"viscous_difference": Draw(0.08, 0.16, signed=True)},
     )
 
@@ -78,7 +77,7 @@ class Inertia:
         summary="torque that accelerates a mass",
         search=linear("inertia", lambda s: s.torque / s.acceleration, low=0.0),
         feedforward=f"compensated with an acceleration from omega_j that is {1e3 * ACCELERATION_TIME:g} ms late",
-        shown=Shown({"inertia": 0.005}, "acceleration", "τ_J ← τ_J − J dω/dt", short=True),
+        equation="τ_J ← τ_J − J dω/dt",
         demo={"inertia": Draw(0.015, 0.03)},
     )
 
@@ -112,7 +111,7 @@ class GravityLoad:
             Twins(("inertia",), (Motion.FREQUENCIES,)),
         ),
         columns=(("q_j",),),
-        shown=Shown({"amplitude": 0.15, "phase": 0.3}, "angle", "τ_J ← τ_J − A sin(q + φ)", short=True),
+        equation="τ_J ← τ_J − A sin(q + φ)",
         demo={"amplitude": Draw(0.2, 0.4), "phase": Draw(-1.0, 1.0)},
     )
 
@@ -156,7 +155,7 @@ class JointStiffness:
             Twins(("inertia",), (Motion.FREQUENCIES,)),
         ),
         columns=(("q_j",),),
-        shown=Shown({"stiffness": 0.15, "rest_angle": 0.2}, "angle", "τ_J ← τ_J − k (q − q_0)", short=True),
+        equation="τ_J ← τ_J − k (q − q_0)",
         demo={"stiffness": Draw(0.3, 0.6), "rest_angle": Draw(-0.3, 0.3)},
     )
 
@@ -179,7 +178,7 @@ class TorqueOffset:
             Twins(("direction_asymmetric_friction",), (Motion.BOTH_WAYS,)),
             Twins(("gravity_load", "joint_stiffness", "configuration_dependent_bending"), (Motion.RANGE,)),
         ),
-        shown=Shown({"offset": 0.05}, "time", "τ_J ← τ_J + c", short=True),
+        equation="τ_J ← τ_J + c",
         demo={"offset": Draw(0.08, 0.2, signed=True)},
     )
 

@@ -18,7 +18,6 @@ from tsa_ctrl.model.effects.specification import (
     Draw,
     Motion,
     Parameter,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -86,7 +85,7 @@ class PulleyEccentricity:
         ),
         columns=(("q_j",),),
         rigid_drive=False,
-        shown=Shown({"relative_eccentricity": 0.2, "phase": 0.3}, "angle", "τ_J ← τ_J (1 + e sin(q + φ))", short=True),
+        equation="τ_J ← τ_J (1 + e sin(q + φ))",
         demo={"relative_eccentricity": Draw(0.2, 0.3), "phase": Draw(-1.0, 1.0)},
     )
 

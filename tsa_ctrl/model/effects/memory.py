@@ -17,7 +17,6 @@ from tsa_ctrl.model.effects.specification import (
     Motion,
     Parameter,
     Setting,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -77,7 +76,7 @@ class PreslidingHysteresis:
         twins=(Twins(("velocity_lag", "stribeck_friction"), (Motion.SPEEDS,)),),
         columns=(("q_m", "q_j", "omega_j"),),
         live_columns=_followed,
-        shown=Shown({"presliding_distance": 0.05}, "since", "dz/ds = (1 − sign(ds) z)/q_p", short=True),
+        equation="dz/ds = (1 − sign(ds) z)/q_p",
         demo={"presliding_distance": Draw(0.05, 0.1), "displacement": "motor"},
     )
 
@@ -162,7 +161,7 @@ class Backlash:
         columns=(("q_j",),),
         rigid_drive=False,  # there is no tendon part that play could take away
         feedforward="not compensated, no torque crosses the play of {gap} rad",
-        shown=Shown({"gap": 0.03}, "since", "tendon part 0 while |q − q_r| < gap", short=True),
+        equation="tendon part 0 while |q − q_r| < gap",
     )
 
     @staticmethod
@@ -200,7 +199,7 @@ class TransportDelay:
         search=_delays,
         twins=(Twins(("velocity_lag", "stribeck_friction", "presliding_hysteresis", "backlash"), (Motion.SPEEDS,)),),
         feedforward="not compensated, {delay} s cannot be undone ahead of time",
-        shown=Shown({"delay": 0.01}, "time", "τ_J(t) ← τ_J(t − T_d)", short=True),
+        equation="τ_J(t) ← τ_J(t − T_d)",
     )
 
     def apply(self, torque: Array, t: Array) -> Array:

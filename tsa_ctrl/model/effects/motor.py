@@ -25,7 +25,6 @@ from tsa_ctrl.model.effects.specification import (
     Draw,
     Motion,
     Parameter,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -67,7 +66,7 @@ class VelocityLag:
         untestable=_derived,
         columns=(("omega_j",),),
         feedforward="compensated in the velocity; the direction is led by the loop",
-        shown=Shown({"time_constant": 0.02}, "time", "σ = sign(ω + T dω/dt)", short=True),
+        equation="σ = sign(ω + T dω/dt)",
     )
 
     def true_velocity(self, omega: F, acceleration: F) -> F:
@@ -86,7 +85,7 @@ class TorqueConstantError:
         summary="the drive's torque has a wrong scale",
         search=linear("relative_error", one, -0.5, 0.5),
         twins=(Twins(("parameter_error",), (Motion.GAIN,)),),
-        shown=Shown({"relative_error": 0.05}, "load", "τ_M ← (1 + e) τ_M"),
+        equation="τ_M ← (1 + e) τ_M",
     )
 
     def apply(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:
@@ -128,12 +127,7 @@ class TorqueRipple:
         search=_ripples,
         unresolved="the motor turns too little to show a line of its angle",
         columns=(("q_m",),),
-        shown=Shown(
-            {"amplitude": 0.03, "cycles_per_revolution": 12, "phase": 0.4},
-            "motor",
-            "τ_M ← τ_M + A sin(N q_M + φ)",
-            short=True,
-        ),
+        equation="τ_M ← τ_M + A sin(N q_M + φ)",
         demo={
             "amplitude": Draw(0.06, 0.12),
             "cycles_per_revolution": Draw(8, 17, whole=True),
@@ -164,7 +158,7 @@ class MotorSideFriction:
         search=linear("coulomb", lambda s: s.motor_torque, low=0.0),
         twins=(Twins(("parameter_error",), (Motion.SPEEDS,)),),
         rigid_drive=False,
-        shown=Shown({"coulomb": 0.03}, "speed", "τ_M ← τ_M − τ_c σ", short=True),
+        equation="τ_M ← τ_M − τ_c σ",
     )
 
     def apply(self, functions: Functions[F], tau_m: F, state: State[F]) -> F:

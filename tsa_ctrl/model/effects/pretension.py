@@ -15,7 +15,6 @@ from tsa_ctrl.model.effects.specification import (
     Draw,
     Motion,
     Parameter,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -40,7 +39,7 @@ class ConfigurationDependentBending:
         search=linear("bending_per_joint_angle", lambda s: 1.0 / s.reach),
         columns=(("q_j",),),
         rigid_drive=False,
-        shown=Shown({"bending_per_joint_angle": 0.3}, "angle", "Θ ← Θ + k q", short=True),
+        equation="Θ ← Θ + k q",
         demo={"bending_per_joint_angle": Draw(1.0, 1.6, signed=True)},
     )
 
@@ -67,7 +66,7 @@ class StiffnessNonlinearity:
         twins=(Twins(("motor_side_friction", "parameter_error"), (Motion.BENDING,)),),
         asks=Motion.BENDING,
         rigid_drive=False,
-        shown=Shown({"quadratic": 100.0}, "theta", "T_p ← T_p (1 + k T_p / EA)"),
+        equation="T_p ← T_p (1 + k T_p / EA)",
     )
 
     def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F:
@@ -106,7 +105,7 @@ class PretensionRelaxation:
         search=_relaxations,
         twins=(Twins(("motor_side_friction", "stiffness_nonlinearity", "parameter_error"), (Motion.BENDING,)),),
         rigid_drive=False,
-        shown=Shown({"relaxed_fraction": 0.2, "time_constant": 15.0}, "time", "T_p ← T_p (1 − c (1 − exp(−t/T)))"),
+        equation="T_p ← T_p (1 − c (1 − exp(−t/T)))",
     )
 
     def pretension(self, functions: Functions[F], pretension: F, state: State[F], axial_stiffness: float) -> F:

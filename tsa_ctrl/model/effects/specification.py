@@ -1,7 +1,7 @@
 """What is said of an effect beside its formulas: written once, on its class, and read by everything that knows effects.
 
-Model files and their messages, the composition, the notes of the live inverse, the diagnosis, the demo and the gallery
-take from here what they need. The plant and the hidden cases of the tests have their own, so that one can be held
+Model files and their messages, the composition, the notes of the live inverse, the diagnosis and the demo take
+from here what they need. The plant and the hidden cases of the tests have their own, so that one can be held
 against the other.
 """
 
@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Literal, TypeAlias, get_type_hints
+from typing import Any, TypeAlias, get_type_hints
 
 import numpy as np
 
@@ -133,19 +133,6 @@ def positive(unit: str, **more: Any) -> Parameter:
     return Parameter(unit, low=0.0, low_open=True, **more)
 
 
-View: TypeAlias = Literal["speed", "load", "angle", "time", "motor", "since", "acceleration", "temperature", "theta"]
-
-
-@dataclass(frozen=True)
-class Shown:
-    """How a picture shows an effect: with which parameters, against what it is recognised, by which equation."""
-
-    parameters: Mapping[str, Setting]
-    view: View
-    equation: str
-    short: bool = False  # against time: a few reversals, not the whole log
-
-
 @dataclass(frozen=True)
 class Draw:
     """A size that the demo draws by seed, between `low` and `high`; of either sign, or a whole number below `high`."""
@@ -168,7 +155,7 @@ def _always(_: Scales) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """One effect: its name and stage, its sentence for a person, what it needs, and how it is undone, shown and hidden.
+    """One effect: its name and stage, its sentence for a person, what it needs, and how it is undone and hidden.
 
     `search`: how a fit looks for it; `unresolved` says what a log lacks that leaves no variant, `untestable` why a log
     with such signals cannot show it at all (empty when it can), and `asks` what to record then. A pair of `twins` is
@@ -182,7 +169,7 @@ class Specification:
     stage: Stage
     summary: str
     search: Search
-    shown: Shown
+    equation: str  # how it enters
     twins: tuple[Twins, ...] = ()
     unresolved: str = "the log does not reach the scale on which it acts"
     untestable: Callable[[Scales], str] = _always

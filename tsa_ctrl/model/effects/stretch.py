@@ -15,7 +15,6 @@ from tsa_ctrl.model.effects.search import Coordinate, Scales, Value, Variant, ge
 from tsa_ctrl.model.effects.specification import (
     Motion,
     Parameter,
-    Shown,
     Specification,
     Stage,
     Twins,
@@ -53,7 +52,7 @@ class SeriesSpring:
         columns=_BOTH_ANGLES,
         twins=(Twins(("parameter_error",), (Motion.STIFFNESS,)),),
         rigid_drive=False,
-        shown=Shown({"stiffness": 2e4}, "load", "s ← s + (T_3 − T_1) / 2k"),
+        equation="s ← s + (T_3 − T_1) / 2k",
     )
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
@@ -88,7 +87,7 @@ class TendonCreep:
         columns=_BOTH_ANGLES,
         twins=(Twins(("pulley_slip",), (Motion.LONGER,)),),
         rigid_drive=False,
-        shown=Shown({"length": 2e-4, "time_constant": 15.0}, "time", "s ← s + a (1 − exp(−t/T))"),
+        equation="s ← s + a (1 − exp(−t/T))",
     )
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
@@ -121,7 +120,7 @@ class PulleySlip:
         search=_slips,
         columns=_BOTH_ANGLES,
         rigid_drive=False,
-        shown=Shown({"length": 2e-4, "time": 25.0}, "time", "s ← s + d,  t ≥ t_s"),
+        equation="s ← s + d,  t ≥ t_s",
     )
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:
@@ -147,7 +146,7 @@ class JointPlay:
         columns=_BOTH_ANGLES,
         twins=(Twins(("series_spring",), (Motion.SIGNS,)),),
         rigid_drive=False,
-        shown=Shown({"gap": 0.01}, "load", "s ← s + r_J g/2 sign(T_4 − T_2)"),
+        equation="s ← s + r_J g/2 sign(T_4 − T_2)",
     )
 
     def lengthens(self, functions: Functions[F], ends: tuple[F, F], joint_radius: float, state: State[F]) -> F:

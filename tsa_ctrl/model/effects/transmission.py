@@ -14,7 +14,7 @@ from tsa_ctrl.model import curvature, transmission
 from tsa_ctrl.model.curvature import NAMED, Profile
 from tsa_ctrl.model.effects.friction import TensionDependentFriction
 from tsa_ctrl.model.effects.search import Scales, Variant, linear, one
-from tsa_ctrl.model.effects.specification import Draw, Motion, Parameter, Shown, Specification, Stage, Twins
+from tsa_ctrl.model.effects.specification import Draw, Motion, Parameter, Specification, Stage, Twins
 from tsa_ctrl.model.functions import SCALARS, F, Functions
 
 
@@ -31,7 +31,7 @@ class SheathAsymmetry:
         search=linear("relative_difference", one, -1.98, 1.98),
         twins=(Twins(("tension_dependent_friction",), (Motion.SIGNS,)),),
         rigid_drive=False,
-        shown=Shown({"relative_difference": 0.3}, "load", "x_a, x_b ← x (1 ± k/2)"),
+        equation="x_a, x_b ← x (1 ± k/2)",
         demo={"relative_difference": Draw(0.8, 1.2, signed=True)},
     )
 
@@ -51,7 +51,7 @@ class TendonSlack:
         search=lambda name, s: [Variant(name, (), ((),), (), lambda u: {})],
         twins=(Twins(("sheath_asymmetry", "tension_dependent_friction"), (Motion.SIGNS,)),),
         rigid_drive=False,
-        shown=Shown({}, "load", "T_1, T_3 ≥ 0"),
+        equation="T_1, T_3 ≥ 0",
     )
 
     def clip(self, functions: Functions[F], t1: F, t3: F) -> tuple[F, F]:
@@ -82,7 +82,7 @@ class ElongationCoupling:
         twins=(Twins(("torque_constant_error", "tension_dependent_friction"), (Motion.BENDING, Motion.GAIN)),),
         excludes=("tendon_slack", "sheath_asymmetry", "tension_dependent_friction"),
         rigid_drive=False,
-        shown=Shown({"curvature_profile": "uniform"}, "load", "(3.53) in place of (3.55)"),
+        equation="(3.53) in place of (3.55)",
     )
 
 
