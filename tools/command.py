@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import concurrent.futures
+import contextlib
 import json
 import multiprocessing
 import os
@@ -71,6 +72,16 @@ def drawn(items: Sequence[Item], chosen: argparse.Namespace) -> list[Item]:
 def process(module: str, *arguments: str) -> list[str]:
     """The command line of a command here as a process of its own."""
     return [sys.executable, str(ROOT / "tools"), name_of(module), *arguments]
+
+
+def family(pid: int) -> list[int]:
+    """Return a process and all that it has started, and these; one that has ended has none."""
+    found = [pid]
+    for each in found:
+        with contextlib.suppress(OSError):
+            for task in Path(f"/proc/{each}/task").iterdir():
+                found += [int(child) for child in (task / "children").read_text(encoding="ascii").split()]
+    return found
 
 
 def vcan(module: str) -> str:

@@ -1,4 +1,4 @@
-"""campaign/drives: every variation in virtual time goes through everything, or is refused with its cure."""
+"""Drives of others: every variation in virtual time goes through everything, or is refused with its cure."""
 
 from __future__ import annotations
 

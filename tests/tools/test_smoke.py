@@ -18,9 +18,7 @@ SOAK = pytest.mark.soak  # more than ten seconds of processor time
 LINES = {
     "bench/checks --loads held --faults nothing --sensors encoder --set-points sine": "told / off (s)",
     "bench/control --joints held --shapes uniform --laws none true --cycles 1 --json": '"rms"',
-    "bench/supervision --seconds 0.3": "the loop",
-    "bench/tendons --seconds 0.5 --out {out}": "elements per tendon",
-    "campaign/drives --only Kinco": "1 variations, 1 as they must be",
+    "figures/models --seconds 0.5 --out {out}": "simplified (3.55)",
     f"campaign/runaway changes {WEIGHT} --set-points sine --changes friction=0.5 --delays 1": "1 runs",
     f"campaign/runaway healthy --seconds 1 {WEIGHT} --json": '"said": []',
     f"campaign/runaway loss {WEIGHT} --set-points constant --changes friction=0.1 --at 1": "1 runs",

@@ -73,16 +73,6 @@ def made(log: Path, model: Path, seconds: float, seed: int) -> int:
     return len(columns)
 
 
-def family(pid: int) -> list[int]:
-    """A process and all that it has started, and these."""
-    found = [pid]
-    for each in found:
-        with contextlib.suppress(OSError):  # it has ended
-            for task in Path(f"/proc/{each}/task").iterdir():
-                found += [int(child) for child in (task / "children").read_text().split()]
-    return found
-
-
 def held(pid: int) -> float:
     """Memory of a process in MB, its part of what it shares; 0 of one that has ended."""
     with contextlib.suppress(OSError):
@@ -103,7 +93,7 @@ def diagnosed(log: Path, model: Path) -> tuple[str, float, float, float]:
             pid, status, used = os.wait4(process.pid, os.WNOHANG)
             if pid:
                 break
-            peak = max(peak, sum(map(held, family(process.pid))))
+            peak = max(peak, sum(map(held, command.family(process.pid))))
             time.sleep(LOOK)
         process.returncode = os.waitstatus_to_exitcode(status)
     seconds = time.perf_counter() - began

@@ -6,28 +6,24 @@ Each set is diagnosed as it is; then again with one effect added to its measured
 the formulas of `hidden_effects`, at a size in multiples of the floor that the untouched logs have. "found": the name
 comes in addition to what the untouched logs say, and no other name does; "in a group": it stands among others; "wrong":
 another name without it; "refused": the logs were found insufficient. A parameter that the untouched logs have already
-is no addition: those effects are left out. Where the number of a hidden effect is told, its interval is asked whether
-it holds what was hidden, and whether it holds that and what the untouched logs have of it already, by least squares of
-`untouched`, which shares nothing with the diagnosis (plain drives alone). And one half of a set (of its logs, or of its
-one log's time) is diagnosed with the model that the diagnosis of the other half has written: nothing may be added. Rows
-are kept in --out (default: the file that the manual's table is written from), and not made again. The data are looked
-for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line and nothing to do.
+is no addition: those effects are left out. One half of a set (of its logs, or of its one log's time) is diagnosed with
+the model that the diagnosis of the other half has written: nothing may be added. Rows are kept in --out (default: the
+file that the manual's table is written from), and not made again. The data are looked for in the folder named by
+TSA_DATA, else in ../shared/data; without them there is one line and nothing to do.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from tools import command
 from tools.bench.hidden_effects import HIDDEN, recorded, with_hidden
-from tools.bench.untouched import MOVING, own
 from tools.command import Results, Row, read_rows
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset, load_logs
-from tsa_ctrl.model.parameters import RigidDrive, load_model
+from tsa_ctrl.model.parameters import load_model
 
 SETS = {  # the trials of the cable drive at one frequency: all 25 take minutes a diagnosis
     "emps": ("*.csv.gz", "emps.toml"),
@@ -36,7 +32,6 @@ SETS = {  # the trials of the cable drive at one frequency: all 25 take minutes 
     "davinci": ("*_0.3Hz.csv.gz", "actuator.toml"),
 }
 HALVES = "half against half"
-OWN = "least squares"
 AND_ANOTHER = ", and another name"
 FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
@@ -105,34 +100,13 @@ def answer(row: Row, untouched: Row) -> str:
     return "wrong" if new else "nothing"
 
 
-def interval(row: Row) -> Row | None:
-    """What is told of the hidden number: value, low, high, unit; None where it is not."""
-    parameter, named = HIDDEN[row["effect"]].parameter, row["report"]["causes"]
-    found = [cause["parameters"].get(parameter) for cause in named if cause["effect"] == row["effect"]]
-    return None if not found or found[0] is None or found[0]["low"] is None else found[0]
-
-
-def holds(row: Row, already: float = 0.0) -> bool | None:
-    """Whether the interval holds the hidden number and what the logs have of it already; None where it was not told."""
-    number = interval(row)
-    return None if number is None else bool(number["low"] <= row["number"] + already <= number["high"])
-
-
-def owned(folder: Path, effect: str) -> Row:
-    """What the untouched logs of a set have of an effect, of all and away from their reversals."""
-    logs = load_logs(sorted(folder.glob(SETS[folder.name][0])))
-    asked = {"all": 0.0, "moving": MOVING}
-    numbers = {key: asdict(own(folder.name, logs, effect, moving)) for key, moving in asked.items()}
-    return {"set": folder.name, "effect": effect, "size": OWN, "own": numbers}
-
-
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     """Head and rows: an effect of a set a line, its limit and the answer by size; then what half against half adds.
 
     Last what was found of those above their limit, and of how many below it nothing was said.
     """
     by = {(row["set"], row["effect"], row["size"]): row for row in rows if "report" in row}
-    sizes = sorted({row["size"] for row in rows if row["effect"] in HIDDEN and row["size"] != OWN})
+    sizes = sorted({row["size"] for row in rows if row["effect"] in HIDDEN})
     head = ("set", "hidden", "limit, of the floor", *(f"{size:g}" for size in sizes))
     lines = []
     above: list[str] = []
@@ -164,37 +138,6 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     return head, lines
 
 
-def intervals(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows: of each effect whose number is told what untouched logs have of it, and what intervals hold."""
-    numbers: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        if "report" in row and row["effect"] in HIDDEN and interval(row) is not None:
-            numbers.setdefault((row["set"], row["effect"]), []).append(row)
-    already = {(row["set"], row["effect"]): row["own"] for row in rows if row["size"] == OWN}
-    lines: list[tuple[str, ...]] = []
-    sums = [0, 0, 0, 0]
-    for key in sorted(numbers, key=lambda key: (list(SETS).index(key[0]), list(HIDDEN).index(key[1]))):
-        found, mine = numbers[key], already.get(key)
-        unit = next(number["unit"] for row in found if (number := interval(row)) is not None)
-        counts = [sum(bool(holds(row)) for row in found), len(found), 0, 0]
-        shown = ("-", "-")
-        if mine is not None:
-            counts[2:] = sum(bool(holds(row, mine["all"]["value"])) for row in found), len(found)
-            shown = (_with_unit(mine["all"], unit), _with_unit(mine["moving"], unit))
-        lines.append((*key, *shown, f"{counts[0]} of {counts[1]}", f"{counts[2]} of {counts[3]}"))
-        sums = [a + b for a, b in zip(sums, counts, strict=True)]
-    lines.append(("all", "", "", "", f"{sums[0]} of {sums[1]}", f"{sums[2]} of {sums[3]}"))
-    held = ("interval holds what was hidden", "that and what the logs have")
-    return ("set", "hidden", f"the untouched logs have, by {OWN}", "away from reversals", *held), lines
-
-
-def _with_unit(number: Row, unit: str) -> str:
-    """A number with its interval; seconds as milliseconds, and whatever else is small by its power of ten."""
-    factor, shown = (1e3, "ms") if unit == "s" else (1.0, unit.replace("*", "·"))
-    value, low, high = (f"{factor * number[key]:.2g}" for key in ("value", "low", "high"))
-    return f"{value} ({low} to {high}) {shown}"
-
-
 def main() -> int:
     """Run what is asked and not known yet, and print the table."""
     parser = command.parser(__name__, __doc__)
@@ -216,14 +159,9 @@ def main() -> int:
         if (name, HALVES, 0.0) not in results:
             results.add(halves(folder))
         untouched = results[name, "", 0.0]["report"]
-        plain = isinstance(load_model(folder / SETS[name][1]), RigidDrive)
         for effect in sorted(set(asked.effects) - names_of(untouched)):
             for size in asked.sizes:
                 if (name, effect, size) not in results:
                     results.add(trial(folder, effect, size, untouched))
-            rows = [results[name, effect, size] for size in asked.sizes if "report" in results[name, effect, size]]
-            if plain and any(interval(row) for row in rows) and (name, effect, OWN) not in results:
-                results.add(owned(folder, effect))
-    for head, lines in (table(read_rows(asked.out)), intervals(read_rows(asked.out))):
-        command.print_table(head, lines)
+    command.print_table(*table(read_rows(asked.out)))
     return 0

@@ -21,15 +21,14 @@ first quarter and at the end. Exit code 1: a problem was found; its seed repeats
 
 from __future__ import annotations
 
-import json
-import time
+import sys
 from collections.abc import Callable
-from typing import Any
 
 from tests.fuzz import configuring, files, guided, master, nodes, requests
 from tests.fuzz.part import Part
 from tests.fuzz.targets import targets
 from tools import command
+from tools.command import Row
 
 PARTS: dict[str, Callable[[int, int], Part]] = {  # frames, seed
     "loop": lambda frames, seed: master.run(frames // 2, seed),
@@ -45,11 +44,10 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--coverage", action="store_true", help="led by coverage")
     parser.add_argument("--minutes", type=float, default=24.0, help="of processor time, with --coverage")
     parser.add_argument("--save", action="store_true", help="keep what reached something anew, with --coverage")
-    parser.add_argument("--json", action="store_true")
+    command.share(parser, "seed json", seed=1)
     options = parser.parse_args()
     parts = PARTS
     if options.coverage:
@@ -58,55 +56,26 @@ def main() -> int:
             target.name: lambda frames, seed, target=target: guided.run(target, seconds, seed, save=options.save)  # type: ignore[misc]
             for target in targets()
         }
-    unknown = [name for name in options.parts if name not in parts]
-    if unknown:
+    if unknown := sorted({*options.parts} - {*parts}):
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(parts)}")
-    rows: list[dict[str, Any]] = []
-    problems: list[str] = []
+    rows: list[Row] = []
     for name in options.parts or parts:
-        begin = time.monotonic()
-        part = parts[name](options.frames, options.seed)
-        row, found = describe(part, time.monotonic() - begin)
-        rows.append(row)
-        problems += found
-        if not options.json:
-            show(row)
-    if options.json:
-        print(json.dumps({"schema": 1, "parts": rows, "problems": problems}))
-    else:
-        print("\n".join(problems), end="\n" if problems else "")
-        print(f"{sum(row['inputs'] for row in rows)} inputs, {len(problems)} problems")
+        rows.append(row_of(parts[name](options.frames, options.seed)))
+        print(f"{name}: {rows[-1]['inputs']} inputs, {rows[-1]['counts']}", file=sys.stderr, flush=True)
+    command.show(rows, ("part", "inputs", "growth_mib", "left_open", "problems"), options.json)
+    problems = [f"{row['part']}: {text}" for row in rows for text in row["problems"]]
+    print("\n".join([*problems, f"{sum(row['inputs'] for row in rows)} inputs, {len(problems)} problems"]))
     return 1 if problems else 0
 
 
-def describe(part: Part, seconds: float) -> tuple[dict[str, Any], list[str]]:
-    """A line of the table, and what is wrong."""
+def row_of(part: Part) -> Row:
+    """Return inputs, cost and problems of a part."""
     growth = part.after.memory - part.before.memory
     opened = part.after.descriptors - part.before.descriptors
-    problems = [f"{part.name}: {text}" for text in part.problems]
+    problems = list(part.problems)
     if growth > MOST_GROWTH:
-        problems.append(f"{part.name}: memory grew by {growth / 2**20:.1f} MiB")
+        problems.append(f"memory grew by {growth / 2**20:.1f} MiB")
     if opened > 0:
-        problems.append(f"{part.name}: {opened} descriptors were left open")
-    row: dict[str, Any] = {
-        "part": part.name,
-        "inputs": part.inputs,
-        "seconds": round(seconds, 1),
-        "memory_before": part.before.memory,
-        "memory_after": part.after.memory,
-        "descriptors_before": part.before.descriptors,
-        "descriptors_after": part.after.descriptors,
-        "counts": dict(part.counts),
-    }
-    return row, problems
-
-
-def show(row: dict[str, Any]) -> None:
-    before, after = (row[key] / 2**20 for key in ("memory_before", "memory_after"))
-    counts = row["counts"]
-    print(
-        f"{row['part']:9}{row['inputs']:>9} inputs in {row['seconds']:>6} s, memory {before:.1f} -> {after:.1f} MiB, "
-        f"descriptors {row['descriptors_before']} -> {row['descriptors_after']}; "
-        + ", ".join(f"{key} {value}" for key, value in counts.items()),
-        flush=True,
-    )
+        problems.append(f"{opened} descriptors were left open")
+    row: Row = {"part": part.name, "inputs": part.inputs, "growth_mib": growth / 2**20, "left_open": max(opened, 0)}
+    return {**row, "counts": dict(part.counts), "problems": problems}

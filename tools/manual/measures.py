@@ -54,19 +54,6 @@ def _found(pattern: str) -> Callable[[str], float]:
     return read
 
 
-def _rms(joint: str, law: str) -> Callable[[str], float]:
-    """The error in mN*m of one joint under one law, from the rows of bench/control."""
-
-    def read(text: str) -> float:
-        for line in text.splitlines():
-            row = json.loads(line)
-            if (row.get("joint"), row["law"]) == (joint, law) and "rms" in row:
-                return 1e3 * float(row["rms"])
-        raise ValueError(f"no row of joint {joint} and law {law} is in what was printed")
-
-    return read
-
-
 def _of_floor(text: str) -> float:
     """The median cycle of `tsa run` over that of the raw socket, from bench/cycle."""
     ways = json.loads(text)["ways"]
@@ -107,15 +94,6 @@ def _quick() -> Iterator[Measure]:
 
 def _same() -> Iterator[tuple[str, str, str, Callable[[str], float], str]]:
     """Yield the figures that take minutes and are the same at each run: name, words, tool, reader and unit."""
-    for joint in LOADS:
-        for law, name, words in (
-            ("none", "none", "no compensation"),
-            ("(3.55)", "nominal", "(3.55) with the nominal file"),
-            ("true", "true", "true parameters"),
-        ):
-            said = f"evenly bent, joint {joint}, {words}: RMS error of the joint torque"
-            line = "bench/control --shapes uniform --laws none '(3.55)' true --json"
-            yield f"control-{joint}-{name}", said, line, _rms(joint, law), "mN·m"
     for name, words, pattern in (
         (
             "simplified",
@@ -127,12 +105,8 @@ def _same() -> Iterator[tuple[str, str, str, Callable[[str], float], str]]:
             "(3.53) against distributed tendons while sliding",
             r"full \(3\.53\), sliding\s*│\s*[\d.]+\s*│\s*([\d.]+)",
         ),
-        ("elements-10", "distributed plant, 10 elements against 160", r"│ 10\s*│\s*([\d.]+)"),
-        ("elements-40", "the same, 40 elements", r"│ 40\s*│\s*([\d.]+)"),
     ):
-        yield f"tendons-{name}", words, "bench/tendons --out {out}", _found(pattern), "mN·m"
-    words = "variations of drives that are brought up, or refused with the reason"
-    yield "drives", words, "campaign/drives", _found(r"variations, (\d+) as they must be"), "as they must be"
+        yield f"tendons-{name}", words, "figures/models --out {out}", _found(pattern), "mN·m"
     words = "combinations of joint, friction, pretension, shape and gain that swing nowhere or are stopped in time"
     line = "campaign/runaway changes --sensors sensor"
     yield "runaway", words, line, _found(r"runs, (\d+) as they must be"), "as they must be"

@@ -155,13 +155,6 @@ def hidden_in_measured() -> str:
     return table(*measured.table(read_rows(measured.FILE)))
 
 
-def held_in_measured() -> str:
-    """What untouched measured logs have of those effects already, and what the intervals of their numbers hold."""
-    from tools.bench import measured  # the diagnosis with it: slow to import
-
-    return table(*measured.intervals(read_rows(measured.FILE)))
-
-
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -178,5 +171,4 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "otherwise": otherwise_table,
     "folds": folds_table,
     "hidden-in-measured": hidden_in_measured,
-    "held-in-measured": held_in_measured,
 }

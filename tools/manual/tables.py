@@ -31,7 +31,6 @@ COMMANDS: Mapping[str, str] = {
     "healthy": "tools/run campaign/runaway healthy --rows FILE",
     "two-encoders": "tools/run bench/two_encoders --by-row --draws 1",
     "control": "tools/run bench/control --rows FILE --brief",
-    "supervision": "tools/run bench/supervision",
     "checks": "tools/run bench/checks --sensors encoder --set-points sine",
     "checks-sensor": "tools/run bench/checks --sensors sensor --set-points sine",
     "trend": "tools/run bench/trend",
