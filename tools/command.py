@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import contextlib
+import datetime
 import json
 import multiprocessing
 import os
+import platform
 import random
 import secrets
+import subprocess
 import sys
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -72,6 +75,16 @@ def drawn(items: Sequence[Item], chosen: argparse.Namespace) -> list[Item]:
 def process(module: str, *arguments: str) -> list[str]:
     """The command line of a command here as a process of its own."""
     return [sys.executable, str(ROOT / "tools"), name_of(module), *arguments]
+
+
+def here() -> Row:
+    """Return date, commit and machine of a figure."""
+    git = ["git", "-C", str(ROOT), "rev-parse", "--short", "HEAD"]
+    return {
+        "date": datetime.date.today().isoformat(),
+        "commit": subprocess.run(git, capture_output=True, text=True, check=False).stdout.strip(),
+        "machine": f"{os.cpu_count()} processors, {platform.machine()}, Python {platform.python_version()}",
+    }
 
 
 def family(pid: int) -> list[int]:

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from tests.conftest import ROOT
-from tools.manual import parts, tables
+from tools.manual import measure, parts
 from tools.manual.write import PAGES, differing
 
 PRESENT = [name for name in PAGES if (ROOT / name).is_file()]
@@ -40,6 +40,7 @@ def test_the_error_of_the_simplified_slope_evenly_bent(x: float, slope: float) -
 
 
 def test_every_table_of_hours_stands_in_a_page_and_has_its_command() -> None:
-    assert {name: row["command"] for name, row in tables.load().items()} == tables.COMMANDS
+    commands = measure.listed()["tables"]
+    assert {name: row["command"] for name, row in measure.load(measure.TABLES).items()} == commands
     pages = "".join((ROOT / name).read_text(encoding="utf-8") for name in PRESENT)
-    assert [name for name in tables.COMMANDS if f"<!-- {name}: written by" not in pages] == []
+    assert [name for name in commands if f"<!-- {name}: written by" not in pages] == []

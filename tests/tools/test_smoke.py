@@ -26,7 +26,6 @@ LINES = {
     "campaign/runaway tracking --sensors encoder --loads held --set-points constant": "loss (%)",
     "campaign/virtual --sample 1 --only running --out {out}/rows.jsonl": "1 trials, 1 safe",
     "manual/measure --list": "virtual-speed",
-    "manual/tables": "tools/run bench/client",
     "manual/write --check": "",
 }
 LONG = {

@@ -1,6 +1,6 @@
 """Joint torque from the tendons' stretch on rigs drawn at random: stiffness and shape identified first, then verified.
 
-Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--results FILE] [--write] [--json]
+Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--results FILE] [--json]
 Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness, bends anywhere up to
 s_c = 0.7, evenly or in two bends, and has an inertia and a delay of its own. A gait of 6 s is its log, in which `tsa
 calibrate --stretch` finds stiffness, shape and course of the bends, with the joint torque sensor, or stiffness without
@@ -9,8 +9,7 @@ noise, against the truth of the distributed plant. Errors are RMS, of the torque
 hold 95 % of the samples: it does so on average of the rigs, and of one rig more or less, as what is left of stiffness
 and shape is one error all along and no noise. With a sensor each run is looked at once more with the true course of
 the bends told and the rest identified: what is left then is not the course's. With --results each rig is kept in a file
-as it ends, so that a long list is done in slices; --write takes the errors over into the manual's figures, and
-`tools/run manual/tables stretch-rigs` the table.
+as it ends, so that a long list is done in slices.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from rich.table import Table
 from tests.virtual.joints import GAIT, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
-from tools.manual.measure import note
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.identify.calibrate.stretch import StretchFit, fit_stretch
 from tsa_ctrl.identify.dataset import Dataset
@@ -175,20 +173,11 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     command.share(parser, "rigs first seed rows processes json", rigs=30, seed=1)
     parser.add_argument("--without-sensor", action="store_true", help="of the joint torque; the shape is told then")
-    parser.add_argument("--write", action="store_true", help="the errors, as figures of the manual")
     arguments = parser.parse_args()
     numbers = range(arguments.first, arguments.first + arguments.rigs)
     asked = [(arguments.seed, number, not arguments.without_sensor) for number in numbers]
     rows = command.run_rows(_trial, asked, lambda row: tuple(row.get(key) for key in KEY), arguments)
     command.print_tables(rows, arguments, lambda: report(rows))
-    if arguments.write:
-        line = f"tools/run bench/stretch --rigs {arguments.rigs}" + f" --seed {arguments.seed}" * (arguments.seed != 1)
-        line += " --without-sensor" * arguments.without_sensor
-        for label in RUNS:
-            for key, words in (("sliding", "while sliding"), ("all", "all samples")):
-                values = [100.0 * row[f"{label}_{key}"] for row in rows if math.isfinite(row[f"{label}_{key}"])]
-                said = f"torque from stretch, {label}, {words}: error, of the torque's RMS"
-                note(f"stretch-{label}-{key}", said, values, "%", line)
     return 0
 
 

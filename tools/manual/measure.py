@@ -1,137 +1,144 @@
-"""Run what the manual quotes and write it down, with date, commit and machine: the one writer of its figures.
+"""Run what the manual quotes and write it down with date, commit and machine: the one writer of its figures and tables.
 
 Usage: tools/run manual/measure [NAME ...] [--long] [--runs N] [--list]
+       tools/run manual/measure TABLE --printed FILE
 
-Writes `tools/manual/figures.json`; the tables of tools/README.md follow from it by `tools/run manual/write`. Without
-names all are run, those that take minutes with --long alone. What is deterministic is run once, the rest `--runs` times
-(default 3): median, lowest and highest.
+`tools/manual/figures.toml` lists the figures and tables with their commands. Without names all figures are measured,
+those that take minutes with --long alone. What is deterministic is run once, the rest `--runs` times: median, lowest
+and highest. A table is taken from what its command prints; --printed reads a file instead of running the command. The
+pages follow by `tools/run manual/write`.
 """
 
 from __future__ import annotations
 
-import datetime
 import json
-import os
-import platform
 import re
+import shlex
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from tools import command
-from tools.manual.measures import MEASURES, TSA, Measure
+from tools.command import Row
 from tsa_ctrl import settings
+from tsa_ctrl.errors import UsageError
 
-FILE = Path(__file__).with_name("figures.json")
-Row = dict[str, Any]
+FOLDER = Path(__file__).parent
+FIGURES, TABLES = FOLDER / "figures.json", FOLDER / "tables.json"
+SIMULATED = 20.0  # s of a run whose speed is the figure
 
 
-def measured(measure: Measure, runs: int, out: Path) -> Row:
-    """Run it; raises ValueError with what was printed where the figure is not in it."""
-    values = []
-    out /= re.sub(r"\W+", "-", _spoken(measure.line))  # one of its own, and the same for all that read this command
-    line = tuple(word.format(out=out, config=command.CONFIG, root=command.ROOT) for word in measure.line)
-    for number in range(1 if measure.deterministic else runs):
-        printed, seconds = _printed(line, number)
-        value = measure.read(printed)
-        values.append(value / seconds if measure.per_second else value)
+@cache
+def listed() -> dict[str, Row]:
+    """Return the figures by name, and the commands of the tables by name."""
+    found: dict[str, Row] = tomllib.loads((FOLDER / "figures.toml").read_text(encoding="utf-8"))
+    return found
+
+
+def load(path: Path) -> dict[str, Row]:
+    """Return what was measured, by name."""
+    found: dict[str, Row] = json.loads(path.read_text(encoding="utf-8"))
+    return found
+
+
+def keep(path: Path, name: str, row: Row) -> None:
+    """Write a figure or a table."""
+    row = {**row, **command.here()}
+    rows = dict(sorted({**load(path), name: row}.items()))
+    settings.write_text(path, json.dumps(rows, indent=1, ensure_ascii=False) + "\n")
+
+
+def figure(name: str, runs: int, out: Path) -> Row:
+    """Run the command of a figure and return the figure; raises ValueError if it is not in what was printed."""
+    given, values = listed()["figures"][name], []
+    run = given["run"]
+    for number in range(1 if run.get("once") else runs):
+        printed, seconds = _printed(run["command"], number, out)
+        match = re.search(run.get("read", "()"), printed, re.MULTILINE)
+        if match is None:
+            raise ValueError(f"'{run['read']}' is not in what was printed")
+        values.append(float(match[1].replace(",", "")) if "read" in run else SIMULATED / seconds)
     return {
         "value": statistics.median(values),
         "low": min(values),
         "high": max(values),
-        "unit": measure.unit,
+        "unit": run["unit"],
         "runs": len(values),
-        "command": _spoken(measure.line),
-        "words": measure.words,
-        **here(),
-    }
-
-
-def note(name: str, words: str, values: list[float], unit: str, line: str) -> None:
-    """Keep a figure that a tool found by itself: median, lowest and highest of its values; `line`: what prints it."""
-    row = {
-        "value": statistics.median(values),
-        "low": min(values),
-        "high": max(values),
-        "unit": unit,
-        "runs": len(values),
-        "command": line,
-        "words": words,
-        **here(),
-    }
-    settings.write_text(FILE, json.dumps(dict(sorted({**load(), name: row}.items())), indent=1) + "\n")
-
-
-def here() -> Row:
-    """When, of what and where a figure is."""
-    return {
-        "date": datetime.date.today().isoformat(),
-        "commit": _commit(),
-        "machine": f"{os.cpu_count()} processors, {platform.machine()}, Python {platform.python_version()}",
+        "command": run["command"].replace(" --json", "").replace(" --out {out}", ""),
+        "words": given["words"],
     }
 
 
 @cache
-def _printed(line: tuple[str, ...], number: int) -> tuple[str, float]:
-    """What a command prints, and how long it took, s; once for all figures that read the same run."""
+def _printed(line: str, number: int, out: Path) -> tuple[str, float]:
+    """Return what a command prints, and its duration, s; run once for all figures that read the same run."""
+    words = shlex.split(line.format(out=out / re.sub(r"\W+", "-", line)).replace("FILE", str(out / "rows.jsonl")))
+    if words[0] == "tsa":
+        words[0] = str(Path(sys.executable).with_name("tsa"))
     began = time.monotonic()
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    done = subprocess.run(words, cwd=command.ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise ValueError(f"exit status {done.returncode}: {(done.stderr or done.stdout).strip()[-300:]}")
     return done.stdout, time.monotonic() - began
 
 
-def _spoken(line: tuple[str, ...]) -> str:
-    """The command as a reader types it."""
-    text = " ".join("tsa" if word == TSA else f"'{word}'" if "(" in word else word for word in line)
-    for placed, said in ((" --out {out}", ""), (" --json", ""), ("{root}/", ""), ("{config}", "config")):
-        text = text.replace(placed, said)
-    return text
+def table(name: str, text: str) -> Row:
+    """Return the first table in what was printed: lines with `|`, a drawn table, or columns apart by two blanks.
 
-
-def _commit() -> str:
-    return subprocess.run(
-        ["git", "-C", str(command.ROOT), "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False
-    ).stdout.strip()
-
-
-def load() -> dict[str, Row]:
-    """What was measured, by name; empty before the first time."""
-    found: dict[str, Row] = json.loads(FILE.read_text(encoding="utf-8")) if FILE.is_file() else {}
-    return found
+    Raises:
+        UsageError: there is none.
+    """
+    rows: list[list[str]] = []
+    for line in text.splitlines():
+        drawn = re.split(r"[|│┃]", line.strip())
+        row = [cell.strip() for cell in (drawn[1:-1] if len(drawn) > 2 else re.split(r"\s{2,}", line.strip()))]
+        if re.fullmatch(r"[\s┏━┳┓┡╇┩└─┴┘├┼┤|:-]*", line) and (line.strip() or not rows):
+            continue
+        if rows and len(row) != len(rows[0]):
+            break
+        if len(row) > 1:
+            rows.append(row)
+    if len(rows) < 2:
+        raise UsageError(f"no table in what was read for '{name}'; give what {listed()['tables'][name]} prints")
+    return {"head": rows[0], "rows": rows[1:], "command": listed()["tables"][name]}
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("names", nargs="*", help="figures; default all")
-    parser.add_argument("--runs", type=int, default=3, help="of what is not deterministic")
-    parser.add_argument("--long", action="store_true", help="those that take minutes, too")
-    parser.add_argument("--list", action="store_true", help="names only")
+    parser.add_argument("names", nargs="*", help="figures and tables; default all figures")
+    parser.add_argument("--runs", type=int, default=3, help="of what is not deterministic (default 3)")
+    parser.add_argument("--long", action="store_true", help="also the figures that take minutes")
+    parser.add_argument("--printed", type=Path, metavar="FILE", help="what the command of the table printed")
+    parser.add_argument("--list", action="store_true", help="names and commands only")
     arguments = parser.parse_args()
-    known = {measure.name: measure for measure in MEASURES}
+    figures, tables = listed()["figures"], listed()["tables"]
     if arguments.list:
-        print("\n".join(known))
+        rows = [(name, each["run"]["command"]) for name, each in figures.items()]
+        command.print_table(("figure or table", "command"), [*rows, *tables.items()])
         return 0
-    unknown = [name for name in arguments.names if name not in known]
-    if unknown:
-        print(f"tools/run manual/measure: unknown figure '{unknown[0]}'; known are {', '.join(known)}", file=sys.stderr)
-        return 2
-    rows, failed = load(), 0
-    names = arguments.names or [name for name in known if arguments.long or not known[name].long]
+    if unknown := [name for name in arguments.names if name not in figures and name not in tables]:
+        raise UsageError(f"no figure or table '{unknown[0]}'; known are {', '.join([*figures, *tables])}")
+    names = arguments.names or [name for name in figures if arguments.long or not figures[name]["run"].get("long")]
+    failed = 0
     with tempfile.TemporaryDirectory() as out:
         for name in names:
             try:
-                rows[name] = measured(known[name], arguments.runs, Path(out))
+                if name in tables:
+                    file = arguments.printed
+                    keep(
+                        TABLES, name, table(name, file.read_text() if file else _printed(tables[name], 0, Path(out))[0])
+                    )
+                    continue
+                row = figure(name, arguments.runs, Path(out))
             except ValueError as error:
                 failed += 1
                 print(f"{name}: not measured: {error}", file=sys.stderr)
                 continue
-            row = rows[name]
+            keep(FIGURES, name, row)
             print(f"{name}: {row['value']:.4g} {row['unit']} ({row['low']:.4g} to {row['high']:.4g})", flush=True)
-            settings.write_text(FILE, json.dumps(dict(sorted(rows.items())), indent=1) + "\n")
     return int(failed > 0)

@@ -1,20 +1,24 @@
-"""What stands in the manual by name: tables from the catalogue, the verbs, the model's own arithmetic."""
+"""The generated parts of the manual's pages by name: tables of the catalogue, drives, hazards, figures and licences."""
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
+from tools.campaign.drive.makes import makes
+from tools.campaign.drive.variations import VARIATIONS
 from tools.command import read_rows
-from tools.manual import drives, hazards, measure, tables
+from tools.manual import hazards, measure
 from tools.package.licences import FILE
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
-from tsa_ctrl.model.effects.specification import Specification
 from tsa_ctrl.model.functions import SCALARS
+from tsa_ctrl.plant.identity import Quirks
 
 SHAPES: Mapping[str, Profile] = {
     "all at the motor end": Profile.of("motor_end"),
@@ -23,41 +27,35 @@ SHAPES: Mapping[str, Profile] = {
     "all at the joint end": Profile.of("joint_end"),
 }
 ANGLES = (0.1, 0.26, 0.5, 0.8, 1.2)
+FIELD = re.compile(r"^    (?P<key>[a-z_]+): .+ = (?P<default>[^#]+?)  # (?P<words>.+)$")
 
 
-def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    """Markdown."""
-    lines = [head, tuple("---" for _ in head), *rows]
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown."""
+    lines = [head, ["---" for _ in head], *rows]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 def catalogue() -> str:
-    """Every effect: where it enters, its parameters, what a log needs."""
-    rows = [
-        (f"`{spec.name}`", spec.equation, _parameters(spec), _columns(spec), spec.summary)
-        for spec in CATALOGUE.values()
-    ]
+    """Return every effect with its equation, its parameters and what a log needs."""
+    rows = []
+    for spec in CATALOGUE.values():
+        own = ", ".join(f"`{p.name}`" + ("" if p.unit == "1" or p.choices else f" ({p.unit})") for p in spec.parameters)
+        needs = "; ".join(" or ".join(f"`{name}`" for name in names) for names in spec.columns) or "-"
+        more = ", and constants by name" if spec.named else ""
+        rows.append((f"`{spec.name}`", spec.equation, own + more or "none", needs, spec.summary))
     return table(("name", "how it enters", "parameters (unit)", "needs", "in words"), rows)
 
 
-def _parameters(spec: Specification) -> str:
-    own = ", ".join(f"`{p.name}`" + ("" if p.unit == "1" or p.choices else f" ({p.unit})") for p in spec.parameters)
-    return own + (", and constants by name" if spec.named else "") or "none"
-
-
-def _columns(spec: Specification) -> str:
-    return "; ".join(" or ".join(f"`{name}`" for name in names) for names in spec.columns) or "-"
-
-
 def slope_and_half_loop(profile: Profile, x: float) -> tuple[float, float]:
-    """Slope over r_J/r_M, and half loop over 2 T_p0 r_J, of (3.53) for a sheath of this shape; both 1."""
+    """Return the slope over r_J/r_M and the friction torque over 2 T_p0 r_J of (3.53) for a sheath of this shape."""
     alpha, beta = profile.mean_exponential(SCALARS, x), profile.mean_exponential(SCALARS, -x)
     total = alpha + beta
     return (alpha * math.exp(-x) + beta * math.exp(x)) / total, 2.0 * math.sinh(x) * 2.0 / total / 2.0
 
 
 def errors() -> str:
-    """What (3.55) says too much of slope and half loop, by shape and friction angle."""
+    """Return the errors of slope and friction torque of (3.55), %, by shape and friction angle."""
     rows = []
     for name, profile in SHAPES.items():
         cells = []
@@ -69,31 +67,37 @@ def errors() -> str:
 
 
 def profiles() -> str:
-    """Drive profiles that are shipped, and what differs at the drive."""
-    head, *rows = drives.profiles()
+    """Return the shipped drive profiles, their sources, what these do not say, and what differs at power-on."""
+    head = "profile", "sources", "not known", "`tsa drive diff` at power-on: objects that differ, of those compared"
+    listed = ((make, make.profile) for make in makes())
+    rows = ((f"`{m.name}`", "; ".join(p.sources), "; ".join(p.unknown) or "-", m.short) for m, p in listed)
     return table(head, rows)
 
 
 def quirks() -> str:
-    """What the simulated drive can do otherwise than the standard."""
-    head, *rows = drives.quirks()
-    return table(head, rows)
+    """Return the keys by which the simulated drive differs from the standard, and the variations that have each."""
+    rows = []
+    for field in filter(None, map(FIELD.match, inspect.getsource(Quirks).splitlines())):
+        names = [variation.name for variation in VARIATIONS if field["key"] in variation.quirks]
+        tried = "; ".join(names) if len(names) <= 3 else f"{names[0]}; {names[1]}; {len(names) - 2} more"
+        rows.append((f"`{field['key']}`", f"`{field['default']}`", field["words"], tried))
+    return table(("key of `[axis.drive]`", "default", "what the drive does", "tried as"), rows)
 
 
 def verbs() -> str:
-    """A verb a line."""
+    """Return every command with its sentence."""
     return table(("verb", "what it does"), [(f"`tsa {verb}`", words) for verb, words in VERBS.items()])
 
 
 def _short(value: float) -> str:
-    """Three digits, of a large number all before the point."""
+    """Return three digits, of a large number all before the point."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
 def figures(*beginnings: str) -> str:
-    """What was measured, from the file that the measuring wrote: all of it, or what has such a name."""
+    """Return the measured figures whose names begin so; all without a name."""
     rows: list[tuple[str, ...]] = []
-    for name, row in measure.load().items():
+    for name, row in measure.load(measure.FIGURES).items():
         if beginnings and not name.startswith(beginnings):
             continue
         spread = "" if row["runs"] == 1 else f" ({_short(row['low'])} to {_short(row['high'])} in {row['runs']})"
@@ -103,18 +107,16 @@ def figures(*beginnings: str) -> str:
 
 
 def licences() -> str:
-    """What the package needs at run time, and under which licence."""
-    listed = json.loads(FILE.read_text(encoding="utf-8"))
+    """Return the packages that are needed at run time by their licences."""
     by_licence: dict[str, list[str]] = {}
-    for name, row in listed.items():
+    for name, row in json.loads(FILE.read_text(encoding="utf-8")).items():
         by_licence.setdefault(row["licence"], []).append(f"**{name}**" if row["direct"] else name)
-    return table(
-        ("licence", "needed directly (bold), and by those"), [(k, ", ".join(v)) for k, v in sorted(by_licence.items())]
-    )
+    rows = [(licence, ", ".join(names)) for licence, names in sorted(by_licence.items())]
+    return table(("licence", "needed directly (bold), and by those"), rows)
 
 
 def hazard_table() -> str:
-    """Every hazard of the campaign in virtual time, and what only hardware can do."""
+    """Return every hazard of the campaign in virtual time, and what only hardware can do."""
     about = hazards.load()["about"]
     counted = (
         f"{about['trials']} trials of `tools/run campaign/virtual --seed {about['seed']}` on {about['date']}, "
@@ -128,33 +130,21 @@ def hazard_table() -> str:
 
 
 def measured_table(name: str) -> str:
-    """A table that a benchmark of hours printed, with the command that prints it."""
-    row = tables.load()[name]
-    lines = table(tuple(row["head"]), [tuple(cells) for cells in row["rows"]])
-    return f"{lines}\n\n(`{row['command']}`, {row['date']}, {row['commit']})"
+    """Return a table that a benchmark printed, with the command that prints it."""
+    row = measure.load(measure.TABLES)[name]
+    return f"{table(row['head'], row['rows'])}\n\n(`{row['command']}`, {row['date']}, {row['commit']})"
 
 
-def otherwise_table() -> str:
-    """The diagnosis on measured drives of others, beside what people do otherwise."""
-    from tools.bench import otherwise  # the diagnosis with it: slow to import
+def of_rows(name: str) -> str:
+    """Return the table of a benchmark of measured drives, from its kept rows."""
+    from tools.bench import measured, otherwise  # the diagnosis with them: slow to import
+    from tools.measured import diagnose
 
-    return table(*otherwise.table(read_rows(otherwise.FILE)))
-
-
-def folds_table() -> str:
-    """The diagnosis of the measured cable drive, each load and each frequency left out once."""
-    from tools.measured import diagnose  # the diagnosis with it: slow to import
-
-    return table(*diagnose.table(read_rows(diagnose.FILE)))
+    module = {"otherwise": otherwise, "folds": diagnose, "hidden-in-measured": measured}[name]
+    return table(*module.table(read_rows(module.FILE)))
 
 
-def hidden_in_measured() -> str:
-    """Known effects hidden in measured logs, and what the diagnosis said by their size."""
-    from tools.bench import measured  # the diagnosis with it: slow to import
-
-    return table(*measured.table(read_rows(measured.FILE)))
-
-
+DIAGNOSIS = ("diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "pairs-", "base-")  # figures' names
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
@@ -162,13 +152,9 @@ SOURCES: Mapping[str, Callable[[], str]] = {
     "profiles": profiles,
     "quirks": quirks,
     "figures": figures,
-    "diagnosis-figures": partial(
-        figures, "diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "pairs-", "base-"
-    ),
+    "diagnosis-figures": partial(figures, *DIAGNOSIS),
     "licences": licences,
     "hazards": hazard_table,
-    **{name: partial(measured_table, name) for name in tables.COMMANDS},
-    "otherwise": otherwise_table,
-    "folds": folds_table,
-    "hidden-in-measured": hidden_in_measured,
+    **{name: partial(measured_table, name) for name in measure.listed()["tables"]},
+    **{name: partial(of_rows, name) for name in ("otherwise", "folds", "hidden-in-measured")},
 }

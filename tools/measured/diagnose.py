@@ -24,7 +24,6 @@ import numpy as np
 from tools import command
 from tools.command import Results, Row
 from tools.figures.look import BACKWARD, FORWARD, GUIDE, NEUTRAL, grid, save
-from tools.manual.measure import here
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.identify.diagnosis.report.page import write
@@ -65,7 +64,7 @@ def fold(job: tuple[str, str, Path, Path]) -> tuple[Row, list[Curve]]:
         "causes": [[cause.effect, *cause.alternatives] for cause in result.causes],
         "sentence": result.sentence,
         "seconds": seconds,
-        **here(),
+        **command.here(),
     }
     held = {log.name for log in logs if Path(log.name).match(pattern)}
     curves = [
