@@ -29,8 +29,9 @@ ROOMS: dict[str, str] = {
     "settings": "errors",
     "outputs": "errors",
     "system": "errors",
+    "signals": "",  # of an axis: the log, the status and the client have their fields from this table
     # logs, sensors, the model: what both pipelines share
-    "log": "errors version settings outputs system",
+    "log": "errors version settings outputs system signals",
     "sensors": "errors system",
     "model": "errors settings",
     "observer": "errors model",  # joint torque without its sensor
@@ -47,16 +48,17 @@ ROOMS: dict[str, str] = {
     "control": "errors log.waypoints model observer bus.canopen bus.live safety",
     "config": "errors settings system sensors model bus.settings bus.drive safety control",
     "readiness": "errors settings model bus.canopen.objects safety control.plan config",
-    "ipc": "errors system",
+    "ipc": "errors system signals",
     "daemon": (
-        "errors settings outputs system log sensors model observer bus monitor safety control config readiness ipc"
+        "errors settings outputs system signals log sensors model observer bus monitor safety control config readiness "
+        "ipc"
     ),
     # offline: from logs to parameters and causes, without bus and loop
-    "identify": "errors version settings system log model observer",
+    "identify": "errors version settings system signals log model observer",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
     # both of them in one process, in time of their own
-    "virtual": "errors outputs log bus.wire bus.live monitor safety control config ipc daemon plant",
+    "virtual": "errors outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant",
     # for people
     "published": "errors outputs",
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",
@@ -64,12 +66,13 @@ ROOMS: dict[str, str] = {
     "drills": "errors version settings outputs system log.table model bus safety control config readiness daemon",
     "dashboard": "errors ipc",
     "tune": (
-        "errors version settings outputs system log model control config ipc daemon.joint_files doctor identify virtual"
+        "errors version settings outputs system signals log model control config ipc daemon.joint_files doctor "
+        "identify virtual"
     ),
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
-        "errors version settings outputs system log model bus config readiness ipc daemon identify plant virtual "
-        "published doctor bench drills dashboard tune demo"
+        "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
+        "virtual published doctor bench drills dashboard tune demo"
     ),
     "__init__": "errors version system ipc.client virtual",
     "__main__": "system cli",

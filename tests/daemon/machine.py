@@ -19,8 +19,8 @@ from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import Mailbox
-from tsa_ctrl.log.record import FIELD_NAMES
 from tsa_ctrl.log.ring import RingReader, RingWriter
+from tsa_ctrl.signals import FIELD_NAMES
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 SWITCH_ON_DISABLED, READY, SWITCHED_ON, ENABLED, FAULT = 0x1250, 0x1231, 0x1233, 0x1237, 0x1218

@@ -30,9 +30,11 @@ def description(path: Path, axes: list[str]) -> Description:
         parameters=[
             [Range("compensation", "1", 0.0, 1.2, "share"), Range("pretension", "N", None, None, "T_p0")] for _ in axes
         ],
-        states=["not_ready", "operation_enabled"],
-        estimate_states=[state.name.lower() for state in EstimateState],
-        reasons=[reason.name.lower() for reason in Reason],
+        codes={
+            "state": ["not_ready", "operation_enabled"],
+            "estimate_state": [state.name.lower() for state in EstimateState],
+            "limit_reason": [reason.name.lower() for reason in Reason],
+        },
         phases=[phase.name.lower() for phase in LoopPhase],
         set_point_limit=[2.0, *(None for _ in axes[1:])],
         figures={"bus": "vcan0"},

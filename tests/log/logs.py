@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.log.record import FIELD_NAMES, FIELDS, Record
 from tsa_ctrl.log.ring import RingWriter
+from tsa_ctrl.signals import FIELD_NAMES, FIELDS
 
 HEADER = LogHeader(
     axes=("hip", "knee"),
@@ -40,7 +40,7 @@ def push(ring: RingWriter, count: int, first: int = 0) -> None:
     """`count` cycles of two axes."""
     for row in records(count, first).tolist():
         for axis in range(2):
-            ring.push(axis, Record(*row))
+            ring.push(axis, row)
 
 
 def motion(count: int) -> dict[str, NDArray[np.float64]]:

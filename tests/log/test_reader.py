@@ -17,8 +17,8 @@ from tests.log.logs import HEADER, records, write_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import FIELD_NAMES
 from tsa_ctrl.log.table import read_table
+from tsa_ctrl.signals import FIELD_NAMES
 
 
 @pytest.fixture(scope="module")

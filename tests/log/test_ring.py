@@ -12,16 +12,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.log.record import FIELD_NAMES, FIELDS, Record
 from tsa_ctrl.log.ring import _HEADER as HEADER
 from tsa_ctrl.log.ring import RingReader, RingWriter
+from tsa_ctrl.signals import FIELD_NAMES, FIELDS
 from tsa_ctrl.system.shared_memory import space
 
-BLANK = Record(*(math.nan for _ in FIELDS))
+BLANK = [math.nan] * (len(FIELDS) - 1)
 
 
-def record(number: float) -> Record:
-    return BLANK._replace(t=number)
+def record(number: float) -> list[float]:
+    """Return a record with this time."""
+    return [number, *BLANK]
 
 
 @pytest.fixture

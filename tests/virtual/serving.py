@@ -27,9 +27,9 @@ Script = Sequence[tuple[Action, float]]
 class ServedRun(Run):
     """`at` plans what clients do; `play` then runs it."""
 
-    def __init__(self, controller: Path, plant: Path, seconds: float) -> None:
+    def __init__(self, controller: Path, plant: Path, seconds: float, out: Path | None = None) -> None:
         configuration = load_configuration(controller)
-        super().__init__(configuration, check(plant), seconds)
+        super().__init__(configuration, check(plant), seconds, out)
         description = describe(configuration, self._tuners)
         self.path = description.path
         self._server = Server(listen(self.path, None), self._mailbox, description, self._wire.plant.clock)

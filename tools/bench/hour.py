@@ -27,7 +27,7 @@ from tools import command
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.log.record import FIELD_NAMES
+from tsa_ctrl.signals import FIELD_NAMES
 from tsa_ctrl.system.processes import tsa
 
 RATE = 1000  # Hz

@@ -19,6 +19,7 @@ from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
 from tsa_ctrl.model.functions import SCALARS
 from tsa_ctrl.plant.identity import Quirks
+from tsa_ctrl.signals import SIGNALS, Kind, Place
 
 SHAPES: Mapping[str, Profile] = {
     "all at the motor end": Profile.of("motor_end"),
@@ -45,6 +46,22 @@ def catalogue() -> str:
         more = ", and constants by name" if spec.named else ""
         rows.append((f"`{spec.name}`", spec.equation, own + more or "none", needs, spec.summary))
     return table(("name", "how it enters", "parameters (unit)", "needs", "in words"), rows)
+
+
+def signals() -> str:
+    """Return the table of signals: name, unit, meaning, and the places in which the daemon shows each."""
+    places = (Place.LOG, Place.STATUS, Place.CLIENT)
+    rows = [
+        (
+            f"`{signal.name}`",
+            signal.unit,
+            signal.doc,
+            *("yes" if place in signal.where else "" for place in places),
+        )
+        for signal in SIGNALS.values()
+        if signal.source and signal.kind is not Kind.AGE
+    ]
+    return table(("name", "unit", "meaning", "log", "status", "client"), rows)
 
 
 def slope_and_half_loop(profile: Profile, x: float) -> tuple[float, float]:
@@ -148,6 +165,7 @@ DIAGNOSIS = ("diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "p
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
+    "signals": signals,
     "verbs": verbs,
     "profiles": profiles,
     "quirks": quirks,

@@ -17,7 +17,7 @@ from tsa_ctrl.log.foreign import write as writing
 from tsa_ctrl.log.foreign.mapping import Mapped
 from tsa_ctrl.log.foreign.text import ForeignTable, read_foreign
 from tsa_ctrl.log.foreign.write import Imported
-from tsa_ctrl.log.record import BY_NAME
+from tsa_ctrl.signals import COLUMNS
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def understand(path: Path, map_file: Path | None, given: Sequence[str]) -> Under
     if missing:
         columns = ", ".join(f"'{name}'" for name in table.names)
         raise UsageError(
-            f"{path}: which column is {missing[0]} ({BY_NAME[missing[0]].doc}) is not told by the names {columns}; "
+            f"{path}: which column is {missing[0]} ({COLUMNS[missing[0]].doc}) is not told by the names {columns}; "
             f"give --column {missing[0]}=NAME|UNIT"
         )
     return Understood(table, mapped, writing.take(table, mapped))
@@ -82,7 +82,7 @@ def show(done: Understood) -> None:
     view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")
     for column in done.mapped:
         low, high = _span(done.columns[column.name])
-        unit = BY_NAME[column.name].unit if column.name in BY_NAME else "rad/s^2"
+        unit = COLUMNS[column.name].unit
         view.add_row(column.name, escape(column.source), escape(column.unit), f"{column.scale:.6g}", low, high, unit)
     console.print(view)
     if done.left:

@@ -87,6 +87,9 @@ class Terms:
     cycle: float = 0.0
     lateness: float = 0.0  # s, from the planned time to SYNC
     work: float = 0.0  # s, execution time until the commands were sent
+    drive_age: float = 0.0  # s since the last PDOs of the drive, as of the last status
+    joint_age: float = 0.0  # s, of the joint encoder, or of the drive without one
+    sensor_age: float = 0.0  # s, of the torque sensor on the bus; 0 without one
 
 
 class ControlAxis:

@@ -73,6 +73,11 @@ UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the motor's ringing that remains after averaging is slower
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
+CODES = {  # names of the values of each coded signal, from 0 on
+    "state": [state.value for state in STATES],
+    "estimate_state": [state.name.lower() for state in EstimateState],
+    "limit_reason": [reason.name.lower() for reason in Reason],
+}
 
 
 def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, ...]:
@@ -313,9 +318,7 @@ def describe(configuration: Configuration, tuners: Sequence[Tuner]) -> Descripti
         parameters=[
             [Range(p.name, p.unit, p.low, p.high, p.doc, p.restores) for p in tuner.parameters] for tuner in tuners
         ],
-        states=[state.value for state in STATES],
-        estimate_states=[state.name.lower() for state in EstimateState],
-        reasons=[reason.name.lower() for reason in Reason],
+        codes=CODES,
         phases=[phase.name.lower() for phase in LoopPhase],
         set_point_limit=[
             set_point_limit(axis, model) if axis.setpoint.kind == "socket" else None
@@ -342,9 +345,5 @@ def log_header(configuration: Configuration) -> LogHeader:
         axes=tuple(axis.name for axis in configuration.file.axes),
         rate=configuration.file.controller.rate,
         files=files,
-        codes={
-            "state": {code: state.value for code, state in enumerate(STATES)},
-            "estimate_state": {state.value: state.name.lower() for state in EstimateState},
-            "limit_reason": {reason.value: reason.name.lower() for reason in Reason},
-        },
+        codes={signal: dict(enumerate(names)) for signal, names in CODES.items()},
     )

@@ -14,12 +14,12 @@ from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE, LoopPhase
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
-from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox, Parameters, Reading
+from tsa_ctrl.ipc.mailbox import General, Mailbox, Parameters, Row
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.process import LogProcess
-from tsa_ctrl.log.record import FIELD_NAMES
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.release import ReleaseBudget
+from tsa_ctrl.signals import Place, signals_of
 from tsa_ctrl.system.notify import Notifier
 
 SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
@@ -93,47 +93,9 @@ def log_writer(heard: Callable[[], float], replaced: Callable[[], int]) -> Helpe
     )
 
 
-# Attribute of `ControlAxis` for each signal of the record, of the status and of a reading.
-_SOURCES = {
-    "t": "terms.t",
-    "tau_m": "image.tau_m",
-    "tau_j": "instruments.tau_j",
-    "omega_j": "terms.omega_j",
-    "q_j": "terms.q_j",
-    "q_m": "image.q_m",
-    "omega_m": "image.omega_m",
-    "theta": "terms.theta",
-    "t1": "instruments.t1",
-    "t3": "instruments.t3",
-    "temperature": "instruments.temperature",
-    "tau_j_des": "terms.tau_j_des",
-    "tau_m_cmd": "terms.tau_m_cmd",
-    "cycle": "terms.cycle",
-    "lateness": "terms.lateness",
-    "work": "terms.work",
-    "pdo_age": "image.pdo_age",
-    "missed": "image.missed",
-    "state": "terms.state",
-    "sigma": "terms.sigma",
-    "friction_term": "law.friction_term",
-    "friction_angle": "estimator.friction_angle",
-    "pretension": "estimator.pretension",
-    "estimate_state": "estimator.state",
-    "limit_reason": "reason",
-    "tau_j_stretch": "joint_torque.torque",
-    "tau_j_stretch_low": "joint_torque.low",
-    "tau_j_stretch_high": "joint_torque.high",
-    "tau_j_model": "joint_torque.model.torque",
-    "tau_j_model_low": "joint_torque.model.low",
-    "tau_j_model_high": "joint_torque.model.high",
-    "guard_latched": "guard.latched",
-    "permitted": "terms.permitted",
-}
-_SHARED = tuple(name for name in AxisStatus._fields if name in _SOURCES and name != "t")  # the others are of the status
-_record = attrgetter(*(_SOURCES[name] for name in FIELD_NAMES))
-_shared = attrgetter(*(_SOURCES[name] for name in _SHARED))
-_reading = attrgetter(*(_SOURCES[name] if name != "limit_reason" else "terms.reason" for name in Reading._fields))
-
+_record, _status, _measured = (
+    attrgetter(*(signal.source for signal in signals_of(place))) for place in (Place.LOG, Place.STATUS, Place.CLIENT)
+)
 _STATE = tuple(STATE_CODE[decode(statusword)] for statusword in range(0x80))
 LEASE_APART = 1.0  # s between two events of it
 
@@ -241,7 +203,7 @@ class Telemetry:
 
     def measure(self, now: float, cycle: int, phase: int) -> None:
         """Publish the measurements of this cycle for clients that use them for control; `now` in s, monotonic."""
-        self._mailbox.measure(now, cycle, phase, [_reading(axis) for _, axis in self._axes])
+        self._mailbox.measure(now, cycle, phase, [_measured(axis) for _, axis in self._axes])
 
     def tell_lease(self, t: float, start: float) -> None:
         """Add an event when the set-point's owner changes, with the server's text, at most once a second."""
@@ -264,25 +226,18 @@ class Telemetry:
             if self._note is not None:
                 self._note(Note(event.t, event.axis, event.text, event.fault).encoded())
 
-    def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[AxisStatus, Parameters]:
-        image = axis.image
-        heard = self._heard[index]
+    def _values(self, index: int, axis: ControlAxis, t: float) -> tuple[Row, Parameters]:
+        """Return the status of an axis and its live parameters; `t` in s of the log, for the ages."""
+        terms, heard = axis.terms, self._heard[index]
         ages = {Role.TORQUE_SENSOR: 0.0}
-        for place, node in enumerate(image.nodes):
+        for place, node in enumerate(axis.image.nodes):
             if node.misses == 0:
                 heard[place] = t
             ages[node.role] = t - heard[place]
-        status = AxisStatus(
-            t=t,
-            **dict(zip(_SHARED, _shared(axis), strict=True)),
-            late=sum(node.late for node in image.nodes),
-            repeated=image.repeated,
-            malformed=sum(node.malformed for node in image.nodes),
-            drive_age=ages[Role.DRIVE],
-            joint_age=ages.get(Role.ENCODER, ages[Role.DRIVE]),
-            sensor_age=ages[Role.TORQUE_SENSOR],
-        )
-        return status, tuple(parameter.value for parameter in self._tuners[index].parameters)
+        terms.drive_age = ages[Role.DRIVE]
+        terms.joint_age = ages.get(Role.ENCODER, terms.drive_age)
+        terms.sensor_age = ages[Role.TORQUE_SENSOR]
+        return _status(axis), tuple(parameter.value for parameter in self._tuners[index].parameters)
 
     def check_sensors(self, t: float) -> None:
         """Add an event when a serial sensor is lost or has returned; called about once a second."""

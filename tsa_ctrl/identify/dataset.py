@@ -22,11 +22,11 @@ from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.redundancy import check_columns
 from tsa_ctrl.identify.units import check_rate, check_sizes
 from tsa_ctrl.log.info import mended
-from tsa_ctrl.log.record import BY_NAME, SIGNAL_NAMES
 from tsa_ctrl.log.table import Table, read_table, sha256_of
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals
+from tsa_ctrl.signals import COLUMNS, INPUTS
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
     velocities and accelerations, default what the data demand. Raises UsageError that names file, column and row for a
     missing column, a nan, a time that runs back, an empty or damaged file, or a unit that cannot be right.
     """
-    return _longest(_datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict, cutoff))
+    return _longest(_datasets(read_table(path, INPUTS), Path(path).name, sha256_of(path), strict, cutoff))
 
 
 def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float | None = None) -> list[Dataset]:
@@ -147,7 +147,7 @@ def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float |
     return [
         dataset
         for path in paths
-        for dataset in _datasets(read_table(path, SIGNAL_NAMES), Path(path).name, sha256_of(path), strict, cutoff)
+        for dataset in _datasets(read_table(path, INPUTS), Path(path).name, sha256_of(path), strict, cutoff)
     ]
 
 
@@ -186,7 +186,7 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
     if len(table) < FEWEST:
         raise UsageError(f"{table.label}: holds {len(table)} rows; at least {FEWEST} are needed: give a longer log")
     notes = list(table.notes)
-    for column in [key for key in columns if key != "t" and key in SIGNAL_NAMES and bool(np.isnan(columns[key]).all())]:
+    for column in [key for key in columns if key != "t" and key in INPUTS and bool(np.isnan(columns[key]).all())]:
         if column == "tau_m":
             raise UsageError(f"{table.label}: column tau_m has no value in any row; log the drive's torque")
         del columns[column]
@@ -219,14 +219,14 @@ def _dataset(table: Table, name: str, sha256: str, strict: bool, cutoff: float |
 def _missing(label: str, column: str, found: tuple[str, ...]) -> str:
     near = difflib.get_close_matches(column.split(" or ")[0].lower(), [name.lower() for name in found], n=1, cutoff=0.6)
     original = next((name for name in found if near and name.lower() == near[0]), "")
-    advice = f"is '{original}' meant? rename it" if original and original not in BY_NAME else "add it"
+    advice = f"is '{original}' meant? rename it" if original and original not in COLUMNS else "add it"
     listed = ", ".join(found[:12]) + (", ..." if len(found) > 12 else "")
     return f"{label}: column {column} is missing (found: {listed or 'none'}); {advice}"
 
 
 def _recorded(columns: dict[str, Array], notes: list[str]) -> tuple[dict[str, Array], int]:
     """What of a daemon's own log can be used, where devices were silent or the loop stood still; its first row."""
-    present = {name: np.isfinite(values) for name, values in columns.items() if name in SIGNAL_NAMES}
+    present = {name: np.isfinite(values) for name, values in columns.items() if name in INPUTS}
     for name in [name for name, good in present.items() if name not in NEEDED and good.mean() < LEAST_PRESENT]:
         notes.append(f"column {name} has a value in only {present.pop(name).mean():.0%} of the rows: taken as absent")
         del columns[name]
@@ -266,7 +266,7 @@ def _longest_piece(t: Array) -> tuple[int, int]:
 
 def _check_numbers(table: Table, columns: Mapping[str, Array], start: int) -> None:
     for name, values in columns.items():
-        if name not in SIGNAL_NAMES:
+        if name not in INPUTS:
             continue
         good = np.isfinite(values)
         if not good.all():

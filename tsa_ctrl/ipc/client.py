@@ -13,7 +13,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator, Mapping
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
@@ -21,6 +21,7 @@ from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc import pid_file, protocol
 from tsa_ctrl.ipc.connection import user_of
 from tsa_ctrl.ipc.protocol import AnyRequest, default_path
+from tsa_ctrl.signals import Kind, Place, signals_of
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
 PIECE = 65536  # bytes
@@ -31,24 +32,33 @@ STOP_TIMEOUT = 1.0  # s for the answer to a stop request; a working server answe
 T = TypeVar("T")
 
 
-class AxisMeasured(msgspec.Struct, frozen=True):
-    """Hold the measurements of one axis in one cycle; None for a quantity that this rig does not measure."""
+class _Axis(msgspec.Struct, frozen=True, kw_only=True):
+    """Hold the measurements of one axis in one cycle, one attribute for each signal of the client (`signals`).
+
+    A value is a float, or None for a quantity that this rig does not measure. A code is a str, a flag is a bool.
+    """
 
     name: str
-    tau_j_des: float | None  # N*m, joint torque wanted
-    tau_m_cmd: float | None  # N*m, motor torque commanded
-    tau_m: float | None  # N*m, motor torque
-    tau_j: float | None  # N*m, of the joint torque sensor
-    tau_j_stretch: float | None  # N*m, joint torque by the tendons' stretch
-    tau_j_model: float | None  # N*m, joint torque by the motor's and the model
-    q_j: float  # rad, joint
-    omega_j: float  # rad/s
-    q_m: float  # rad, motor
-    omega_m: float  # rad/s
-    permitted: bool  # whether there may be torque
-    limit_reason: str  # of the limiter, "none" while it does nothing
     set_point_limit: float | None = None  # N*m, largest set-point either way; None: no set-point over the socket
     clamped: bool = False  # the newest set-point was beyond that, and was clamped to it
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+if TYPE_CHECKING:
+    AxisMeasured = _Axis
+else:
+    _TYPES = {Kind.CODE: str, Kind.FLAG: bool, Kind.COUNT: int | None}
+    AxisMeasured = msgspec.defstruct(
+        "AxisMeasured",
+        [(signal.name, _TYPES.get(signal.kind, float | None)) for signal in signals_of(Place.CLIENT)],
+        bases=(_Axis,),
+        namespace={"__doc__": _Axis.__doc__},
+        frozen=True,
+        kw_only=True,
+    )
 
 
 class Measured(msgspec.Struct, frozen=True):

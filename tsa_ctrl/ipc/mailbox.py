@@ -12,8 +12,9 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from tsa_ctrl.signals import Place, row_type
 from tsa_ctrl.system.histogram import BINS
 from tsa_ctrl.system.shared_memory import Newest, Places, SharedMemory, space
 
@@ -43,59 +44,9 @@ class General(NamedTuple):
     monitor: float = 0.0  # code
 
 
-class AxisStatus(NamedTuple):
-    """The status of one axis; N*m, rad/s, rad, s, N, codes and counts."""
-
-    t: float = 0.0
-    tau_j_des: float = 0.0
-    tau_m_cmd: float = 0.0
-    tau_m: float = 0.0
-    tau_j: float = 0.0
-    omega_j: float = 0.0
-    q_j: float = 0.0
-    sigma: float = 0.0
-    friction_term: float = 0.0
-    friction_angle: float = 0.0
-    pretension: float = 0.0
-    estimate_state: float = 0.0  # code
-    state: float = 0.0  # code
-    limit_reason: float = 0.0  # code
-    missed: float = 0.0
-    pdo_age: float = 0.0
-    late: float = 0.0
-    repeated: float = 0.0
-    malformed: float = 0.0
-    tau_j_stretch: float = 0.0
-    tau_j_stretch_low: float = 0.0
-    tau_j_stretch_high: float = 0.0
-    tau_j_model: float = 0.0
-    tau_j_model_low: float = 0.0
-    tau_j_model_high: float = 0.0
-    guard_latched: float = 0.0  # 1 while the guard keeps the compensation back until it is released
-    drive_age: float = 0.0  # s at `t`, since the last PDOs of the drive
-    joint_age: float = 0.0  # s, of the joint encoder, or of the drive without one
-    sensor_age: float = 0.0  # s, of the torque sensor on the bus; 0 without one
-
-
-class Reading(NamedTuple):
-    """What one axis measured and did in a cycle; N*m, rad, rad/s, codes."""
-
-    tau_j_des: float = 0.0
-    tau_m_cmd: float = 0.0
-    tau_m: float = 0.0
-    tau_j: float = 0.0
-    tau_j_stretch: float = 0.0
-    tau_j_model: float = 0.0
-    q_j: float = 0.0
-    omega_j: float = 0.0
-    q_m: float = 0.0
-    omega_m: float = 0.0
-    permitted: float = 0.0  # whether torque is
-    limit_reason: float = 0.0  # code
-
-
-COUNTS = ("missed", "late", "repeated", "malformed")  # of an axis: whole numbers since the start
-BANDS = ("tau_j_stretch", "tau_j_model")  # of an axis: a value between two others, N*m
+AxisStatus = row_type("AxisStatus", Place.STATUS)  # the status of one axis
+Reading = row_type("Reading", Place.CLIENT)  # the measurements of one axis in a cycle
+Row = tuple[float, ...]  # the values of one of them, in the order of its fields
 Parameters = tuple[float, ...]  # the live ones of an axis, in the order of the description
 
 _SINCE = struct.Struct("=d")  # s, monotonic
@@ -206,7 +157,7 @@ class Mailbox:
         """What people should know of the socket, for the events; the newest alone. `now` in s, monotonic."""
         self._told.write(_timed(now, text))
 
-    def measured(self) -> tuple[float, int, int, list[Reading]]:
+    def measured(self) -> tuple[float, int, int, list[Any]]:
         """Time (s, monotonic), number and phase of the newest cycle, and what each axis measured; zeros before it."""
         number, content = self._measured.read()
         if number == 0:
@@ -219,7 +170,7 @@ class Mailbox:
         """Ask the loop to end; never queued behind anything."""
         self._words[_STOP // 8] = 1
 
-    def status(self) -> tuple[General, list[tuple[AxisStatus, Parameters]]]:
+    def status(self) -> tuple[General, list[tuple[Any, Parameters]]]:
         """The last status that is whole, and for each axis its live parameters; zeros before the first."""
         self._seen = self._status.read()[1] or self._seen
         values = self._status_format.unpack(self._seen)
@@ -271,7 +222,7 @@ class Mailbox:
         values = chain.from_iterable(axes)
         self._measured.write(self._reading_format.pack(now, cycle, phase, *values))
 
-    def publish(self, general: General, axes: Sequence[tuple[AxisStatus, Parameters]]) -> None:
+    def publish(self, general: General, axes: Sequence[tuple[Row, Parameters]]) -> None:
         """Write a new status."""
         values = [value for axis, parameters in axes for value in (*axis, *parameters)]
         self._status.write(self._status_format.pack(*general, *values))

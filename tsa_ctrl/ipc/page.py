@@ -24,6 +24,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.parameters import of_unit
 from tsa_ctrl.ipc.protocol import Set, Status
+from tsa_ctrl.signals import Kind, Place, signals_of
 
 PERIOD = 0.1  # s between two looks
 HISTORY = 60  # values in a sparkline
@@ -36,19 +37,13 @@ STALE = 0.5  # s without news from the loop
 VALUES = ("", "value", "unit")
 PARAMETERS = ("parameter", "set to")
 BARS = " ▁▂▃▄▅▆▇█"
-SHOWN = (
-    ("tau_j_des", "N*m"),
-    ("tau_j", "N*m"),
-    ("tau_j_stretch", "N*m"),
-    ("tau_j_model", "N*m"),
-    ("tau_m_cmd", "N*m"),
-    ("tau_m", "N*m"),
-    ("omega_j", "rad/s"),
-    ("q_j", "rad"),
-    ("sigma", ""),
-    ("friction_term", "N*m"),
-    ("friction_angle", ""),
-    ("pretension", "N"),
+SHOWN = sorted(  # torques first
+    (
+        signal
+        for signal in signals_of(Place.STATUS)
+        if signal.kind is Kind.VALUE and signal.unit != "s" and not signal.name.endswith(("_low", "_high"))
+    ),
+    key=lambda signal: signal.unit != "N*m",
 )
 
 Cell: TypeAlias = str | Text
@@ -67,9 +62,9 @@ class Page:
         """A new answer of the daemon."""
         self._status = status
         for axis in status["axes"]:
-            for name, _ in SHOWN:
-                value = _value(axis[name])
-                self._past[axis["name"], name].append(math.nan if value is None else value)
+            for signal in SHOWN:
+                value = _value(axis[signal.name])
+                self._past[axis["name"], signal.name].append(math.nan if value is None else value)
 
     def parameters(self) -> list[tuple[str, str, dict[str, Any]]]:
         """Axis, name and figures of every parameter that can be set."""
@@ -145,11 +140,12 @@ class Page:
 
     def _values(self, axis: dict[str, Any], columns: int) -> list[tuple[Cell, ...]]:
         found: list[tuple[Cell, ...]] = []
-        for name, unit in SHOWN:
+        for signal in SHOWN:
+            name = signal.name
             value = _value(axis[name])
             shown = "-" if value is None else f"{value:.4f}{_half(axis[name]) if columns >= BANDS else ''}"
             past = (sparkline(self._past[axis["name"], name]),) if columns >= WIDE else ()
-            found.append((name, shown, unit, *past))
+            found.append((name, shown, of_unit(signal.unit).strip(), *past))
         return found
 
     def _set(self, axis: dict[str, Any]) -> list[tuple[Cell, ...]]:

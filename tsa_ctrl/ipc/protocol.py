@@ -117,9 +117,7 @@ class Description(msgspec.Struct, frozen=True):
     period: float  # s
     axes: list[str]
     parameters: list[list[Range]]  # per axis, in the order of the mailbox
-    states: list[str]
-    estimate_states: list[str]
-    reasons: list[str]
+    codes: dict[str, list[str]]  # names of the values of each coded signal
     phases: list[str]
     set_point_limit: list[float | None]  # N*m per axis, None if the set-point does not come over the socket
     figures: dict[str, Any]  # constant figures of the run, such as the bus load

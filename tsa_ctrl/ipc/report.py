@@ -14,22 +14,13 @@ from typing import Any
 
 import msgspec
 
-from tsa_ctrl.ipc.mailbox import BANDS, COUNTS, AxisStatus, Mailbox, Parameters
+from tsa_ctrl.ipc.mailbox import Mailbox, Parameters
 from tsa_ctrl.ipc.protocol import Description
+from tsa_ctrl.signals import BANDED, SIGNALS, Kind, Place, Signal, signals_of
 from tsa_ctrl.system.histogram import coarse, distribution
 
 SCHEMA = 1
 KNOWN = 1.0  # s: an older value is unknown, because the node or the loop that gave it is silent
-OWN_AGE = ("drive_age", "joint_age", "sensor_age")
-SOURCES = {  # of the values that nodes measure: whose age counts
-    "tau_m": ("drive_age",),
-    "state": ("drive_age",),
-    "tau_j": ("sensor_age",),
-    "omega_j": ("joint_age",),
-    "q_j": ("joint_age",),
-    "tau_j_stretch": ("drive_age", "joint_age"),
-    "tau_j_model": ("drive_age",),
-}
 MONITOR = ("off", "watching", "stopped", "failed")  # by code: daemon.monitoring.MonitorState
 
 
@@ -99,8 +90,7 @@ def measurement(mailbox: Mailbox, description: Description, now: float, clamped:
         "phase": description.phases[phase],
         "axes": [
             {"name": name}
-            | {key: _finite(value) for key, value in axis._asdict().items()}
-            | {"permitted": axis.permitted != 0.0, "limit_reason": description.reasons[int(axis.limit_reason)]}
+            | {key: _told(SIGNALS[key], value, description) for key, value in axis._asdict().items()}
             | {"set_point_limit": limit, "clamped": flag}
             for name, axis, limit, flag in zip(
                 description.axes,
@@ -119,25 +109,22 @@ def events_since(mailbox: Mailbox, number: int) -> list[dict[str, Any]]:
     return [event for event in (msgspec.json.decode(text) if text else []) if event["number"] >= number]
 
 
-def _axis(description: Description, index: int, axis: AxisStatus, live: Parameters, age: float) -> dict[str, Any]:
-    """Return the status of one axis; `age` in s, of the loop's values. Each unknown value is None."""
-    ages = {name: age + _own_age(name, axis) for name in axis._fields}
-    values: dict[str, Any] = {name: known(value, ages[name]) for name, value in axis._asdict().items()}
-    codes = {
-        "state": description.states,
-        "estimate_state": description.estimate_states,
-        "limit_reason": description.reasons,
-    }
-    values |= {name: None if values[name] is None else words[int(values[name])] for name, words in codes.items()}
-    values["estimator"] = description.estimators[index] if description.estimators else None
-    values["guard_latched"] = None if values["guard_latched"] is None else bool(axis.guard_latched)
-    values |= {name: None if age == math.inf else int(getattr(axis, name)) for name in COUNTS}
-    for name in BANDS:
+def _axis(description: Description, index: int, axis: Any, live: Parameters, age: float) -> dict[str, Any]:
+    """Return the status of one axis (`AxisStatus`); `age` in s, of the loop's values. Each unknown value is None."""
+    values: dict[str, Any] = {}
+    ages: dict[str, float | None] = {}
+    for signal, value in zip(signals_of(Place.STATUS), axis, strict=True):
+        if signal.kind is Kind.AGE:
+            continue
+        own = age + max((getattr(axis, source) for source in signal.ages), default=0.0)
+        is_known = own < math.inf if signal.kind is Kind.COUNT else own <= KNOWN
+        values[signal.name] = _told(signal, value, description) if is_known else None
+        ages[signal.name] = _finite(own)
+    for name in BANDED:
         ends = {end: values.pop(f"{name}_{end}") for end in ("low", "high")}
-        values[name] = None if values[name] is None else {"value": values[name], **ends, "unit": "N*m"}
-    for name in OWN_AGE:
-        values.pop(name)
-    values["ages"] = {name: _finite(ages[name]) for name in values if name in ages}
+        values[name] = None if values[name] is None else {"value": values[name], **ends, "unit": SIGNALS[name].unit}
+    values["ages"] = {name: ages[name] for name in values}
+    values["estimator"] = description.estimators[index] if description.estimators else None
     parameters = {
         each.name: {
             "value": _finite(value) if age < math.inf else None,
@@ -151,9 +138,18 @@ def _axis(description: Description, index: int, axis: AxisStatus, live: Paramete
     return {"name": description.axes[index], **values, "set_point_limit": limit, "parameters": parameters}
 
 
-def _own_age(name: str, axis: AxisStatus) -> float:
-    """Return the age in s that a value had when the status was written; 0 for a value of the loop itself."""
-    return max((getattr(axis, source) for source in SOURCES.get(name, ())), default=0.0)
+def _told(signal: Signal, value: float, description: Description) -> float | str | bool | None:
+    """Return a value as the JSON has it: a code by its name, None for a value that is not finite."""
+    if not math.isfinite(value):
+        return None
+    match signal.kind:
+        case Kind.CODE:
+            return description.codes[signal.name][int(value)]
+        case Kind.FLAG:
+            return bool(value)
+        case Kind.COUNT:
+            return int(value)
+    return value
 
 
 def _histogram(bins: memoryview) -> dict[str, Any]:
@@ -165,11 +161,6 @@ def _histogram(bins: memoryview) -> dict[str, Any]:
         "p999": _finite(found.p999),
         "bins": [[_finite(edge), samples] for edge, samples in coarse(bins)],
     }
-
-
-def known(value: float, age: float = 0.0) -> float | None:
-    """Return a value, or None if it is not finite or older than KNOWN; `age` in s."""
-    return value if math.isfinite(value) and age <= KNOWN else None
 
 
 def _finite(value: float) -> float | None:

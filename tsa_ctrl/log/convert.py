@@ -18,8 +18,8 @@ from tsa_ctrl import outputs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.csv_table import connected, quoted, said
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import BY_NAME
 from tsa_ctrl.log.table import Table, kind_of, read_table, split_axis
+from tsa_ctrl.signals import COLUMNS
 
 ROWS = 16384  # per block that is written at once
 
@@ -51,7 +51,7 @@ class CsvFile:
     def _texts(self, name: str, values: NDArray[np.float64]) -> Collection[str]:
         if name in self._codes:
             return coded(values, self._codes[name])
-        if name in BY_NAME and BY_NAME[name].stepped:
+        if name in COLUMNS and COLUMNS[name].stepped:
             return ["" if v != v else f"{v:.17g}" for v in values.tolist()]
         return ["" if v != v else repr(v) for v in values.tolist()]
 

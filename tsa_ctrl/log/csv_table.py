@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.reader import Unpacked
-from tsa_ctrl.log.record import SIGNAL_NAMES
+from tsa_ctrl.signals import INPUTS
 
 if TYPE_CHECKING:
     from duckdb import DuckDBPyConnection
@@ -112,7 +112,7 @@ def read_csv(path: Path, wanted: Collection[str] | None = None) -> tuple[Columns
         reason = "ends early" if isinstance(error, EOFError) else "is damaged"
         raise UsageError(f"{path}: the compressed file {reason} ({error}); copy it again") from None
     kept = [place for place, name in enumerate(names) if wanted is None or name in wanted]  # names may be empty
-    numeric = [place for place in kept if wanted is not None or names[place] in SIGNAL_NAMES]
+    numeric = [place for place in kept if wanted is not None or names[place] in INPUTS]
     with _up_to(path, end) as file:
         columns = _Source(path, file, names, delimiter, above).read(kept, numeric) if kept else {}
     return columns, [name for name in names if name not in columns], above

@@ -15,9 +15,9 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import coded
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.reader import LogFile
-from tsa_ctrl.log.record import BY_NAME
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, longest_step
+from tsa_ctrl.signals import COLUMNS
 
 Array = NDArray[np.float64]
 
@@ -217,7 +217,7 @@ def _axis_info(table: Table, longest_skip: float, codes: Codes | None = None) ->
 
 def _range(name: str, values: NDArray[np.float64], codes: dict[int, str]) -> ColumnRange:
     good = values[np.isfinite(values)]
-    unit = BY_NAME[name].unit if name in BY_NAME else ""
+    unit = COLUMNS[name].unit if name in COLUMNS else ""
     low, high = (float(good.min()), float(good.max())) if len(good) else (None, None)
     names = tuple(coded(np.unique(good), codes)) if codes else ()
     return ColumnRange(name, unit, low, high, len(values) - len(good), names)

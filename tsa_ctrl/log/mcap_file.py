@@ -37,8 +37,8 @@ from mcap.records import (
 from numpy.typing import NDArray
 
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.log.ring import NOTE_BYTES
+from tsa_ctrl.signals import FIELDS
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.log.record import FIELDS
+from tsa_ctrl.signals import FIELDS
 from tsa_ctrl.system.shared_memory import Places, SharedMemory, space
 
 SLOTS = 8192  # records per axis: 8 s at 1 kHz, for a disk that hangs
@@ -104,7 +104,7 @@ class RingWriter(Ring):
         self._words[_Word.MAGIC] = _MAGIC
 
     def push(self, axis: int, record: Sequence[float]) -> None:
-        """Store the values of one `Record`. Never blocks; the oldest is overwritten."""
+        """Store one value for each of `FIELDS`. Never blocks; the oldest is overwritten."""
         self._counts[axis] = count = self._counts[axis] + 1
         self._places[axis].write(count, _FORMAT.pack(*record))
         self._words[_Word.COUNT + axis] = count

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.log.mcap_file import McapFile, Note
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.log.record import FIELDS
 from tsa_ctrl.log.ring import RingReader, WriterState
+from tsa_ctrl.signals import FIELDS
 from tsa_ctrl.system.keeper import keep
 from tsa_ctrl.system.processes import ignore
 

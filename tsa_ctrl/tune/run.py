@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
-from tsa_ctrl.log.record import SIGNAL_NAMES
 from tsa_ctrl.log.table import read_course, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
+from tsa_ctrl.signals import INPUTS
 from tsa_ctrl.system.processes import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
@@ -171,16 +171,14 @@ class RigRunner:
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
     """Read a run of `seconds` s of torque; raises BusError when it holds too little. `by_stretch` as of a runner."""
-    part = read_course(f"{log}:{axis}", SIGNAL_NAMES, fade_in, seconds, by_stretch=by_stretch)
+    part = read_course(f"{log}:{axis}", INPUTS, fade_in, seconds, by_stretch=by_stretch)
     return Run(name, log, part["t"], part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
 
 
 def _pieces(columns: dict[str, FloatArray], name: str, sha256: str) -> tuple[Dataset, ...]:
     """Datasets between the skips that are too long to be bridged."""
     t = columns["t"]
-    present = {
-        key: value for key, value in columns.items() if key in {"t", *SIGNAL_NAMES} and bool(np.isfinite(value).all())
-    }
+    present = {key: value for key, value in columns.items() if key in {"t", *INPUTS} and bool(np.isfinite(value).all())}
     pieces = []
     for first, end in stretches(t):
         if t[end - 1] - t[first] >= SHORTEST_PIECE:

@@ -25,7 +25,6 @@ from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.log.process import LogHeader
-from tsa_ctrl.log.record import FIELD_NAMES
 from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter
 from tsa_ctrl.log.writer import LogWriter
 from tsa_ctrl.monitor.watch import Frame, Monitor, Watched
@@ -35,6 +34,7 @@ from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.plant.settings import PlantSettings
 from tsa_ctrl.safety.causes import Cause, Finding
+from tsa_ctrl.signals import FIELD_NAMES
 from tsa_ctrl.virtual.lockstep import End, Wire
 from tsa_ctrl.virtual.result import AxisResult, Simulation
 from tsa_ctrl.virtual.script import Change, Fault, beginnings, commands, parse_fault_option, parse_set_option, put

@@ -126,6 +126,16 @@ class Image:
         return count
 
     @property
+    def late(self) -> int:
+        """Return the number of PDOs that came after their cycle's deadline, of all nodes."""
+        return sum(node.late for node in self.nodes)
+
+    @property
+    def malformed(self) -> int:
+        """Return the number of frames of a wrong length, of all nodes."""
+        return sum(node.malformed for node in self.nodes)
+
+    @property
     def emcy(self) -> Emcy | None:
         """The last emergency of any node, the drive's first."""
         return next((node.emcy for node in self.nodes if node.emcy is not None), None)

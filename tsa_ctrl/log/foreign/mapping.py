@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign.text import ForeignTable, Shape
-from tsa_ctrl.log.record import BY_NAME, SIGNAL_NAMES
+from tsa_ctrl.signals import COLUMNS, INPUTS
 
 DATE = "date"  # the unit of a column of dates and times
 
@@ -149,9 +149,9 @@ def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str
     """What is given, checked against the table; raises UsageError naming what is there and what is allowed."""
     found = []
     for name, wanted in given.items():
-        if name not in BY_NAME and name not in ("acceleration_j", "acceleration_m"):
-            near = difflib.get_close_matches(name, SIGNAL_NAMES, n=1)
-            advice = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(SIGNAL_NAMES)}"
+        if name not in COLUMNS:
+            near = difflib.get_close_matches(name, INPUTS, n=1)
+            advice = f"did you mean '{near[0]}'?" if near else f"allowed are {', '.join(INPUTS)}"
             raise UsageError(f"{where}: unknown column '{name}'; {advice}")
         source = _source(table, wanted.source, where)
         unit = wanted.unit or unit_in(source, table, name) or ""
@@ -177,15 +177,15 @@ def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str,
 
 def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
     """The unit that a foreign name carries in brackets or after its last slash or underscore; ours where it is ours."""
-    if source in BY_NAME:
-        return BY_NAME[source].unit
+    if source in COLUMNS:
+        return COLUMNS[source].unit
     found = re.search(r"[\[(<{]\s*([^\])>}]+?)\s*[\])>}]\s*$", source)
     if found:
         return found[1]
     if name == "t" and table.is_date(source):
         return DATE
     tail = re.search(r"[ _/]([^ _]+)$", source)
-    known = UNITS.get(_unit_of(name), {})
+    known = UNITS.get(COLUMNS[name].unit, {})
     if tail and (tail[1] in known or tail[1].lower() in DEVICE_UNITS):
         return tail[1]
     return None
@@ -205,7 +205,7 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     for column in mapped:
         entry = tomlkit.table()
         entry["from"], entry["unit"] = column.source, column.unit
-        if column.unit != DATE and UNITS.get(_unit_of(column.name), {}).get(column.unit) != column.scale:
+        if column.unit != DATE and UNITS.get(COLUMNS[column.name].unit, {}).get(column.unit) != column.scale:
             entry["scale"] = column.scale
         offset = column.offset - SHIFT.get(column.unit, 0.0)
         if offset:
@@ -217,7 +217,7 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
 
 def _name_of(source: str) -> str | None:
     bare = re.sub(r"[\[(<{].*$", "", source).strip()
-    if bare in BY_NAME:
+    if bare in COLUMNS:
         return bare
     low = f" {bare.lower()} "
     if low.strip() in ("t", "s", "sec", "seconds"):
@@ -226,10 +226,6 @@ def _name_of(source: str) -> str | None:
         if all(any(word in low for word in group) for group in groups):
             return name
     return None
-
-
-def _unit_of(name: str) -> str:
-    return BY_NAME[name].unit if name in BY_NAME else "rad/s^2"
 
 
 def _source(table: ForeignTable, wanted: str, where: str) -> str:
@@ -241,7 +237,7 @@ def _source(table: ForeignTable, wanted: str, where: str) -> str:
 
 
 def _mapped(name: str, source: str, unit: str, scale: float | None, offset: float, where: str) -> Mapped:
-    known: Mapping[str, Any] = UNITS.get(_unit_of(name), {"1": 1.0})
+    known: Mapping[str, Any] = UNITS.get(COLUMNS[name].unit, {"1": 1.0})
     here = f"{where}: {name} from '{source}'"
     if scale is None:
         if unit.lower() in DEVICE_UNITS:
@@ -249,9 +245,10 @@ def _mapped(name: str, source: str, unit: str, scale: float | None, offset: floa
                 f"{here}: the unit '{unit}' is the device's own; give scale ({DEVICE_UNITS[unit.lower()]})"
             )
         if unit not in known:
+            si = COLUMNS[name].unit
             found = f"unit '{unit}' is not known" if unit else "no unit"
             raise UsageError(
-                f"{here}: {found}; allowed are {', '.join(known)}, or any other with scale ({_unit_of(name)} per unit)"
+                f"{here}: {found}; allowed are {', '.join(known)}, or any other with scale ({si} per unit)"
             )
         scale = float(known[unit])
     if not math.isfinite(scale) or scale == 0.0 or not math.isfinite(offset):

@@ -14,7 +14,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.foreign.mapping import Mapped, dump_map
 from tsa_ctrl.log.foreign.text import ForeignTable
-from tsa_ctrl.log.record import BY_NAME
+from tsa_ctrl.signals import COLUMNS
 
 POINTS = 4000  # drawn per curve
 Columns = Mapping[str, NDArray[np.float64]]
@@ -90,7 +90,7 @@ def _draw(path: Path, table: ForeignTable, columns: Columns) -> None:
     for i, name in enumerate(names, start=1):
         axes = figure.add_subplot(len(names), 1, i)
         axes.plot(columns["t"][::step], columns[name][::step], linewidth=0.8)
-        unit = BY_NAME[name].unit if name in BY_NAME else "rad/s^2"
+        unit = COLUMNS[name].unit
         axes.set_ylabel(f"{name}\n{unit}")
         axes.grid(alpha=0.3)
         if i == len(names):

@@ -1,0 +1,102 @@
+"""The table of signals is the one place of a signal: log, status and client have what stands there, and only that."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.conftest import ROOT
+from tsa_ctrl.signals import FIELD_NAMES
+
+# Public interfaces: the columns of a log in order, the keys of an axis in the status, an axis of a measurement.
+LOG = """
+t tau_m tau_j omega_j q_j q_m omega_m theta t1 t3 temperature tau_j_des tau_m_cmd cycle lateness work pdo_age missed
+state sigma friction_term friction_angle pretension estimate_state limit_reason tau_j_stretch tau_j_stretch_low
+tau_j_stretch_high tau_j_model tau_j_model_low tau_j_model_high
+"""
+STATUS = """
+name t tau_j_des tau_m_cmd tau_m tau_j omega_j q_j sigma friction_term friction_angle pretension estimate_state state
+limit_reason missed pdo_age late repeated malformed tau_j_stretch tau_j_model guard_latched estimator ages
+set_point_limit parameters
+"""
+CLIENT = """
+name tau_j_des tau_m_cmd tau_m tau_j tau_j_stretch tau_j_model q_j omega_j q_m omega_m permitted limit_reason
+set_point_limit clamped
+"""
+ROW = '    Signal("follow_rate", "N*m/s", "rate of the set-point", _LOG | _STATUS | _CLIENT, "set_point.rate"),\n'
+RUN = """
+import json, sys
+from pathlib import Path
+from types import ModuleType
+
+signals = ModuleType("tsa_ctrl.signals")
+sys.modules[signals.__name__] = signals  # before any other module of the package reads the table
+exec(compile(Path(sys.argv[1]).read_text(), sys.argv[1], "exec"), signals.__dict__)
+
+from tests.virtual.files import controller, plant, write
+from tests.virtual.serving import ServedRun
+from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.protocol import Status
+from tsa_ctrl.log.convert import convert
+
+folder, found = Path(sys.argv[2]), {}
+files = write(folder, controller(file={"socket": {"path": str(folder / "s")}}), plant())
+run = ServedRun(*files, seconds=0.6, out=folder / "out")
+
+
+def ask() -> None:
+    with Client(run.path, clock=run.clock, sleep=run.sleep) as client:
+        run.sleep(0.4)
+        axis = client.measure()["knee"]
+        found["client"] = {name: getattr(axis, name) for name in axis.__struct_fields__}
+        found["status"] = client.ask(Status())["axes"][0]
+
+
+run.control(0.0, ask)
+run.simulate()
+run.close()
+(table,) = convert(folder / "out" / "tsa.mcap", folder / "out.csv")
+found["log"] = table.path.read_text().splitlines()
+print(json.dumps(found))
+"""
+
+
+def run(table: Path, folder: Path) -> dict[str, Any]:
+    """Run the loop with this table of signals; return what client and status show at 0.4 s, and the log as CSV."""
+    folder.mkdir()
+    done = subprocess.run([sys.executable, "-c", RUN, table, folder], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.slow
+def test_a_row_of_the_table_is_all_that_a_signal_needs(tmp_path: Path) -> None:
+    """A signal that the loop has computes: its rate of the set-point, pi 0.5 cos(pi t) N*m/s after the fade-in."""
+    source = ROOT / "tsa_ctrl" / "signals.py"
+    with_row = tmp_path / "signals.py"
+    text = source.read_text(encoding="utf-8")
+    last = '    Signal("drive_age"'
+    assert text.count(last) == 1
+    with_row.write_text(text.replace(last, ROW + last), encoding="utf-8")
+    before, after = run(source, tmp_path / "before"), run(with_row, tmp_path / "after")
+    assert set(before["client"]) == set(CLIENT.split())
+    assert set(before["status"]) == set(STATUS.split())
+    assert set(after["client"]) - set(before["client"]) == {"follow_rate"}
+    assert set(after["status"]) - set(before["status"]) == {"follow_rate"}
+    names = after["log"][0].split(",")
+    assert set(names) - set(before["log"][0].split(",")) == {"follow_rate"}
+    place = names.index("follow_rate")
+    values = [float(row.split(",")[place]) for row in after["log"][1:]]
+    assert after["client"]["follow_rate"] in values
+    assert after["status"]["follow_rate"] in values
+    assert max(values) == pytest.approx(1.5707963, rel=0.1)
+
+
+def test_the_log_has_its_columns_in_order() -> None:
+    assert list(FIELD_NAMES) == LOG.split()

@@ -1,0 +1,157 @@
+"""Define every signal of an axis once: name, unit, meaning, source, and where it appears.
+
+The record of the log, the status, the measurements of a client, their JSON and the manual's table are derived from
+this table. To add a signal, add one row.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from dataclasses import dataclass
+from enum import Enum, Flag, auto
+from typing import Any
+
+
+class Place(Flag):
+    """List the places in which a signal appears."""
+
+    INPUT = auto()  # a log of any origin may have this column
+    LOG = auto()  # the daemon writes this column
+    STATUS = auto()  # `tsa status`, the dashboard
+    CLIENT = auto()  # `Client.measure`
+
+
+class Kind(Enum):
+    """List the meanings of a signal's number."""
+
+    VALUE = "value"
+    CODE = "code"  # the JSON has its name
+    COUNT = "count"
+    FLAG = "flag"
+    AGE = "age"  # of the PDOs of a node; the JSON has it as the age of the values of that node
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Describe one signal.
+
+    Attributes:
+        name: of the column and of the key.
+        unit: SI, "1" for a pure number.
+        doc: the meaning, for people.
+        where: the places in which it appears.
+        source: attribute of `control.axis.ControlAxis`; empty for a signal that the daemon does not have.
+        kind: of the number.
+        ages: signals that hold the age of this value, the largest counts; none for a value of the loop itself.
+    """
+
+    name: str
+    unit: str
+    doc: str
+    where: Place
+    source: str = ""
+    kind: Kind = Kind.VALUE
+    ages: tuple[str, ...] = ()
+
+    @property
+    def stepped(self) -> bool:
+        """Return True if the value holds until the next sample and must not be interpolated."""
+        return self.kind is not Kind.VALUE
+
+
+_INPUT, _LOG, _STATUS, _CLIENT = Place.INPUT, Place.LOG, Place.STATUS, Place.CLIENT
+_RECORDED = _INPUT | _LOG
+_EVERYWHERE = _RECORDED | _STATUS | _CLIENT
+_DRIVE, _JOINT, _SENSOR = ("drive_age",), ("joint_age",), ("sensor_age",)
+
+_TABLE = (
+    Signal("t", "s", "time", _RECORDED | _STATUS, "terms.t"),
+    Signal("tau_m", "N*m", "motor torque that the drive reports", _EVERYWHERE, "image.tau_m", ages=_DRIVE),
+    Signal("tau_j", "N*m", "joint torque measured", _EVERYWHERE, "instruments.tau_j", ages=_SENSOR),
+    Signal("omega_j", "rad/s", "joint velocity", _EVERYWHERE, "terms.omega_j", ages=_JOINT),
+    Signal("q_j", "rad", "joint angle", _EVERYWHERE, "terms.q_j", ages=_JOINT),
+    Signal("q_m", "rad", "motor angle", _RECORDED | _CLIENT, "image.q_m"),
+    Signal("omega_m", "rad/s", "motor velocity", _RECORDED | _CLIENT, "image.omega_m"),
+    Signal("acceleration_j", "rad/s^2", "joint acceleration", _INPUT),
+    Signal("acceleration_m", "rad/s^2", "motor acceleration", _INPUT),
+    Signal("theta", "rad", "sheath bending angle, measured or commanded", _RECORDED, "terms.theta"),
+    Signal("t1", "N", "motor-side tension of tendon a", _RECORDED, "instruments.t1"),
+    Signal("t3", "N", "motor-side tension of tendon b", _RECORDED, "instruments.t3"),
+    Signal("temperature", "degC", "temperature of the sheath", _RECORDED, "instruments.temperature"),
+    Signal("tau_j_des", "N*m", "joint torque wanted: the set-point", _EVERYWHERE, "terms.tau_j_des"),
+    Signal("tau_m_cmd", "N*m", "motor torque commanded, after the limiter", _EVERYWHERE, "terms.tau_m_cmd"),
+    Signal("cycle", "1", "number of the cycle, skipped ones counted", _LOG, "terms.cycle", Kind.COUNT),
+    Signal("lateness", "s", "wake-up after the cycle's deadline", _LOG, "terms.lateness"),
+    Signal("work", "s", "time from wake-up to the last frame sent", _LOG, "terms.work"),
+    Signal("pdo_age", "s", "age of the oldest process data used", _LOG | _STATUS, "image.pdo_age"),
+    Signal("missed", "1", "PDOs missed so far", _LOG | _STATUS, "image.missed", Kind.COUNT),
+    Signal("state", "1", "power state of the drive, a code", _LOG | _STATUS, "terms.state", Kind.CODE, _DRIVE),
+    Signal("sigma", "1", "direction of motion as the law used it, -1 to 1", _LOG | _STATUS, "terms.sigma"),
+    Signal("friction_term", "N*m", "motor torque added for friction", _LOG | _STATUS, "law.friction_term"),
+    Signal("friction_angle", "1", "mu Theta of the law's model", _LOG | _STATUS, "estimator.friction_angle"),
+    Signal("pretension", "N", "T_p of the law's model", _LOG | _STATUS, "estimator.pretension"),
+    Signal("estimate_state", "1", "state of the estimator, a code", _LOG | _STATUS, "estimator.state", Kind.CODE),
+    Signal("limit_reason", "1", "what the limiter did, a code", _LOG | _STATUS | _CLIENT, "reason", Kind.CODE),
+    Signal(
+        "tau_j_stretch",
+        "N*m",
+        "joint torque from the tendons' stretch and the motor torque",
+        _LOG | _STATUS | _CLIENT,
+        "joint_torque.torque",
+        ages=_DRIVE + _JOINT,
+    ),
+    Signal("tau_j_stretch_low", "N*m", "its 95 % band, lower end", _LOG | _STATUS, "joint_torque.low"),
+    Signal("tau_j_stretch_high", "N*m", "its 95 % band, upper end", _LOG | _STATUS, "joint_torque.high"),
+    Signal(
+        "tau_j_model",
+        "N*m",
+        "joint torque from the motor torque by the model",
+        _LOG | _STATUS | _CLIENT,
+        "joint_torque.model.torque",
+        ages=_DRIVE,
+    ),
+    Signal(
+        "tau_j_model_low",
+        "N*m",
+        "its band, lower end: the friction's at standstill",
+        _LOG | _STATUS,
+        "joint_torque.model.low",
+    ),
+    Signal("tau_j_model_high", "N*m", "its band, upper end", _LOG | _STATUS, "joint_torque.model.high"),
+    Signal("late", "1", "PDOs that came after their cycle's deadline", _STATUS, "image.late", Kind.COUNT),
+    Signal("repeated", "1", "PDOs that came twice in a cycle", _STATUS, "image.repeated", Kind.COUNT),
+    Signal("malformed", "1", "frames of a wrong length", _STATUS, "image.malformed", Kind.COUNT),
+    Signal("guard_latched", "1", "the guard keeps its back-off until a release", _STATUS, "guard.latched", Kind.FLAG),
+    Signal("permitted", "1", "torque is permitted", _CLIENT, "terms.permitted", Kind.FLAG),
+    Signal("drive_age", "s", "time since the last PDOs of the drive", _STATUS, "terms.drive_age", Kind.AGE),
+    Signal("joint_age", "s", "the same of the joint encoder", _STATUS, "terms.joint_age", Kind.AGE),
+    Signal("sensor_age", "s", "the same of the torque sensor on the bus", _STATUS, "terms.sensor_age", Kind.AGE),
+)
+SIGNALS: dict[str, Signal] = {signal.name: signal for signal in _TABLE}
+
+
+def signals_of(place: Place) -> tuple[Signal, ...]:
+    """Return the signals that appear in `place`, in the order of the table."""
+    return tuple(signal for signal in _TABLE if place & signal.where)
+
+
+def names_of(place: Place) -> tuple[str, ...]:
+    """Return the names of the signals that appear in `place`, in the order of the table."""
+    return tuple(signal.name for signal in signals_of(place))
+
+
+def row_type(name: str, place: Place) -> Any:
+    """Return a named tuple type of the values in `place`, each of them 0 unless it is given."""
+    fields = names_of(place)
+    return namedtuple(name, fields, defaults=[0.0] * len(fields))
+
+
+COLUMNS: dict[str, Signal] = {signal.name: signal for signal in signals_of(Place.INPUT | Place.LOG)}
+"""Columns of logs by name."""
+INPUTS: tuple[str, ...] = names_of(Place.INPUT)
+"""Columns that every command accepts in a log."""
+FIELDS: tuple[Signal, ...] = signals_of(Place.LOG)
+"""Columns that the daemon records, in the order of its log."""
+FIELD_NAMES: tuple[str, ...] = names_of(Place.LOG)
+BANDED: tuple[str, ...] = tuple(name for name in names_of(Place.STATUS) if f"{name}_low" in names_of(Place.STATUS))
+"""Signals of the status that lie in a band NAME_low to NAME_high."""
