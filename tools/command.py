@@ -16,7 +16,10 @@ import subprocess
 import sys
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:  # the guest's first process has the standard library alone
+    from rich.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config"
@@ -52,10 +55,13 @@ SHARED: dict[str, dict[str, Any]] = {  # options of several commands
 }
 
 
+ALIASES = {"rows": ("--results", "--out"), "processes": ("--jobs",)}
+
+
 def share(parser: argparse.ArgumentParser, names: str, **defaults: object) -> None:
     """Add shared options by their names, with another default where one is given."""
     for name in names.split():
-        aliases = ["--results"] if name == "rows" else []
+        aliases = ALIASES.get(name, ())
         parser.add_argument(f"--{name}", *aliases, dest=name, **SHARED[f"--{name}"])
     parser.set_defaults(**defaults)
 
@@ -190,15 +196,21 @@ def print_tables(rows: Sequence[Row], chosen: argparse.Namespace, tables: Callab
         print(each, flush=True) if isinstance(each, str) else Console(width=250).print(each)
 
 
-def print_table(head: Sequence[str], lines: Sequence[Sequence[object]], title: str | None = None) -> None:
-    """Print a table; without a terminal it is as wide as its cells need, up to 250 characters."""
-    from rich.console import Console
+def table(head: Sequence[str], lines: Iterable[Sequence[object]], title: str | None = None) -> Table:
+    """Return a table of cells of any kind: None is "-", numbers have four digits."""
     from rich.table import Table
 
-    table = Table(*head, title=title, title_justify="left")
+    found = Table(*head, title=title, title_justify="left")
     for line in lines:
-        table.add_row(*map(_cell, line))
-    Console(width=None if sys.stdout.isatty() else 250).print(table)
+        found.add_row(*map(_cell, line))
+    return found
+
+
+def print_table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> None:
+    """Print a table; without a terminal it is as wide as its cells need, up to 250 characters."""
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else 250).print(table(head, lines))
 
 
 def show(rows: Sequence[Row], keys: Sequence[str], as_json: bool) -> None:

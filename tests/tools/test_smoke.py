@@ -38,7 +38,7 @@ LONG = {
     "bench/rigs --rigs 1 --seed 1": "0 of 1 tunings failed",
     "bench/stretch --rigs 1": "intervals hold the truth",
     "bench/trend --days 8 --folders 2": "false alarms",
-    "bench/two_encoders --draws 1 --rows nothing:joint": "groups became single names",
+    "bench/two_encoders --draws 1 --names nothing:joint": "groups became single names",
     "campaign/mutate limiter --sample 2": "limiter.py",
     "measured/stretch": "",
 }

@@ -1,21 +1,22 @@
-"""The full circle for many hidden effects: `tsa demo --full` for each, one line each.
+"""Run `tsa demo --full` for hidden effects: simulate, calibrate, diagnose, and simulate with the extended model.
 
-Usage: tools/vcan tools/run bench/circle [--results FILE] [--at-most N] [--seconds 20] [--rate 1000] [EFFECT+...:SEED]
-RMS joint torque error (mN*m) without compensation, with the nominal model, calibrated, extended by what the diagnosis
-of the nominal run's log names, and with the true parameters as the limit. With --results FILE each row is appended to
-it as it ends, and rows that it holds are not made again.
+Usage: tools/vcan tools/run bench/circle [--seconds 20] [--rate 1000] [--rows FILE] [--json] [EFFECT[+EFFECT]:SEED ...]
+
+Each row has the RMS error of the joint torque (mN*m) without compensation, with the nominal model, calibrated, extended
+by what the diagnosis of the nominal run's log identifies, and with the true parameters as the limit; then the shares of
+the reduction that the true parameters reach, from no compensation and from the nominal model.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import subprocess
 import tempfile
-from pathlib import Path
 
 from tools import command
-from tools.command import Results, Row
+from tools.command import Row
 from tsa_ctrl.system.processes import tsa
 
 CASES = (
@@ -34,54 +35,34 @@ CASES = (
 STAGES = ("none", "nominal", "calibrated", "extended", "true")
 
 
-def one(case: str, arguments: argparse.Namespace) -> Row:
+def one(arguments: argparse.Namespace, case: str) -> Row:
+    """Run the demo with one case hidden."""
     names, _, seed = case.partition(":")
     hidden = [part for name in names.split("+") for part in ("--hidden", name)]
     with tempfile.TemporaryDirectory(prefix="full-circle-") as folder:
-        verb = tsa("demo", "--full", "--json", *hidden, "--seed", seed or "1", "--out", folder)
+        line = tsa("demo", "--full", "--json", *hidden, "--seed", seed or "1", "--out", folder)
         more = ("--seconds", f"{arguments.seconds:g}", "--rate", f"{arguments.rate:g}")
-        run = subprocess.run([*verb, *more], capture_output=True, text=True, check=False)
-    if run.returncode != 0:
-        return {"case": case, "error": run.stderr.strip().splitlines()[-1]}
-    return {"case": case, **json.loads(run.stdout)}
+        run = subprocess.run([*line, *more], capture_output=True, text=True, check=False)
+    return {"case": case, **(json.loads(run.stdout) if run.returncode == 0 else {"error": run.stderr.strip()})}
 
 
-def line(row: Row) -> str:
-    hidden = str(row["case"])
+def cells(row: Row) -> list[str]:
+    """Return a line of the table."""
     if "error" in row:
-        return f"{hidden:36s} {row['error']}"
+        return [row["case"], *("-" for _ in STAGES), "-", "-", row["error"].splitlines()[-1]]
     found = " + ".join(" or ".join([c["effect"], *c["alternatives"]]) for c in row["found"]) or "nothing"
-    errors = " ".join(f"{1e3 * row['rms'][stage]:10.1f}" for stage in STAGES)
-    share = row["share_of_reachable"]
-    return f"{hidden:36s} {errors} {100 * share['from_none']:7.1f} {100 * share['from_nominal']:7.1f}  {found}"
+    shares = (f"{100 * row['share_of_reachable'][name]:.1f}" for name in ("from_none", "from_nominal"))
+    return [row["case"], *(f"{1e3 * row['rms'][stage]:.1f}" for stage in STAGES), *shares, found]
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("cases", nargs="*", default=CASES, metavar="EFFECT[+EFFECT]:SEED")
-    parser.add_argument("--results", type=Path, help="a JSON object per row; those that it holds are not made again")
-    parser.add_argument("--at-most", type=int, help="make so many new rows, then stop; with --results")
     parser.add_argument("--seconds", type=float, default=20.0, help="of torque per run")
     parser.add_argument("--rate", type=float, default=1000.0, help="of the loop, Hz")
+    command.share(parser, "rows processes json")
     arguments = parser.parse_args()
-    known = Results(arguments.results, lambda row: row["case"])
-    print(
-        f"{arguments.seconds:g} s per run at {arguments.rate:g} Hz; RMS joint torque error in mN*m; shares in % of the "
-        f"reduction that the true parameters reach\n{'hidden:seed':36s} {' '.join(f'{s:>10s}' for s in STAGES)}"
-        f" {'of none':>7s} {'of nom.':>7s}  found",
-        flush=True,
-    )
-    made, shares = 0, []
-    for case in arguments.cases:
-        if case not in known:
-            if made == arguments.at_most:
-                continue
-            known.add(one(case, arguments))
-            made += 1
-        print(line(known[case]), flush=True)
-        if "error" not in known[case]:
-            shares.append(known[case]["share_of_reachable"]["from_none"])
-    failed = len(arguments.cases) - len(shares)
-    if shares:
-        print(f"least share of the reachable reduction: {100 * min(shares):.1f} %; {failed} rows failed or not made")
-    return int(failed > 0)
+    rows = command.run_rows(functools.partial(one, arguments), arguments.cases, lambda row: row["case"], arguments)
+    heads = ("hidden:seed", *STAGES, "of none (%)", "of nominal (%)", "found")
+    command.print_tables(rows, arguments, lambda: [command.table(heads, map(cells, rows))])
+    return int(any("error" in row for row in rows))

@@ -179,10 +179,8 @@ def main() -> int:
     parser.add_argument("--short", action="store_true", help="short logs: 12 to 20 s, one run")
     parser.add_argument("--families", nargs="+", metavar="FAMILY[:N]", help=f"of {', '.join(FULL)}; N per name")
     parser.add_argument("--names", nargs="+", default=[], help="only these effects, kinds or rows")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="first seed (default 0)")
-    parser.add_argument("--out", type=Path, help="JSON lines of all results (default out/bench_diagnose.jsonl)")
-    parser.add_argument("--list", action="store_true", help="only print the table of what is in --out")
+    command.share(parser, "processes seed rows", processes=command.MOST_PROCESSES, seed=0)
+    parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
     parser.add_argument(
         "--speed", action="store_true", help="only the time that `tsa diagnose` takes for 60 s at 1 kHz"
     )
@@ -198,7 +196,7 @@ def main() -> int:
             parser.error(f"unknown family {unknown[0]}; known are {', '.join(FULL)}")
         counts = {family: int(count or counts.get(family, FULL[family])) for family, _, count in asked}
     name = "bench_diagnose_quick.jsonl" if arguments.quick else "bench_diagnose.jsonl"
-    out = arguments.out or command.ROOT / "out" / name
+    out = arguments.rows or command.ROOT / "out" / name
     out.parent.mkdir(parents=True, exist_ok=True)
     version = code_version()
     wanted = list(jobs(counts, arguments.names, arguments.seed, arguments.quick or arguments.short))
@@ -206,7 +204,7 @@ def main() -> int:
     queue = [job for job in wanted if job not in results]
     if not arguments.list:
         print(f"{len(queue)} cases to run, {len(wanted) - len(queue)} known; results in {out}", file=sys.stderr)
-        run(queue, arguments.jobs, results, version)
+        run(queue, arguments.processes, results, version)
     rows = [results[job] for job in wanted if job in results]
     print_table(rows, [] if arguments.list or arguments.quick else timing(arguments.seed))
     errors = Counter(row["error"] for row in rows if row["error"])

@@ -1,24 +1,21 @@
-"""Days of a rig that wears, through `tsa log trend`: what is told, since which day, and what of one that does not.
+"""Measure what `tsa log trend` reports of a rig that wears, since which day, and of one that does not.
 
-Usage: tools/run bench/trend [--days 12] [--folders 400] [--keep FOLDER] [--json]
+Usage: tools/run bench/trend [--days 12] [--folders 400]
+
 Each day is a gait of 4 s on the distributed plant in virtual time, without a joint torque sensor; the file has the true
 shape, and friction, pretension and stiffness up to 8 % off. Friction, pretension and the encoder's zero scatter from
 day to day. A folder has eight days, the last three of them worn; of one folder none is. False alarms are counted over
-folders of eight of all healthy days, in drawn orders: of what scatters so there is nothing to tell. With --keep the
-folders stay, with the file, for `tsa log trend`.
+folders of eight of all healthy days, in drawn orders.
 """
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from tests.virtual.joints import GAIT, files
 from tools import command
@@ -99,41 +96,24 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--days", type=int, default=12, help="healthy ones, at least 8")
     parser.add_argument("--folders", type=int, default=400, help="drawn of them")
-    parser.add_argument("--keep", type=Path, help="folder for logs and model file; it must not exist")
-    parser.add_argument("--json", action="store_true", help="a JSON object a line, instead of a table")
     arguments = parser.parse_args()
-    if arguments.folders < 1:
-        parser.error(f"--folders {arguments.folders}: at least 1")
+    lines: list[tuple[object, ...]] = []
     with tempfile.TemporaryDirectory(prefix="bench-trend-") as name:
-        folder = Path(name) if arguments.keep is None else arguments.keep
-        try:
-            folder.mkdir(exist_ok=arguments.keep is None)
-        except OSError as error:
-            parser.error(f"--keep {folder}: {error.strerror}; name a folder that is not there yet, in one that is")
-        logs = write(folder, max(DAYS, arguments.days))
-        model = load_tendon_sheath(folder / MODEL)
-        table = Table("from the sixth of eight days on", "told", "since", "before", "after", "words")
+        logs = write(Path(name), max(DAYS, arguments.days))
+        model = load_tendon_sheath(Path(name) / MODEL)
         for words in WEAR:
             changes = trend(logs[words], model).changes
-            if arguments.json:
-                print(json.dumps({"wear": words, "changes": [change.to_dict() for change in changes]}), flush=True)
-            for change in changes:
-                table.add_row(words, *cells(change))
-            if not changes:
-                table.add_row(words, "nothing", "", "", "", "")
+            lines += [(words, *cells(change)) for change in changes] or [(words, "nothing", "", "", "", "")]
         runs = [measured(path, model) for path in sorted(logs["all"].iterdir())]
-        told, of = false_alarms(runs, arguments.folders)
-    if arguments.json:
-        print(json.dumps({"false_alarms": told, "quantities": of, "folders": arguments.folders, "stated": ALARM}))
-        return 0
-    Console(width=200).print(table)
+    told, of = false_alarms(runs, arguments.folders)
+    command.print_table(("from the sixth of eight days on", "told", "since", "before", "after", "words"), lines)
     share = f"{100.0 * told / of:.2g} %; stated: {100.0 * ALARM:g} %"
     print(f"false alarms: {told} of {of} quantities of {arguments.folders} folders, {share}")
     return 0
 
 
 def cells(change: Change) -> tuple[str, ...]:
-    """Of the table."""
+    """Return the cells of a change."""
     name = change.quantity.replace("_", " ")
     before, after = (f"{value:.4g} {change.unit}" for value in (change.before, change.after))
     return name, change.since.removesuffix(".mcap"), before, after, str(change).split(": ", 2)[-1]

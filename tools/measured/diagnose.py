@@ -1,9 +1,9 @@
-"""Diagnoses a measured cable drive, one load level (then one frequency) left out at a time.
+"""Diagnose a measured cable drive, one load level (then one frequency) left out at a time.
 
-Usage: tools/run measured/diagnose [--split load|frequency|both] [--jobs 2] [--rows FILE] [--out FOLDER]
+Usage: tools/run measured/diagnose [--split load|frequency|both] [--processes 2] [--rows FILE] [--reports FOLDER]
                                 [--pictures FOLDER] [--anew] [--list]
 
-Each fold is a plain `diagnose(logs, model, hold_out=PATTERN)` on all 25 trials; its report is written below --out. The
+Each fold is a plain `diagnose(logs, model, hold_out=PATTERN)` on all 25 trials; its report goes below --reports. The
 errors are those of all samples of the trials left out, reversals and starts included, with the model fitted on the
 others; pooled over the folds. A fold that stands in --rows (default: the file that the manual's table is written from)
 is not run again, but for those that --pictures draws. Exits with 1 when the load split misses what is demanded of it.
@@ -16,14 +16,13 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
 
 from tools import command
 from tools.command import Results, Row
-from tools.figures.look import BACKWARD, FORWARD, GUIDE, NEUTRAL, grid, save
+from tools.figures.look import BACKWARD, FORWARD, NEUTRAL, grid, save
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.identify.diagnosis.report.page import write
@@ -118,8 +117,8 @@ def missed(rows: Sequence[Row]) -> list[str]:
     return out
 
 
-def pictures(rows: Sequence[Row], curves: Sequence[Curve], folder: Path) -> None:
-    """Held-out trials, and the errors of all folds."""
+def picture(curves: Sequence[Curve], folder: Path) -> None:
+    """Draw held-out trials."""
     if curves:
         figure, axes_of = grid(len(curves), 1, 8.0, 1.9 * len(curves) + 0.5)
         for (axes,), (name, t, measured, recalibrated, extended) in zip(axes_of, sorted(curves), strict=True):
@@ -132,30 +131,13 @@ def pictures(rows: Sequence[Row], curves: Sequence[Curve], folder: Path) -> None
         axes_of[0][0].legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 0.98))
         axes_of[-1][0].set_xlabel("t (s)")
         save(figure, folder, "davinci_held_out.png")
-    splits = [split for split in FOLDS if any(row["split"] == split for row in rows)]
-    figure, ((*columns,),) = grid(1, len(splits), 4.2 * len(splits), 3.0)
-    for axes, split in zip(columns, splits, strict=True):
-        own = [row for row in rows if row["split"] == split]
-        values = pooled(own)
-        axes.bar(range(len(STEPS)), values, color=(GUIDE, BACKWARD, FORWARD), width=0.62)
-        for place, value in enumerate(values):
-            axes.annotate(f"{value:.1f}", (place, value), ha="center", va="bottom", fontsize=10)
-            axes.plot([place] * len(own), [row["rms"][place] for row in own], ".", color=NEUTRAL, ms=4)
-        axes.axhline(BY_HAND[split][-1], color=NEUTRAL, lw=0.8, ls=":")
-        axes.text(-0.4, BY_HAND[split][-1], f"by hand {BY_HAND[split][-1]:g}", va="bottom", fontsize=8)
-        axes.set_xticks(range(len(STEPS)), STEPS)
-        axes.grid(visible=False, axis="x")
-        axes.set_title(f"one {split} left out; dots: the folds")
-        axes.set_ylabel("RMS error (mN·m)")
-    save(figure, folder, "davinci_errors.png")
 
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--split", choices=(*FOLDS, "both"), default="both")
-    parser.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--rows", type=Path, default=FILE, help="folds that are known, and where new ones go")
-    parser.add_argument("--out", type=Path, default=command.ROOT / "out" / "davinci_diagnose")
+    command.share(parser, "processes rows", rows=FILE)
+    parser.add_argument("--reports", type=Path, default=command.ROOT / "out" / "davinci_diagnose", help="their folder")
     parser.add_argument("--pictures", type=Path, help="folder of the pictures; default: none are drawn")
     parser.add_argument("--anew", action="store_true", help="run what is known, too")
     parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
@@ -169,17 +151,18 @@ def main() -> int:
     if data is not None:
         wanted = [(split, pattern) for split in splits for pattern in FOLDS[split]]
         drawn = [each for each in wanted if options.pictures and any(Path(name).match(each[1]) for name in SHOWN)]
-        jobs = [(*each, data, options.out) for each in wanted if options.anew or each not in results or each in drawn]
-        with ProcessPoolExecutor(options.jobs) as pool:
-            for row, own in pool.map(fold, jobs):
-                results.add(row)
-                curves += own if row["split"] == splits[0] else []
-                print(f"{row['left_out']}: {row['sentence']}", file=sys.stderr, flush=True)
+        jobs = [
+            (*each, data, options.reports) for each in wanted if options.anew or each not in results or each in drawn
+        ]
+        for row, own in command.parallel(fold, jobs, options.processes):
+            results.add(row)
+            curves += own if row["split"] == splits[0] else []
+            print(f"{row['left_out']}: {row['sentence']}", file=sys.stderr, flush=True)
     known = [results[split, each] for split in splits for each in FOLDS[split] if (split, each) in results]
     head, lines = table(known)
     command.print_table(head, lines)
     if options.pictures:
-        pictures(known, curves, options.pictures)
+        picture(curves, options.pictures)
     print("data: O'Neill, Stephens, Kowalewski, IEEE RA-L 3(4):3027-3034, 2018 (Open Database License 1.0)")
     by_load = [row for row in known if row["split"] == "load"]
     failures = missed(by_load) if len(by_load) == len(FOLDS["load"]) else []
