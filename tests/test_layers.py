@@ -54,7 +54,7 @@ ROOMS: dict[str, str] = {
         "ipc"
     ),
     # offline: from logs to parameters and causes, without bus and loop
-    "identify": "errors version settings system signals log model observer",
+    "identify": "errors version settings outputs system signals log model observer",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
     # both of them in one process, in time of their own

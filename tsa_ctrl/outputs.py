@@ -13,6 +13,9 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
+
+import msgspec
 
 from tsa_ctrl.errors import UsageError
 
@@ -120,3 +123,15 @@ def untaken(folder: Path, kind: str, suffix: str = "", now: datetime.datetime | 
         number += 1
         path = folder / f"{stem}-{number}{suffix}"
     return path
+
+
+def json_types(value: object) -> Any:
+    """Return `value` in the types of JSON, with null for each number that is not finite.
+
+    `value` consists of dataclasses, structs, mappings, sequences, enumerations, paths and numbers.
+    """
+    return msgspec.json.decode(msgspec.json.encode(value, enc_hook=_basic))
+
+
+def _basic(value: Any) -> object:
+    return float(value) if isinstance(value, float) else os.fspath(value)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.outputs import json_types
 
 if TYPE_CHECKING:
     from tsa_ctrl.bench.cycles import Measured, Times
@@ -104,17 +105,11 @@ def _as_dict(found: Found, bitrate: int) -> dict[str, Any]:
             "limited_by": found.limited_by,
             "fits": found.fits,
         },
-        "bounds": [
-            {"name": b.name, "rate": b.rate if math.isfinite(b.rate) else None, "found": b.found} for b in found.bounds
-        ],
+        "bounds": json_types(found.bounds),
         "measured": [_measured(m) for m in (found.configured, found.confirmed) if m is not None],
     }
 
 
 def _measured(measured: Measured) -> dict[str, Any]:
     counts = {key: getattr(measured, key) for key in ("rate", "cycles", "lost", "late", "enabled")}
-    times = {
-        name: {key: None if math.isnan(value) else value for key, value in vars(getattr(measured, name)).items()}
-        for name in NAMES
-    }
-    return {**counts, **times}
+    return {**counts, **{name: json_types(getattr(measured, name)) for name in NAMES}}

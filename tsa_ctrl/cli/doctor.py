@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from tsa_ctrl.cli.finite import Finite
+from tsa_ctrl.outputs import json_types
 
 if TYPE_CHECKING:
     from tsa_ctrl.config import Configuration
@@ -48,7 +49,7 @@ def command(controller: Path | None, seconds: float, as_json: bool, serial_numbe
         found += machine.checks(file.realtime, file.controller.rate, seconds)
         found += can_interface.checks(file.bus, file.axes, file.controller.rate)
     if as_json:
-        click.echo(json.dumps({"schema": 1, "checks": [check.to_dict() for check in found]}))
+        click.echo(json.dumps({"schema": 1, "checks": json_types(found)}))
     else:
         _show(found)
     return int(any(check.result is Result.FAIL for check in found))

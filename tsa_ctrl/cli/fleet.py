@@ -13,6 +13,7 @@ from rich.table import Table
 from tsa_ctrl.identify.fleet import Row, executors, logs_in, sweep
 from tsa_ctrl.identify.fleet.ledger import TABLE, counted
 from tsa_ctrl.model.parameters import load_model
+from tsa_ctrl.outputs import json_types
 
 SHOWN = 40  # rows of the table on a screen; all of them stand in verdicts.csv
 
@@ -52,7 +53,7 @@ def diagnose_folder(
     verdicts, causes = counted(rows)
     if as_json:
         data = {"schema": 1, "verdicts": dict(sorted(verdicts.items())), "causes": dict(sorted(causes.items()))}
-        click.echo(json.dumps({**data, "logs": [row.to_dict() for row in rows]}, allow_nan=False, ensure_ascii=False))
+        click.echo(json.dumps({**data, "logs": json_types(rows)}, allow_nan=False, ensure_ascii=False))
     else:
         _show(rows, out)
 

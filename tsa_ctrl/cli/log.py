@@ -101,7 +101,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     for run in found.runs:
         values = "; ".join(f"{name.replace('_', ' ')} {quantity}" for name, quantity in run.quantities.items())
         warm = f", {run.temperature:.1f} °C" if run.temperature == run.temperature else ""
-        click.echo(f"{run.started}  {run.name}{warm}: {values or 'nothing'}")
+        click.echo(f"{run.started}  {run.log}{warm}: {values or 'nothing'}")
         for note in run.notes:
             click.echo(f"  note: {note}")
     if found.by_temperature is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import msgspec
 
@@ -72,11 +72,11 @@ class Events:
 
     def encoded(self) -> bytes:
         """Return JSON of the first fault and of as many of the newest events as fit into the mailbox."""
-        kept = [asdict(event) for event in self._kept]
+        kept = list(self._kept)
         cause = self.first_fault
         spared = 0 if cause is None else 1
         while len(text := msgspec.json.encode(kept)) > TEXT and len(kept) > spared:
-            kept.pop(1 if cause is not None and kept[0]["number"] == cause.number else 0)
+            kept.pop(1 if cause is not None and kept[0] is cause else 0)
         return text
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.outputs import json_types
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.system.histogram import Distribution
 
@@ -72,36 +73,24 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-ready: null for unknown."""
-        return {
-            "schema": SCHEMA,
-            "bus": self.bus,
-            "rate": self.rate,
-            "start": self.start,
-            "cause": self.cause,
-            "failed": self.failed,
-            "cycles": {
-                "planned": self.planned,
-                "sent": self.sent,
-                "skipped": self.skipped,
-                "overruns": self.overruns,
-                "late": self.late,
-                "missed_pdo": self.missed_pdo,
-                "dropped": self.dropped,
-                "error_frames": self.error_frames,
-                "flooded": self.flooded,
-            },
-            "load": list(self.load),
-            "rights": self.rights,
-            "lateness": _distribution(self.lateness, self.lateness_bins),
-            "work": _distribution(self.work, self.work_bins),
-            "nodes": [vars(node) for node in self.nodes],
-            "events": [vars(event) for event in self.events],
-            "unconfirmed": list(self.unconfirmed),
-            "simulated": self.simulated,
-            "joints": self.joints,
-            "log": self.log,
-            "log_records": {"written": self.log_written, "lost": self.log_lost},
-        }
+        cycles = ("planned", "sent", "skipped", "overruns", "late", "missed_pdo", "dropped", "error_frames", "flooded")
+        found: dict[str, Any] = json_types(
+            {
+                "schema": SCHEMA,
+                **{name: getattr(self, name) for name in ("bus", "rate", "start", "cause", "failed")},
+                "cycles": {name: getattr(self, name) for name in cycles},
+                "load": self.load,
+                "rights": self.rights,
+                "lateness": _distribution(self.lateness, self.lateness_bins),
+                "work": _distribution(self.work, self.work_bins),
+                **{
+                    name: getattr(self, name)
+                    for name in ("nodes", "events", "unconfirmed", "simulated", "joints", "log")
+                },
+                "log_records": {"written": self.log_written, "lost": self.log_lost},
+            }
+        )
+        return found
 
     def save(self) -> None:
         """Write it as JSON beside the log, so that the cause of a fault stays with it; raises UsageError."""
@@ -163,9 +152,4 @@ def _microseconds(seconds: float) -> str:
 
 
 def _distribution(found: Distribution, bins: list[tuple[float, int]]) -> dict[str, Any]:
-    values = {"p50": found.p50, "p99": found.p99, "p999": found.p999}
-    return {
-        "samples": found.samples,
-        **{name: None if math.isnan(value) else value for name, value in values.items()},
-        "bins": [[None if math.isinf(edge) else edge, number] for edge, number in bins],
-    }
+    return {name: getattr(found, name) for name in ("samples", "p50", "p99", "p999")} | {"bins": bins}

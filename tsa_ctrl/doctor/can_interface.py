@@ -37,15 +37,6 @@ class Check:
     wanted: str
     fix: str = ""
 
-    def to_dict(self) -> dict[str, str]:
-        return {
-            "name": self.name,
-            "result": self.result.value,
-            "found": self.found,
-            "wanted": self.wanted,
-            "fix": self.fix,
-        }
-
 
 def judge(name: str, good: bool, found: str, wanted: str, fix: str, otherwise: Result = Result.WARN) -> Check:
     """Return a pass if `good` is True, else a check with the result `otherwise` and its fix."""

@@ -25,15 +25,6 @@ class Quantity:
         """Whether it has an interval: an infinite one is of what the logs leave open."""
         return math.isfinite(self.high - self.low)
 
-    def to_dict(self) -> dict[str, float | str | None]:
-        """As in the public JSON: null for what is not known."""
-        return {
-            "value": _finite(self.value),
-            "low": _finite(self.low),
-            "high": _finite(self.high),
-            "unit": self.unit,
-        }
-
     def __str__(self) -> str:
         unit = "" if self.unit == "1" else f" {spelled(self.unit)}"
         return f"{self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
@@ -42,10 +33,6 @@ class Quantity:
 def spelled(unit: str) -> str:
     """A unit string as people read it."""
     return unit.replace("*", "·").replace("^2", "²")
-
-
-def _finite(x: float) -> float | None:
-    return x if math.isfinite(x) else None
 
 
 def rounded(value: float, share: float) -> float:

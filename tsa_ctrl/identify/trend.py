@@ -27,6 +27,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.log.info import inspect
 from tsa_ctrl.log.table import ENDINGS
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.outputs import json_types
 
 ALARM = 0.01  # 1, chance of a false alarm for each quantity of a folder whose rig does not change
 FEWEST = 6  # runs from which a change is looked for, two on either side of it at least
@@ -56,20 +57,11 @@ WORDS = {  # of a change up and down
 class Run:
     """One log: when, how warm (°C, nan where it was not measured), what was found, and why something was not."""
 
-    name: str
+    log: str
     started: str  # ISO 8601, of the log, else of the file
     temperature: float
     quantities: dict[str, Quantity]
     notes: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "log": self.name,
-            "started": self.started,
-            "temperature": self.temperature if math.isfinite(self.temperature) else None,
-            "quantities": {name: quantity.to_dict() for name, quantity in self.quantities.items()},
-            "notes": list(self.notes),
-        }
 
 
 @dataclass(frozen=True)
@@ -88,16 +80,6 @@ class Change:
         words = up if self.after > self.before else down
         return f"{name} changed with {self.since}: {self.before:.4g} -> {self.after:.4g} {self.unit}: {words}"
 
-    def to_dict(self) -> dict[str, Any]:
-        return {
-            "quantity": self.quantity,
-            "since": self.since,
-            "before": self.before,
-            "after": self.after,
-            "unit": self.unit,
-            "words": str(self),
-        }
-
 
 @dataclass(frozen=True)
 class Trend:
@@ -109,13 +91,16 @@ class Trend:
 
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object of `tsa log trend`."""
-        return {
-            "schema": 1,
-            "runs": [run.to_dict() for run in self.runs],
-            "changes": [change.to_dict() for change in self.changes],
-            "false_alarm_rate": ALARM,
-            "half_loop_by_temperature": {"value": self.by_temperature, "unit": "N*m/K"},
-        }
+        found: dict[str, Any] = json_types(
+            {
+                "schema": 1,
+                "runs": self.runs,
+                "changes": [{**vars(change), "words": str(change)} for change in self.changes],
+                "false_alarm_rate": ALARM,
+                "half_loop_by_temperature": {"value": self.by_temperature, "unit": "N*m/K"},
+            }
+        )
+        return found
 
 
 def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lambda share: None) -> Trend:
@@ -134,7 +119,7 @@ def trend(folder: Path, model: TendonSheath, tick: Callable[[float], None] = lam
         runs.append(measured(path, model))
     if not any(run.quantities for run in runs):
         raise UsageError(f"{folder}: none of {len(runs)} logs tells half loop or stiffness; {runs[0].notes[0]}")
-    return judged(sorted(runs, key=lambda run: (run.started, run.name)))
+    return judged(sorted(runs, key=lambda run: (run.started, run.log)))
 
 
 def measured(path: Path, model: TendonSheath) -> Run:
@@ -215,7 +200,7 @@ def judged(runs: Sequence[Run]) -> Trend:
         left_open = math.hypot(*(float(np.sqrt(np.mean(part**2) / part.size)) for part in (half[:place], half[place:])))
         least = 0.0 if name == "zero" else LEAST * abs(before)
         if abs(after - before) > max(least, left_open):
-            found.append(Change(name, having[place].name, before, after, quantities[0].unit))
+            found.append(Change(name, having[place].log, before, after, quantities[0].unit))
     return Trend(tuple(runs), tuple(found), slope)
 
 

@@ -30,11 +30,11 @@ def draw(path: Path, found: Trend) -> None:
             axis.errorbar(places, values, yerr=np.maximum(reach, 0.0), fmt="o", color=MEASURED, capsize=3)
             for change in found.changes:
                 if change.quantity == name:
-                    since = next(k for k, run in enumerate(found.runs) if run.name == change.since)
+                    since = next(k for k, run in enumerate(found.runs) if run.log == change.since)
                     axis.axvline(since - 0.5, color=COLOURS[1])
             axis.set_ylabel(f"{name.replace('_', ' ')} ({spelled(quantities[0].unit)})")
             axis.grid(alpha=0.3)
-        axes[-1, 0].set_xticks(range(len(found.runs)), [run.name for run in found.runs], rotation=30, ha="right")
+        axes[-1, 0].set_xticks(range(len(found.runs)), [run.log for run in found.runs], rotation=30, ha="right")
         figure.tight_layout()
         try:
             figure.savefig(path, dpi=130)

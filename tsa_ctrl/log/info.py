@@ -17,6 +17,7 @@ from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, longest_step
+from tsa_ctrl.outputs import json_types
 from tsa_ctrl.signals import COLUMNS
 
 Array = NDArray[np.float64]
@@ -165,7 +166,7 @@ class LogInfo:
             "recorded_by": self.about.get("version"),
             "started": self.about.get("started"),
             "problems": self.problems,
-            "events": [vars(note) for note in self.notes],
+            "events": json_types(self.notes),
         }
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import msgspec
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
@@ -29,16 +30,6 @@ class LogHeader:
     started: float = field(default_factory=time.time)
     version: str = __version__
 
-    def to_json(self) -> str:
-        return json.dumps({**vars(self), "axes": list(self.axes)})
-
-    @staticmethod
-    def from_json(text: str) -> LogHeader:
-        data = json.loads(text)
-        data["axes"] = tuple(data["axes"])
-        data["codes"] = {key: {int(code): name for code, name in names.items()} for key, names in data["codes"].items()}
-        return LogHeader(**data)
-
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
 STARTED = 20.0  # s for the writer to look at the ring
@@ -59,7 +50,7 @@ class LogProcess:
         self._child = child("tsa_ctrl.log.writer", ring.fd, path, stdout=subprocess.DEVNULL, fd=ring.fd)
         assert self._child.stdin is not None
         try:
-            self._child.stdin.write(header.to_json().encode() + b"\n")
+            self._child.stdin.write(msgspec.json.encode(header) + b"\n")
             self._child.stdin.flush()
         except BrokenPipeError:  # the writer has ended already, which `alive` and `health` show
             return

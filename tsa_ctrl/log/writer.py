@@ -15,6 +15,7 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -131,7 +132,7 @@ def main(argv: list[str]) -> int:
     asked = sys.stdin.buffer.readline()
     if not asked:  # the owner is gone already
         return 0
-    header = LogHeader.from_json(asked.decode())
+    header = msgspec.json.decode(asked, type=LogHeader)
     ring = RingReader(fd)
 
     def work(before: int) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.outputs import json_types
 
 FEWEST_PAIRS = 3
 
@@ -53,7 +54,7 @@ class Comparison:
         return {
             "schema": 1,
             "rms": {"a": self.a, "b": self.b, "unit": "N*m"},
-            "difference": self.difference.to_dict(),
+            "difference": json_types(self.difference),
             "pairs": self.pairs,
             "better": better,
             "verdict": self.verdict,

@@ -138,14 +138,6 @@ class LawTuning:
     def values(self) -> dict[str, float]:
         return {name: key.value for name, key in self.keys.items()}
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result in JSON types."""
-        return {
-            "keys": self.values,
-            "quantities": {name: quantity.to_dict() for name, quantity in self.quantities.items()},
-            "gain_margin": self.margin,
-        }
-
 
 def measured(logs: Sequence[Dataset], model: TendonSheath) -> Mechanics:
     """Measure delay, motor inertia and stiffness from logs of a motor that was shaken while the joint moved."""

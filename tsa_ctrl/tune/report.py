@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tsa_ctrl.identify.quantity import Quantity, spelled
+from tsa_ctrl.outputs import json_types
 from tsa_ctrl.tune.procedure import Outcome
 from tsa_ctrl.version import __version__
 
@@ -128,17 +129,21 @@ def to_dict(outcome: Outcome, axis: str, page: Path | None, written: Path | None
             "before": verified.reduction(verified.before),
             "after": verified.reduction(verified.after),
         }
-    return {
-        "schema": 1,
-        "axis": axis,
-        "form": found.form.name.lower(),
-        "effects": list(found.effects),
-        "parameters": {name: quantity.to_dict() for name, quantity in found.parameters.items()},
-        "calibration": found.calibration.to_dict(),
-        "law": None if outcome.law is None else outcome.law.to_dict(),
-        "verification": {"rms": rms, "reduction_percent": reduction} if verified is not None else None,
-        "design": list(outcome.design.reasons) if outcome.design is not None else None,
-        "notes": list(found.notes),
-        "page": None if page is None else str(page),
-        "written": None if written is None else str(written),
-    }
+    law = outcome.law
+    data: dict[str, Any] = json_types(
+        {
+            "schema": 1,
+            "axis": axis,
+            "form": found.form.name.lower(),
+            "effects": found.effects,
+            "parameters": found.parameters,
+            "calibration": found.calibration.to_dict(),
+            "law": law and {"keys": law.values, "quantities": law.quantities, "gain_margin": law.margin},
+            "verification": {"rms": rms, "reduction_percent": reduction} if verified is not None else None,
+            "design": outcome.design and outcome.design.reasons,
+            "notes": found.notes,
+            "page": page,
+            "written": written,
+        }
+    )
+    return data

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.daemon.assembly import STATES
 from tsa_ctrl.daemon.summary import Summary
+from tsa_ctrl.outputs import json_types
 from tsa_ctrl.safety.limiter import Reason
 
 Columns = dict[str, NDArray[np.float64]]
@@ -106,7 +107,7 @@ class Simulation:
             "record": None if self.record is None else str(self.record),
             "cause": self.summary.cause,
             "failed": self.summary.failed,
-            "events": [vars(event) for event in self.summary.events],
+            "events": json_types(self.summary.events),
             "notes": list(self.notes),
         }
 

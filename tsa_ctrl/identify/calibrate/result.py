@@ -9,6 +9,7 @@ from typing import Any
 
 from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
+from tsa_ctrl.outputs import json_types
 
 # Share by which the mean square of a held-out error may increase by chance: two parameters from about 18 independent
 # blocks (`regression.BLOCKS`), compared with a file that may have been fitted to the held-out logs as well.
@@ -72,26 +73,20 @@ class Calibration:
 
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object of `tsa calibrate --json`."""
-        return {
-            "schema": 1,
-            "parameters": {
-                "friction_angle": self.friction_angle.to_dict(),
-                "pretension": self.pretension.to_dict(),
-            },
-            "combinations": {
-                "slope": self.slope.to_dict(),
-                "half_loop_torque": self.half_loop_torque.to_dict(),
-            },
-            "split": self.split,
-            "condition_number": self.condition_number if math.isfinite(self.condition_number) else None,
-            "admitted_seconds": self.admitted_seconds,
-            "refused": list(self.refused),
-            "rms": {"before": self.rms_before, "after": self.rms_after, "held_out": True, "unit": "N*m"},
-            "rms_in_sample": {"before": self.rms_given, "after": self.rms_written, "unit": "N*m"},
-            "worse_than_given": bool(self.worse),
-            "experiment": self.experiment,
-            "notes": list(self.notes),
-        }
+        found: dict[str, Any] = json_types(
+            {
+                "schema": 1,
+                "parameters": {name: getattr(self, name) for name in ("friction_angle", "pretension")},
+                "combinations": {name: getattr(self, name) for name in ("slope", "half_loop_torque")},
+                **{name: getattr(self, name) for name in ("split", "condition_number", "admitted_seconds", "refused")},
+                "rms": {"before": self.rms_before, "after": self.rms_after, "held_out": True, "unit": "N*m"},
+                "rms_in_sample": {"before": self.rms_given, "after": self.rms_written, "unit": "N*m"},
+                "worse_than_given": bool(self.worse),
+                "experiment": self.experiment,
+                "notes": self.notes,
+            }
+        )
+        return found
 
     def to_json(self) -> str:
         return json.dumps(self.to_dict(), allow_nan=False)

@@ -34,6 +34,7 @@ from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import MOST_CENTRE, profile_of
+from tsa_ctrl.outputs import json_types
 
 FloatArray = NDArray[np.float64]
 
@@ -75,13 +76,16 @@ class StretchFit:
 
     def to_dict(self) -> dict[str, object]:
         """The object "stretch" of `tsa calibrate --json`."""
-        return {
-            **{name: quantity.to_dict() for name, quantity in self.quantities.items()},
-            "friction_angle": self.friction_angle.to_dict(),
-            "zero": {name: quantity.to_dict() for name, quantity in self.zeros.items()},
-            "rms": {"value": self.rms, "unit": "m"},
-            "notes": list(self.notes),
-        }
+        found: dict[str, object] = json_types(
+            {
+                **self.quantities,
+                "friction_angle": self.friction_angle,
+                "zero": self.zeros,
+                "rms": {"value": self.rms, "unit": "m"},
+                "notes": self.notes,
+            }
+        )
+        return found
 
 
 _Part = tuple[FloatArray, FloatArray, NDArray[np.int64]]  # rows, rests, blocks

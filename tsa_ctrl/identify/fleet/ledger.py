@@ -11,48 +11,49 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+
+import msgspec
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.diagnosis import Diagnosis
+from tsa_ctrl.outputs import json_types
 
 LEDGER, TABLE = "fleet.jsonl", "verdicts.csv"
+
+
+@dataclass(frozen=True)
+class Named:
+    """Hold an identified cause and the effects that this log cannot tell from it."""
+
+    effect: str
+    alternatives: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Row:
     """The answer on one log. `verdict`: as in diagnosis.json, or "error" with the reason in `error`.
 
-    `causes`: pairs of a name and its alternatives; `rms` in N*m as in diagnosis.json; `key` stands for log, model, seed
+    `rms` in N*m as in diagnosis.json; `key` stands for log, model, seed
     and version, so that an answer is taken again only for the same question.
     """
 
     log: str
     key: str
     verdict: str
-    causes: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    causes: tuple[Named, ...] = ()
     rms: Mapping[str, float | None] = dataclasses.field(default_factory=dict)
     gain: float = 0.0
     unexplained: str = ""
     sentence: str = ""
     error: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        causes = [{"effect": name, "alternatives": list(others)} for name, others in self.causes]
-        return {**dataclasses.asdict(self), "causes": causes}
-
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Row:
-        """From `to_dict`; raises KeyError or TypeError for anything else."""
-        causes = tuple((cause["effect"], tuple(cause["alternatives"])) for cause in data["causes"])
-        return Row(**{**data, "causes": causes})
-
     @property
     def told(self) -> str:
         """The causes in one line: names, with what they cannot be told from."""
-        return "; ".join(name + (f" (or {', '.join(others)})" if others else "") for name, others in self.causes)
+        return "; ".join(
+            each.effect + (f" (or {', '.join(each.alternatives)})" if each.alternatives else "") for each in self.causes
+        )
 
 
 def row_of(name: str, key: str, result: Diagnosis) -> Row:
@@ -62,7 +63,7 @@ def row_of(name: str, key: str, result: Diagnosis) -> Row:
         log=name,
         key=key,
         verdict=data["verdict"],
-        causes=tuple((cause.effect, cause.alternatives) for cause in result.causes),
+        causes=tuple(Named(cause.effect, cause.alternatives) for cause in result.causes),
         rms={step: data["rms"][step] for step in ("as_given", "recalibrated", "extended", "noise_floor")},
         gain=data["gain"],
         unexplained=data["unexplained"]["description"],
@@ -78,8 +79,8 @@ def known_rows(folder: Path) -> dict[str, Row]:
     rows = {}
     for line in path.read_text(encoding="utf-8").splitlines():
         try:
-            row = Row.from_dict(json.loads(line))
-        except (ValueError, KeyError, TypeError):
+            row = msgspec.json.decode(line, type=Row)
+        except msgspec.DecodeError:
             continue
         rows[row.key] = row
     return rows
@@ -92,7 +93,7 @@ def append(folder: Path, row: Row) -> None:
         with path.open("a", encoding="utf-8") as file:
             if file.tell() and not _ends_with_a_line(path):
                 file.write("\n")  # the last run was cut off within a line
-            file.write(json.dumps(row.to_dict(), ensure_ascii=False) + "\n")
+            file.write(json.dumps(json_types(row), ensure_ascii=False) + "\n")
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
@@ -122,4 +123,4 @@ def write_table(folder: Path, rows: Iterable[Row]) -> Path:
 def counted(rows: Iterable[Row]) -> tuple[Counter[str], Counter[str]]:
     """How many logs per verdict, and per cause named."""
     rows = list(rows)
-    return Counter(row.verdict for row in rows), Counter(name for row in rows for name, _ in row.causes)
+    return Counter(row.verdict for row in rows), Counter(each.effect for row in rows for each in row.causes)

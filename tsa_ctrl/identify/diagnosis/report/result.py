@@ -14,6 +14,7 @@ from tsa_ctrl.identify.diagnosis.report.details import Details
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.catalogue import of_the_stretch
 from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.outputs import json_types
 
 SCHEMA = 1  # of diagnosis.json: it changes when a reader of the last one would go wrong
 DIGITS = 6  # significant, of every number written: more is rounding of this machine
@@ -192,4 +193,4 @@ def _formula(found: Formula) -> dict[str, Any]:
 def _plain(value: Quantity | str) -> Any:
     if isinstance(value, str):
         return value
-    return {key: _rounded(x) if isinstance(x, float) else x for key, x in value.to_dict().items()}
+    return {key: _rounded(x) if isinstance(x, float) else x for key, x in json_types(value).items()}
