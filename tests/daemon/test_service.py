@@ -56,6 +56,19 @@ def test_manager_is_told_and_a_hang_shows(rig: Rig, monkeypatch: pytest.MonkeyPa
     manager.socket.close()
 
 
+def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> None:
+    """Its keeper hangs, too, so no other takes its place: the daemon ends both, and prints its summary."""
+    rig.plant()
+    daemon = rig.run()
+    until(lambda: rig.phase("running"), STARTED)
+    listed = subprocess.run(["pgrep", "-P", str(daemon.pid), "-f", "ipc.server"], capture_output=True, text=True)
+    (keeper,) = map(int, listed.stdout.split())
+    os.kill(keeper, signal.SIGSTOP)
+    daemon.terminate()
+    summary, error, code = ended(daemon)
+    assert (code, summary["cause"]) == (0, "SIGTERM"), error
+
+
 def test_full_disk_stops_nothing(rig: Rig) -> None:
     """The loop goes on and says it; what was not lost is written once there is room; the log can be read."""
     disk = rig.folder / "logs"

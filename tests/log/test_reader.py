@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -52,6 +53,41 @@ def test_a_whole_log_is_complete(log: Path) -> None:
 
 def test_a_table_of_an_axis_has_no_empty_columns(log: Path) -> None:
     assert list(read_table(f"{log}:hip").columns) == ["t", "tau_m", "omega_j", "cycle", "state"]
+
+
+def content(path: Path) -> tuple[object, ...]:
+    file = LogFile(path)
+    columns = {axis: file.columns(axis, file.fields) for axis in file.axes}
+    values = {axis: {name: value.tobytes() for name, value in each.items()} for axis, each in columns.items()}
+    return file.fields, file.about, file.files, file.notes, values, file.problems
+
+
+@given(place=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
+@settings(max_examples=200, deadline=None)
+def test_a_flipped_bit_is_reported_or_changes_nothing(
+    log: Path, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int
+) -> None:
+    """By an error or among the problems; in head, chunks and end of a log."""
+    data = bytearray(log.read_bytes())
+    data[int(place * len(data))] ^= 1 << bit
+    path = tmp_path_factory.mktemp("flipped") / "run.mcap"
+    path.write_bytes(data)
+    with contextlib.suppress(UsageError):
+        found = content(path)
+        assert found[-1] or found == content(log)
+
+
+def test_a_chunk_that_no_longer_looks_like_one_is_counted(log: Path, tmp_path: Path) -> None:
+    """A flipped bit of its first byte makes it an index, which is not read."""
+    data = bytearray(log.read_bytes())
+    position = 8  # after the magic
+    while data[position] != Opcode.CHUNK:
+        position += 9 + int.from_bytes(data[position + 1 : position + 9], "little")
+    data[position] ^= 1
+    (tmp_path / "run.mcap").write_bytes(data)
+    file = LogFile(tmp_path / "run.mcap")
+    assert len(file.columns("hip", ["t"])["t"]) == 300
+    assert (file.complete, file.damaged) == (True, 1)
 
 
 @given(kept=st.floats(0.0, 1.0))

@@ -90,6 +90,34 @@ def test_a_full_disk_leaves_a_readable_file_and_is_tried_again(ring: RingWriter,
     assert (LogHealth(ring).lost, LogHealth(ring).written) == (0, 40)
 
 
+def test_the_disk_stores_the_log_once_a_second_and_its_error_is_said(
+    ring: RingWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is lost by it, and nothing is written twice."""
+    calls: list[int] = []
+
+    def fails_once(descriptor: int) -> None:
+        calls.append(descriptor)
+        if len(calls) == 1:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fsync", fails_once)
+    writer = LogWriter(RingReader(ring.fd), tmp_path / "x.mcap", HEADER)
+    troubles = []
+    for step in range(100):  # 5 s
+        push(ring, 50, 50 * step)
+        before = len(calls)
+        writer.step(0.05 * step)
+        assert wait_for(lambda at=before, due=step % 20 == 0: len(calls) > at or not due)  # type: ignore[misc]
+        troubles.append(LogHealth(ring).trouble)
+    assert len(calls) == 5
+    assert set(troubles) == {"", os.strerror(errno.EIO)}
+    assert troubles[-1] == ""
+    writer.end()
+    assert len(calls) == 6
+    assert times(tmp_path / "x.mcap") == list(range(5000))
+
+
 def test_what_a_long_trouble_costs_is_counted(
     ring: RingWriter, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,11 +77,23 @@ def test_worker_that_dies_or_hangs_is_gone_before_the_next_begins(
     assert second != first
 
 
-def test_worker_that_always_fails_is_given_up(kept: Callable[[str], Kept]) -> None:
-    one = kept("raise SystemError")
-    out, _ = one.process.communicate(timeout=60)
-    assert one.process.returncode == 1
-    assert out.count("worker") == 11
+def test_worker_that_always_fails_is_replaced_as_long_as_the_parent_lives(kept: Callable[[str], Kept]) -> None:
+    """A server that ten crashes end for good is a daemon that nobody can watch or stop over its socket."""
+    one = kept("os._exit(1)")
+    for number in range(30):
+        assert one.line()[:2] == ("worker", number)
+        assert one.line()[:2] == ("replaced", number + 1)
+    assert one.process.poll() is None
+
+
+def test_worker_that_always_fails_is_given_up_once_the_parent_has_ended() -> None:
+    """The shell is the parent that ends; the output ends with the last process that holds it."""
+    program = PROGRAM.format(work="os._exit(1)")
+    command = ["sh", "-c", '"$0" -c "$1" & sleep 0.3', sys.executable, program]
+    output = subprocess.run(command, stdout=subprocess.PIPE, text=True, timeout=60, check=True).stdout
+    numbers = [int(line.split()[1]) for line in output.splitlines() if line.startswith("worker")]
+    assert numbers == list(range(len(numbers)))
+    assert len(numbers) > 10
 
 
 def test_worker_ends_with_its_keeper(kept: Callable[[str], Kept]) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 import signal
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
@@ -91,7 +92,7 @@ class Children:
         if self.log is not None and self.log.alive:
             self.log.end()
         pid_file.remove(self._path, os.getpid())
-        with contextlib.suppress(OSError, ValueError):
+        with contextlib.suppress(OSError, ValueError, subprocess.TimeoutExpired):
             self._server.communicate(timeout=PATIENCE)
         if self._server.poll() is None:
             self._server.kill()

@@ -2,14 +2,15 @@
 
 Format: the MCAP specification, version 0 (mcap.dev/spec). There is one channel per axis with schema encoding "ros2msg"
 and message encoding "cdr": four bytes of header, then the doubles of one record, little-endian. One more channel holds
-the events (faults with their cause) in separate chunks, as JSON in the schema "foxglove.Log". Chunks carry a checksum.
-Indices for quick opening are written at the end.
+the events (faults with their cause) in separate chunks, as JSON in the schema "foxglove.Log". Chunks and the head
+carry a checksum. Indices for quick opening are written at the end.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
 import zlib
 from collections.abc import Sequence
@@ -80,6 +81,7 @@ CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 NOTES_TOPIC, NOTES_SCHEMA = "/events", "foxglove.Log"
 NOTES_ENCODING = "json"
 INFO, ERROR = 2, 4  # levels of foxglove.Log
+HEAD = "head"  # metadata record at the end of the head: the checksum of everything between MAGIC and this record
 FILES = "file:"  # metadata records of this prefix hold the text of a configuration file
 
 MESSAGE = np.dtype(
@@ -222,10 +224,15 @@ class McapFile:
         self._last_time = max(end, self._last_time)
         self._indices.append(index)
 
+    def sync(self) -> None:
+        """Wait until the disk holds what was written. Raises OSError."""
+        os.fsync(self._file.fileno())
+
     def finish(self) -> None:
         """Write the indices and close the file; without it the file can still be read. Raises OSError."""
         try:
             self._append(self._summary())
+            self.sync()
         finally:
             self._file.close()
 
@@ -260,7 +267,9 @@ class McapFile:
         self._write_channels(builder)
         for record in self._metadata():
             record.write(builder)
-        return bytes(builder.end())
+        head = bytes(builder.end())
+        Metadata(name=HEAD, metadata={"crc32": f"{zlib.crc32(head):08x}"}).write(builder)
+        return head + bytes(builder.end())
 
     def _write_channels(self, builder: RecordBuilder) -> None:
         for schema in (self._schema, self._notes_schema):
@@ -279,6 +288,7 @@ class McapFile:
             "fields": json.dumps([column.name for column in FIELDS]),
             "units": json.dumps({column.name: column.unit for column in FIELDS}),
             "codes": json.dumps(header.codes),
+            "checksum": HEAD,  # so that a damaged record HEAD is noticed as well
         }
         records = [Metadata(name="tsa_ctrl", metadata=about)]
         for name, text in header.files.items():
@@ -302,7 +312,7 @@ class McapFile:
             message_count=self.written + self._notes,
             message_start_time=self._first_time,
             message_end_time=self._last_time,
-            metadata_count=1 + len(self._header.files),
+            metadata_count=2 + len(self._header.files),
             schema_count=2,
         ).write(builder)
         for index in self._indices:

@@ -23,11 +23,11 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, Message, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.mcap_file import FILES, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note
+from tsa_ctrl.log.mcap_file import FILES, HEAD, MAGIC, NOTES_SCHEMA, NOTES_TOPIC, SCHEMA_NAME, Note
 
 ALWAYS = 256 << 20  # bytes that any file may unpack to: half an hour of one axis at 1 kHz as CSV
 RATIO = 200  # permitted compression ratio beyond that: logs of a rig at rest reach 60, of a moving rig 2 to 10
@@ -144,11 +144,15 @@ class LogFile:
         self.complete, self.damaged = False, 0
         self.notes = []
         counted = Unpacked(self.path)
+        chunks = 0
         for opcode, content in self._records():
             if opcode == Opcode.FOOTER:
                 self.complete = True
+            elif opcode == Opcode.STATISTICS:  # a chunk whose first byte is damaged is no chunk to the loop
+                self.damaged += abs(_announced(content) - chunks)
             if opcode != Opcode.CHUNK:
                 continue
+            chunks += 1
             data = _unpacked(content, counted)
             if data is not None and self._holds_notes(data):
                 self.notes += _notes(data)
@@ -202,7 +206,9 @@ class LogFile:
                     return
 
     def _read_head(self) -> None:
+        read = 0  # CRC 32 of the records before this one
         for opcode, content in self._records():
+            before, read = read, _chained(read, opcode, content)
             if opcode == Opcode.SCHEMA:
                 self._take_schema(Schema.read(_stream(content)))
             elif opcode == Opcode.CHANNEL:
@@ -212,9 +218,16 @@ class LogFile:
                     continue
                 self._channels[channel.id] = channel.metadata.get("axis", channel.topic.strip("/"))
             elif opcode == Opcode.METADATA:
-                self._take_metadata(Metadata.read(_stream(content)))
+                record = Metadata.read(_stream(content))
+                if record.name == HEAD:
+                    if record.metadata != {"crc32": f"{before:08x}"}:
+                        raise ValueError("wrong checksum")
+                    return
+                self._take_metadata(record)
             elif opcode in (Opcode.CHUNK, Opcode.DATA_END):
-                return
+                break
+        if "checksum" in self.about:  # logs of earlier versions have none
+            raise ValueError("no checksum")
 
     def _take_schema(self, schema: Schema) -> None:
         if schema.name == NOTES_SCHEMA:
@@ -249,6 +262,19 @@ def _notes(data: bytes) -> list[Note]:
             pass
         position += length
     return found
+
+
+def _announced(content: bytes) -> int:
+    """Return the number of chunks according to the statistics at the end of a log, or -1 if these are damaged."""
+    try:
+        return int(Statistics.read(_stream(content)).chunk_count)
+    except _DAMAGED:
+        return -1
+
+
+def _chained(checksum: int, opcode: int, content: bytes) -> int:
+    """Return the CRC 32 of the records so far and one more."""
+    return zlib.crc32(content, zlib.crc32(bytes([opcode]) + len(content).to_bytes(8, "little"), checksum))
 
 
 def _stream(content: bytes) -> ReadDataStream:

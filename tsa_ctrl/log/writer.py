@@ -13,6 +13,7 @@ import select
 import signal
 import sys
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
@@ -28,6 +29,7 @@ from tsa_ctrl.system.processes import ignore
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost
+SYNCED = 1.0  # s between two waits for the disk: what a power failure can cost, with CHUNK
 RETRY = 1.0  # s between attempts after a trouble
 HANGS = 4.0  # s without a sign of life until another one takes over: half of what the ring holds at 1 kHz
 DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"
@@ -53,6 +55,10 @@ class LogWriter:
         self._dropped = 0
         self._trouble = 0
         self._due = 0.0
+        self._syncing: Future[None] = Future()  # in a thread: a memory card may take seconds, and the ring holds 8 s
+        self._syncing.set_result(None)
+        self._sync_due = 0.0
+        self._disk = ThreadPoolExecutor(1)
 
     def step(self, now: float, last: bool = False) -> None:
         """Take what the ring has; write a chunk when it is due, or at once when `last`. `now` in s, any clock."""
@@ -65,7 +71,7 @@ class LogWriter:
         self._notes += [note for data in self._ring.notes() if (note := Note.decoded(data)) is not None]
         del self._notes[:-MOST_NOTES]
         if now >= self._due or last:
-            self._write()
+            self._write(now)
             self._due = now + (RETRY if self._trouble else CHUNK)
         while self._waiting > MOST_PENDING:
             self._drop_oldest()
@@ -76,16 +82,17 @@ class LogWriter:
         self.step(0.0, last=True)
         if orphaned:
             self._notes.append(Note(self._newest, "", DEAD, fault=True))
-            self._write()
+            self._write(0.0)
         try:
             if self._file is not None:
                 self._file.finish()
         except OSError as error:
             self._trouble = error.errno or errno.EIO
+        self._disk.shutdown(wait=False)
         self._dropped += self._waiting
         self._report(WriterState.ENDED)
 
-    def _write(self) -> None:
+    def _write(self, now: float) -> None:
         try:
             if self._file is None:
                 self._file = McapFile(self._path, self._header)
@@ -93,11 +100,19 @@ class LogWriter:
                 self._file.write([_joined(blocks) for blocks in self._pending])
                 self._forget()
             self._file.write_notes(self._notes)
+            self._notes.clear()
+            self._sync(self._file, now)
         except OSError as error:
             self._trouble = error.errno or errno.EIO
             return
         self._trouble = 0
-        self._notes.clear()
+
+    def _sync(self, file: McapFile, now: float) -> None:
+        """Have the disk store the file once a second, and raise the OSError of the last time."""
+        if self._syncing.done() and now >= self._sync_due:
+            self._sync_due = now + SYNCED
+            before, self._syncing = self._syncing, self._disk.submit(file.sync)
+            before.result()
 
     def _forget(self) -> None:
         self._ring.stored()

@@ -76,7 +76,8 @@ def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
 
 LOOK = 0.1  # s between two checks of the worker
 REST = 1.0  # s between two starts, so that a worker that fails at once takes no processor time from the loop
-MOST = 10  # replacements before the keeper gives up
+LONGEST_REST = 10.0  # s; REST doubles up to it while workers fail: a start takes 0.1 s of a processor, so 1 % of it
+MOST = 10  # replacements in a row once the keeper's parent has ended: the worker still has to store what is left
 
 
 def keep(
@@ -88,7 +89,8 @@ def keep(
 ) -> int:
     """Run `work` in a child process and start another one whenever it fails.
 
-    Call this in a process with one thread. If this process ends, the worker ends as well.
+    Call this in a process with one thread. If this process ends, the worker ends as well. As long as the parent of
+    this process lives, a failed worker is always replaced.
 
     Args:
         work: the worker's function; receives the number of earlier workers and returns an exit code.
@@ -98,19 +100,23 @@ def keep(
         replaced: called before each replacement with the number of earlier workers.
 
     Returns:
-        0 when a worker ends with 0, or 1 after `MOST` replacements.
+        0 when a worker ends with 0, or 1 after `MOST` replacements since the end of this process's parent.
     """
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # waited for, below
-    for number in range(MOST + 1):
+    parent, number, orphaned, rest = os.getppid(), 0, 0, REST
+    while orphaned <= MOST:
         if number:
             replaced(number)
         alive()
         begun = time.monotonic()
         worker = _start(work, number)
-        code = _watched(worker, heard, hangs)
-        if code == 0:
+        if _watched(worker, heard, hangs) == 0:
             return 0
-        time.sleep(max(0.0, begun + REST - time.monotonic()))
+        worked = time.monotonic() - begun
+        time.sleep(max(0.0, rest - worked))
+        rest = REST if worked > LONGEST_REST else min(2.0 * rest, LONGEST_REST)
+        number += 1
+        orphaned += os.getppid() != parent
     return 1
 
 
