@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from tsa_ctrl.safety.residuals import Elongation, Give, Standstill, Velocity
@@ -92,6 +93,23 @@ def test_a_step_of_a_motor_that_rings_on_its_tendons_stops_nothing() -> None:
         angle = 2.0 / STIFFNESS * (1.0 - math.cos(2.0 * math.pi * 40.0 * t))
         speed = 2.0 / STIFFNESS * 2.0 * math.pi * 40.0 * math.sin(2.0 * math.pi * 40.0 * t)
         assert check.update(2.0 if n else 0.0, angle, speed, 0.3) is None
+
+
+@pytest.mark.parametrize("friction", [0.4, 0.6, 0.75])
+def test_a_torque_that_swings_and_turns_back_on_much_friction_stops_nothing(friction: float) -> None:
+    """A swing like that of a human-in-the-loop load at a friction angle of 0.8.
+
+    The motor follows the torque at a distance of `friction` N*m and rests while the torque turns back.
+    """
+    give = Give(stiffness=33.3, wound=0.0864, domain=1.8, play=0.0, free=0.55, inertia=1e-4)
+    check, slid, last = Elongation(give, PERIOD), 0.0, 0.0
+    course = [(0.0, 0.0), (0.3, 1.04), (0.5, 1.04), (0.52, -1.72), (0.55, -1.29), (0.8, -1.29)]  # s, N*m
+    for n in range(800):
+        torque = float(np.interp(n * PERIOD, *zip(*course, strict=True)))
+        slid = min(torque + friction, max(torque - friction, slid))
+        angle = slid / give.stiffness
+        assert check.update(torque, angle, (angle - last) / PERIOD, 0.0) is None, n
+        last = angle
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

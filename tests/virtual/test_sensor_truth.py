@@ -32,11 +32,6 @@ def test_a_motor_that_turns_the_wrong_way_while_its_torque_rests_is_found(
     tmp_path: Path, load: str, axis: dict[str, Any], offset: float
 ) -> None:
     """Within 0.1 s and 20 mJ; before, after 0.5 s and 738 mJ."""
-    if axis is BLIND and offset > 0.0 and load == "weight":
-        pytest.xfail(
-            "168 ms, 494 mJ: the elongation changes by 21 mrad within 50 ms, as much as the joint's motion explains "
-            "by a friction reversal at the assumed uncertainty; the motor's first move lasts 4 ms, below the low-pass"
-        )
     constant = {"kind": "constant", "offset": offset}
     result = play(tmp_path, load, constant, AT + 0.3, axis=axis, faults=[f"reversed_sign@{AT}"], compensation=0.95)
     after, _ = first(result)
