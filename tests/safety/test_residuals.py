@@ -103,9 +103,9 @@ def test_a_torque_that_swings_and_turns_back_on_much_friction_stops_nothing(fric
     """
     give = Give(stiffness=33.3, wound=0.0864, domain=1.8, play=0.0, free=0.55, inertia=1e-4)
     check, slid, last = Elongation(give, PERIOD), 0.0, 0.0
-    course = [(0.0, 0.0), (0.3, 1.04), (0.5, 1.04), (0.52, -1.72), (0.55, -1.29), (0.8, -1.29)]  # s, N*m
+    times, torques = [0.0, 0.3, 0.5, 0.52, 0.55, 0.8], [0.0, 1.04, 1.04, -1.72, -1.29, -1.29]  # s, N*m
     for n in range(800):
-        torque = float(np.interp(n * PERIOD, *zip(*course, strict=True)))
+        torque = float(np.interp(n * PERIOD, times, torques))
         slid = min(torque + friction, max(torque - friction, slid))
         angle = slid / give.stiffness
         assert check.update(torque, angle, (angle - last) / PERIOD, 0.0) is None, n
