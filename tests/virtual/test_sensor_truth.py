@@ -78,7 +78,7 @@ def test_a_signal_that_contradicts_the_others_is_named(tmp_path: Path, fault: st
 
 @pytest.mark.slow
 @pytest.mark.xfail(
-    reason="no fault within 0.4 s (0.5 mJ), only an event after 19 ms: a joint that comes to rest gives the same signals"
+    reason="no fault within 0.4 s (0.5 mJ), an event after 19 ms; a rule for a resting motor stopped a healthy limb"
 )
 def test_both_encoders_that_stick_while_the_joint_moves_are_found(tmp_path: Path) -> None:
     faults = [f"encoder_stuck@{AT}", f"motor_encoder_stuck@{AT}"]
