@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import contextlib
+import dataclasses
 import datetime
 import json
 import multiprocessing
@@ -140,7 +141,7 @@ def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int
 def read_rows(path: Path | None) -> list[Row]:
     """Return the rows of a results file, empty without a file. A torn last line of a killed run is ignored."""
     text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
-    return [json.loads(line) for line in text.splitlines() if line.endswith("}")]
+    return [json.loads(line) for line in text.split("\n")[:-1] if line]
 
 
 class Results:
@@ -155,6 +156,8 @@ class Results:
         for row in read_rows(path):
             if counts(row):
                 self._rows[key(row)] = row
+        if path is not None and path.exists() and not (text := path.read_text(encoding="utf-8")).endswith("\n"):
+            path.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")  # a line that an interruption cut off
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._rows
@@ -183,6 +186,31 @@ def run_rows(
         kept.add(row)
         each(row)
     return [kept[item] for item in items]
+
+
+def from_row(kind: type[Item], row: Row) -> Item:
+    """Return the case of a row: a dataclass whose fields are keys of the row."""
+    return kind(*(row[field.name] for field in dataclasses.fields(kind)))  # type: ignore[arg-type]
+
+
+def judged(
+    work: Callable[[Item], Row],
+    items: Sequence[Item],
+    key: Callable[[Row], Hashable],
+    chosen: argparse.Namespace,
+    good: Callable[[Row], bool],
+    words: Callable[[Row], str],
+    tables: Callable[[list[Row]], Iterable[object]],
+) -> int:
+    """Run the items that are not in --rows, print each that misses a goal and the tables; return 1 if one missed."""
+
+    def missed(row: Row) -> None:
+        if not good(row) and not chosen.json:
+            print(f"missed: {words(row)}", flush=True)
+
+    rows = run_rows(work, items, key, chosen, missed)
+    print_tables(rows, chosen, lambda: tables(rows))
+    return int(not all(map(good, rows)))
 
 
 def print_tables(rows: Sequence[Row], chosen: argparse.Namespace, tables: Callable[[], Iterable[object]]) -> None:

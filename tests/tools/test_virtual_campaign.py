@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from tools.campaign.phase.acts import ACTS
 from tools.campaign.phase.catalogue import BY_NAME, HAZARDS
 from tools.campaign.phase.plan import MOMENTS, PHASES, Draw, Trial, chosen, full, pairs
-from tools.campaign.phase.stage import RECOVER_ACT, Seen, Traces
+from tools.campaign.phase.stage import RECOVER_ACT, Seen
 from tools.campaign.phase.verdict import Judge, judge
 from tools.manual import hazards
 from tools.manual.hazards import load
@@ -29,11 +30,8 @@ STALE = "stale PDO: drive node 1: 3 cycles in a row"
 
 def test_torque_that_does_not_end_is_unsafe() -> None:
     """The motor keeps its torque for 0.4 s after the fault; 0.25 s are allowed."""
-    traces = Traces()
-    for row in range(400):
-        traces.clock.append(1.0 + 1e-3 * row)
-        for column in traces.columns:
-            column.append(0.5)
+    names = ("enabled", "torque_loop", "q_j", "omega_j", "tau_j")
+    traces = {"clock": 1.0 + 1e-3 * np.arange(400), **dict.fromkeys(names, np.full(400, 0.5))}
     seen = Seen((traces,), 1.0, 1.4, 0.0, math.inf, (STALE,), ("stale_pdo",), (), "", "")
     assert "torque zero after 399 ms, allowed are 250" in Judge(LOST, seen, 0.25).verdict().wrong
 

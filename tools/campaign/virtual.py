@@ -1,6 +1,6 @@
 """Put every fault into every phase at twenty moments of the cycle, and judge motor and joint, in virtual time.
 
-Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TEXT]... [--out FILE] [--seed 1]
+Usage: tools/run campaign/virtual [--pairs] [--part I/N] [--sample N] [--only TEXT]... [--rows FILE] [--seed 1]
                                   [--sensors motor encoder sensor] [--processes 1|2] [--keep] [--json] [--list]
 
 The daemon's own loop on the real plant under one clock: every fault of the catalogue while it starts, enables, fades
@@ -14,7 +14,7 @@ by more than 2 rad/s, 0.35 rad or 0.1 J beyond its motion without the fault, wit
 recovery, in a first startup of the same length (phase/verdict.py gives the reason). The same three limits judge a wrong
 signal that shows only with motion.
 
-Each trial is a line in --out (default virtual.jsonl), written at once: a run that was interrupted goes on with the same
+Each trial is a line in --rows (default virtual.jsonl), written at once: an interrupted run goes on with the same
 command. --part I/N does every N-th trial from the I-th on; --sample N the first N of a drawn order. --keep writes the
 result of all lines into tools/campaign/phase/hazards.json, from which `tools/run manual/write` makes the table of
 hazards. Ends with the line `N trials, N safe`; exit code 1 unless all are.
@@ -26,15 +26,16 @@ import datetime
 import functools
 import json
 import platform
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 from tools import command
 from tools.campaign.passive.experiment import SENSORS
 from tools.campaign.phase.catalogue import HAZARDS
 from tools.campaign.phase.plan import Trial, chosen
-from tools.campaign.phase.results import KEPT, Row, read, row, summary
+from tools.campaign.phase.results import KEPT, row, summary
 from tools.campaign.phase.verdict import judge
+from tools.command import Row
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
 
@@ -45,18 +46,14 @@ def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--pairs", action="store_true", help="two faults at once: a drawn sample of 500")
     parser.add_argument("--part", default="1/1", metavar="I/N", help="every N-th trial from the I-th on")
-    parser.add_argument("--sample", type=int, metavar="N", help="the first N of a drawn order")
     parser.add_argument("--only", action="append", default=[], metavar="TEXT", help="trials with TEXT in their name")
     parser.add_argument("--sensors", nargs="+", choices=SENSORS, help="every trial with each (default: as drawn)")
-    parser.add_argument("--out", type=Path, default=Path("virtual.jsonl"), help="a line for each trial")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=1, choices=range(1, command.MOST_PROCESSES + 1))
+    command.share(parser, "sample rows seed processes json", rows=Path("virtual.jsonl"), seed=1)
     parser.add_argument("--keep", action="store_true", help="sum all lines up for the manual")
-    parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
     parser.add_argument("--list", action="store_true", help="the names of all trials")
     options = parser.parse_args()
     kind = "pairs" if options.pairs else "full"
-    trials = chosen(options.seed, kind, options.sample, tuple(options.only), part(options.part))
+    trials = chosen(options.seed, kind, options.sample or None, tuple(options.only), part(options.part))
     if options.sensors:
         trials = [trial.with_sensors(sensors) for trial in trials for sensors in options.sensors]
     if options.list:
@@ -64,45 +61,30 @@ def main() -> int:
         return 0
     if not trials:
         raise UsageError(f"no trial has '{', '.join(options.only)}' in its name; see --list")
-    found = read(options.out, options.seed)
-    done = {each["key"] for each in found}
-    waiting = [trial for trial in trials if trial.key not in done]
-    with options.out.open("a", encoding="utf-8") as file:
-        for number, each in enumerate(
-            command.parallel(functools.partial(play, options.seed), waiting, options.processes), 1
-        ):
-            file.write(json.dumps(each) + "\n")
-            file.flush()
-            found.append(each)
-            if sys.stderr.isatty():
-                print(f"\r{number}/{len(waiting)} {each['key']:70.70}", end="\r", file=sys.stderr)
+    by_key = {(options.seed, trial.key): trial for trial in trials}
+    work = functools.partial(play, by_key)
+    rows = command.run_rows(work, list(by_key), lambda each: (each["seed"], each["key"]), options)
     if options.keep:
-        keep(found, options.seed)
-    keys = {trial.key for trial in trials}
-    mine = [each for each in found if each["key"] in keys]
-    unsafe = [each for each in mine if each["wrong"]]
-    if options.json:
-        print(json.dumps({"schema": 1, "trials": len(mine), "hazards": summary(mine), "unsafe": unsafe}))
-    else:
-        show(mine, unsafe)
-    return 1 if unsafe else 0
+        keep([each for each in command.read_rows(options.rows) if each["seed"] == options.seed], options.seed)
+    command.print_tables(rows, options, lambda: report(rows))
+    return int(any(each["wrong"] for each in rows))
 
 
 def part(text: str) -> tuple[int, int]:
-    """I/N; raises UsageError."""
+    """Return I and N of "I/N"; raises UsageError."""
     place, slash, parts = text.partition("/")
     if not (slash and place.isdigit() and parts.isdigit() and 1 <= int(place) <= int(parts)):
         raise UsageError(f"--part {text}: allowed is I/N with I from 1 to N, for example 1/4")
     return int(place), int(parts)
 
 
-def play(seed: int, trial: Trial) -> Row:
-    """One trial's line."""
-    return row(trial, judge(trial), seed)
+def play(trials: dict[tuple[int, str], Trial], key: tuple[int, str]) -> Row:
+    """Return the row of one trial."""
+    return row(trials[key], judge(trials[key]), key[0])
 
 
 def keep(rows: list[Row], seed: int) -> None:
-    """Sum up for the manual."""
+    """Write the sums for the manual."""
     about = {
         "date": datetime.date.today().isoformat(),
         "python": platform.python_version(),
@@ -114,23 +96,18 @@ def keep(rows: list[Row], seed: int) -> None:
     settings.write_text(KEPT, json.dumps({"about": about, "hazards": summary(rows)}, indent=1) + "\n")
 
 
-def show(rows: list[Row], unsafe: list[Row]) -> None:
-    """A line for each hazard, the unsafe trials, and the last line."""
+def report(rows: list[Row]) -> Iterator[str]:
+    """Yield a line for each hazard, the worst and the unsafe trials, and the last line."""
     found = summary(rows)
-    for hazard in HAZARDS:
-        each = found.get(hazard.name)
-        if each is not None:
-            within = "" if each["zero_worst"] is None else f", zero after {1e3 * each['zero_worst']:.0f} ms at most"
-            print(f"{hazard.name:42.42} {each['safe']:>4} of {each['trials']:>4} safe{within}")
+    for hazard, each in ((hazard, found[hazard.name]) for hazard in HAZARDS if hazard.name in found):
+        within = "" if each["zero_worst"] is None else f", zero after {1e3 * each['zero_worst']:.0f} ms at most"
+        yield f"{hazard.name:42.42} {each['safe']:>4} of {each['trials']:>4} safe{within}"
     for sensors in SENSORS:
         mine = [each for each in rows if each["key"].endswith(f"| {sensors}")]
         for each in sorted(mine, key=lambda row: -float(row["energy"]))[:WORST]:
             moved = f"{1e3 * each['energy']:.0f} mJ, {each['speed']:.1f} rad/s, {each['travel']:.2f} rad"
-            print(f"{sensors}: {each['key']} ({', '.join(map(str, each['rig']))}): {moved}; {each['cause'][:60]}")
+            yield f"{sensors}: {each['key']} ({', '.join(map(str, each['rig']))}): {moved}; {each['cause'][:60]}"
+    unsafe = [each for each in rows if each["wrong"]]
     for each in unsafe:
-        print(f"unsafe: {each['key']} ({', '.join(map(str, each['rig']))}): {'; '.join(each['wrong'])}")
-    print(f"\n{len(rows)} trials, {len(rows) - len(unsafe)} safe")
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        yield f"unsafe: {each['key']} ({', '.join(map(str, each['rig']))}): {'; '.join(each['wrong'])}"
+    yield f"\n{len(rows)} trials, {len(rows) - len(unsafe)} safe"

@@ -9,20 +9,16 @@ from typing import Any
 
 import msgspec
 
+from tools.campaign.daemon import Daemon
 from tools.campaign.drive.variations import Variation
 from tools.command import CONFIG
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
-from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.setpoint import SetPointSettings
-from tsa_ctrl.daemon.assembly import LoopPhase, control_axes, tuners_of
-from tsa_ctrl.daemon.events import Event, Events
-from tsa_ctrl.daemon.loop import Loop
-from tsa_ctrl.daemon.operation import Operation
-from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.errors import TsaError
-from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.machine import AxisNodes, Machine
 from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
@@ -104,18 +100,8 @@ class Station:
 
     def run(self, story: Story) -> list[str]:
         """One run of the daemon, until the story is over; returns what was not confirmed."""
-        configuration = self.configuration
-        file = configuration.file
-        rig = Rig(self.wire.host, file.bus, file.axes, configuration.profiles)
-        axes = control_axes(configuration, rig)
-        tuners = tuners_of(axes, configuration.period)
-        self.mailbox = Mailbox(len(axes), len(tuners[0].parameters))
-        events = Events()
-        telemetry = Telemetry(rig, axes, tuners, self.mailbox, None, None, events)
-        loop = Loop(
-            rig, axes, tuners, self.mailbox, telemetry, events, file.controller, file.bus.supervision,
-            lambda: round(self.wire.now * 1e9),
-        )  # fmt: skip
+        daemon = self.daemon = Daemon(self.configuration, self.wire, self.told.append)
+        loop = daemon.loop
         self.proved = self.ended = False
 
         def look(now: float) -> None:
@@ -131,21 +117,20 @@ class Station:
             self.proved = True
             self.wire.at(self.wire.now + LOOK, look)
 
-        operation = Operation(configuration, rig, axes, loop, self.told.append)
         try:
-            operation.run(math.inf, ready=begin)
-            telemetry.check_bus(0.0)
+            daemon.operation.run(math.inf, ready=begin)
+            daemon.telemetry.check_bus(0.0)
         finally:
-            self.mailbox.close()
-            self.history += events.all
-            fault = events.first_fault
+            daemon.mailbox.close()
+            self.history += daemon.events.all
+            fault = daemon.events.first_fault
             self.first_fault = "" if fault is None else f"{fault.text}; {REMEDIES[fault.cause_id]}"
-        return operation.unconfirmed
+        return daemon.operation.unconfirmed
 
     def recover(self) -> None:
         """Request a recovery; the loop permits one in REST."""
         self.released = self.wire.now
-        self.mailbox.put(Command(0, RECOVER, 1.0))
+        self.daemon.recover()
 
     def begin(self, fault: str, duration: float = 0.0) -> None:
         self.machine.begin_fault(None, FaultSettings(name=fault, duration=duration), self.wire.now)

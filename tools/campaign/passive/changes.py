@@ -25,17 +25,16 @@ configuration. --which: those that missed a goal. Exit code 1: a goal was missed
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import functools
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 from rich.table import Table
 
 from tools import command
 from tools.campaign.passive.cases import AT, CONFIRMED, Case, judge
 from tools.campaign.passive.experiment import INERTIA, SENSORS, SET_POINTS
+from tools.command import Row
 from tsa_ctrl.errors import UsageError
 
 CHANGES = {
@@ -72,7 +71,7 @@ def change_of(text: str) -> tuple[str, float]:
     return name, share
 
 
-def table(rows: Sequence[dict[str, Any]]) -> Table:
+def table(rows: Sequence[Row]) -> Table:
     """Return a line for each sensor configuration, load and set-point."""
     heads = ("sensors", "load", "set-point", "runs", "added, worst (mJ)", "goal", "late, worst (mJ)", "reported")
     found = Table(*heads, "latched", "missed", "at rest (rad/s; N·m)", title="changes", title_justify="left")
@@ -98,7 +97,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     return found
 
 
-def listing(title: str, rows: Iterable[dict[str, Any]]) -> Table:
+def listing(title: str, rows: Iterable[Row]) -> Table:
     """Return a line for each row: work, speed, and how soon the loop reported and latched."""
     heads = ("sensors", "load", "set-point", "change", "delay", "at (s)", "then (rad/s)", "added (mJ)", "c = 0 (mJ)")
     more = ("peak (rad/s)", "reported (s)", "latched (s)", "after (mJ)", "late (mJ)", "words")
@@ -123,7 +122,7 @@ def listing(title: str, rows: Iterable[dict[str, Any]]) -> Table:
     return found
 
 
-def losses(rows: Sequence[dict[str, Any]]) -> Table:
+def losses(rows: Sequence[Row]) -> Table:
     """Return a line for each load, set-point and loss: the worst work before and once both directions have slid, mJ."""
     found = Table("load", "set-point", "change", *SENSORS, "c = 0", title=LOSS_TITLE, title_justify="left")
     keys = dict.fromkeys((row["load"], row["set_point"], case_of(row).what) for row in rows)
@@ -140,7 +139,7 @@ def losses(rows: Sequence[dict[str, Any]]) -> Table:
     return found
 
 
-def worst(rows: Sequence[dict[str, Any]]) -> list[Table]:
+def worst(rows: Sequence[Row]) -> list[Table]:
     """Return the tables of those that were added most work, one for each sensor configuration."""
     found = []
     for sensors in SENSORS:
@@ -173,13 +172,7 @@ def run(chosen: argparse.Namespace) -> int:
     found = command.drawn(cases(chosen), chosen)
     play = functools.partial(judge, compensation=chosen.compensation, compare=chosen.loss)
 
-    def missed(row: dict[str, Any]) -> None:
-        if not row["good"] and not chosen.json:
-            print(f"missed: {case_of(row).name}: {words(row)}", flush=True)
-
-    rows = command.run_rows(play, found, lambda row: _at(row, chosen.compensation), chosen, missed)
-
-    def tables() -> list[Table | str]:
+    def tables(rows: list[Row]) -> list[Table | str]:
         changed = [row for row in rows if row["change"]]
         tables: list[Table | str] = [losses(changed)] if chosen.loss else [table(rows)]
         tables += worst(rows) if chosen.worst else []
@@ -188,21 +181,24 @@ def run(chosen: argparse.Namespace) -> int:
         drawn = f"; seed {chosen.seed}" if chosen.sample else ""
         return [*tables, f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed{drawn}"]
 
-    command.print_tables(rows, chosen, tables)
-    return 0 if all(row["good"] for row in rows) else 1
+    key = functools.partial(_at, compensation=chosen.compensation)
+    return command.judged(play, found, key, chosen, good, lambda row: f"{case_of(row).name}: {words(row)}", tables)
 
 
-def _at(row: dict[str, Any], compensation: float) -> Case | None:
+def good(row: Row) -> bool:
+    """Return whether a case met its goals."""
+    return bool(row["good"])
+
+
+def _at(row: Row, compensation: float) -> Case | None:
     """Return the case of a row with this compensation; None for a row of another one."""
     return case_of(row) if row["compensation"] == compensation else None
 
 
-def case_of(row: dict[str, Any]) -> Case:
-    """Return the case of a row."""
-    return Case(*(row[field.name] for field in dataclasses.fields(Case)))
+case_of = functools.partial(command.from_row, Case)
 
 
-def words(row: dict[str, Any]) -> str:
+def words(row: Row) -> str:
     """Return the measurement as a line."""
     if not row["change"]:
         return f"{row['speed']:.3f} rad/s, {row['torque']:.3f} N*m at rest" + (", told" if row["told"] else "")

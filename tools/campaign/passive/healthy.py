@@ -82,11 +82,11 @@ def run(chosen: argparse.Namespace) -> int:
     waiting = [part for part in parts if (part, chosen.compensation) not in known]
     parts = done + waiting[: chosen.slices * len(chosen.sensors) * len(chosen.loads)]
     work = functools.partial(play, compensation=chosen.compensation)
-    rows = command.run_rows(work, parts, lambda row: key_of(row)[0], chosen)
-    command.print_tables(rows, chosen, lambda: [table(rows)])
-    return 1 if any(row["said"] for row in rows) else 0
+    return command.judged(
+        work, parts, lambda row: key_of(row)[0], chosen, lambda row: not row["said"], str, lambda rows: [table(rows)]
+    )
 
 
 def key_of(row: dict[str, Any]) -> tuple[Slice, float]:
     """Return what makes a slice."""
-    return Slice(*(row[field.name] for field in dataclasses.fields(Slice))), row["compensation"]
+    return command.from_row(Slice, row), row["compensation"]

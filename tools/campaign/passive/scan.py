@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import itertools
 import time
 import zlib
@@ -37,6 +38,7 @@ from rich.table import Table
 from tools import command
 from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import most_work, peak_speed, reactions, speed
+from tools.command import Row
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
@@ -171,7 +173,7 @@ def good(row: dict[str, Any]) -> bool:
     return not (row["sustained"] or (row["excess_work"] and row["set_point"] == "zero"))
 
 
-def table(rows: Sequence[dict[str, Any]]) -> Table:
+def table(rows: Sequence[Row]) -> Table:
     """One line for each sensor configuration, load and set-point: worst speed and worst work, each with its cell."""
     heads = ("sensors", "load", "set-point", "cells", "missed", "speed (rad/s)", "at c = 0; ideal", "of the cell")
     found = Table(*heads, "work (mJ)", "of the cell", title="scan", title_justify="left")
@@ -225,14 +227,9 @@ def run(chosen: argparse.Namespace) -> int:
     tables_over = (tomlkit.parse(text).unwrap() for text in (chosen.axis, chosen.file))
     judge = Judge(chosen.compensation, chosen.use, chosen.rest, *tables_over)
 
-    def missed(row: dict[str, Any]) -> None:
-        if not good(row) and not chosen.json:
-            print(f"missed: {words(row)}", flush=True)
-
     begun = time.monotonic()
-    rows = command.run_rows(judge, found, cell_of, chosen, missed)
 
-    def tables() -> list[Table | str]:
+    def tables(rows: list[Row]) -> list[Table | str]:
         literal = sum(row["literal"] for row in rows if row["set_point"] == "constant")
         return [
             table(rows),
@@ -241,18 +238,12 @@ def run(chosen: argparse.Namespace) -> int:
             f"{time.monotonic() - begun:.0f} s",
         ]
 
-    command.print_tables(rows, chosen, tables)
-    return 0 if all(map(good, rows)) else 1
-
-
-def cell_of(row: dict[str, Any]) -> Cell:
-    """Return the cell of a row."""
-    return Cell(*(row[field.name] for field in dataclasses.fields(Cell)))
+    return command.judged(judge, found, functools.partial(command.from_row, Cell), chosen, good, words, tables)
 
 
 def words(row: dict[str, Any]) -> str:
     """Return the name and the measured values of a cell."""
-    name = cell_of(row).key
+    name = command.from_row(Cell, row).key
     speeds = f"{row['speed']:.2f} rad/s (c = 0: {row['speed_without']:.2f}, ideal {row['speed_ideal']:.2f})"
     first = "; ".join(text.split(";")[0] for text in row["events"][:2])
     return f"{name}: {speeds}, {1e3 * row['work']:.1f} mJ; {first or 'no event'}"

@@ -63,6 +63,9 @@ class Cell:
     set_point: str
 
 
+cell_of = functools.partial(command.from_row, Cell)
+
+
 def play(cell: Cell, compensation: float, delay: int, tables: tuple[dict[str, Any], dict[str, Any]]) -> dict[str, Any]:
     """Run a cell and return its errors, mN*m, or the loss of a constant torque, %."""
     axis, file = tables
@@ -195,8 +198,3 @@ def run(chosen: argparse.Namespace) -> int:
 
     command.print_tables(rows, chosen, shown)
     return 1 if any(row["missed"] for row in rows) else 0
-
-
-def cell_of(row: dict[str, Any]) -> Cell:
-    """Return the cell of a row."""
-    return Cell(*(row[field.name] for field in dataclasses.fields(Cell)))

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import statistics
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from tools.campaign.phase.catalogue import HAZARDS
 from tools.campaign.phase.plan import Trial
 from tools.campaign.phase.verdict import Verdict
-from tsa_ctrl.errors import UsageError
+from tools.command import Row
 
-Row = dict[str, Any]
 WITH_TORQUE = ("ramping", "running", "tuning")  # phases in which a time to torque zero means something
 KEPT = Path(__file__).with_name("hazards.json")  # what the manual's table is written from
 _WORDS = 60  # of a cause
@@ -38,26 +35,6 @@ def row(trial: Trial, verdict: Verdict, seed: int) -> Row:
         "cause": verdict.cause,
         "cause_id": verdict.cause_id,
     }
-
-
-def read(path: Path, seed: int) -> list[Row]:
-    """The trials that are done; a last line that an interruption cut off is not. Raises UsageError."""
-    if not path.is_file():
-        return []
-    rows: list[Row] = []
-    lines = path.read_text(encoding="utf-8").split("\n")
-    for number, line in enumerate(lines[:-1], 1):
-        try:
-            rows.append(json.loads(line))
-        except ValueError:
-            raise UsageError(f"{path}: line {number} is not a trial; take that line out") from None
-        if rows[-1]["seed"] != seed:
-            raise UsageError(
-                f"{path}: line {number} has seed {rows[-1]['seed']}, asked for is {seed}; choose another --out"
-            )
-    if lines[-1]:
-        path.write_text("".join(f"{line}\n" for line in lines[:-1]), encoding="utf-8")
-    return rows
 
 
 def summary(rows: Iterable[Row]) -> dict[str, Row]:

@@ -9,26 +9,25 @@ from __future__ import annotations
 import contextlib
 import math
 import random
-from array import array
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from tools.campaign.daemon import Daemon
 from tools.campaign.phase.acts import ACTS, DiedError
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import MOMENTS, Draw, Trial
 from tools.campaign.phase.rigs import FADE_IN, controller_of, plant_of
-from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.daemon.assembly import LoopPhase, control_axes, tuners_of
-from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.loop import Loop
-from tsa_ctrl.daemon.operation import Operation
-from tsa_ctrl.daemon.telemetry import Telemetry
+from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.errors import TsaError
-from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
+from tsa_ctrl.ipc.mailbox import Command
 from tsa_ctrl.plant.faults import parse_fault
 from tsa_ctrl.plant.machine import Machine
 from tsa_ctrl.safety.supervisor import Phase
 from tsa_ctrl.virtual.lockstep import Wire
+from tsa_ctrl.virtual.simulation import Truth
 
 RECOVER_ACT = "recover"  # of a hazard: a client asks for a recovery
 LOOK = 2.5e-4  # s between two looks at which phase it is
@@ -36,73 +35,9 @@ WATCH = 0.45  # s from a fault until its cause is taken away: longer than the to
 AFTER = 0.15  # s that are looked on afterwards
 BRING_UP = 0.25  # s of a start or a new bring-up, within which a fault comes
 READY = FADE_IN + 0.1  # s of torque before a fault of a running loop
+PERIOD = 1e-3  # s between two rows of the truth
 LONGEST = 6.0  # s of a whole trial: one that lasts longer hangs
-PLACES = (
-    5,
-    6,
-    7,
-    8,
-    10,
-    11,
-    12,
-    17,
-)  # of the record: enabled, command, torque_loop, tau_m, omega_m, q_j, omega_j, tau_j
-
-
-@dataclass
-class Traces:
-    """What one axis of the plant did, a row a millisecond."""
-
-    clock: array[float] = field(default_factory=lambda: array("d"))
-    columns: tuple[array[float], ...] = field(default_factory=lambda: tuple(array("d") for _ in PLACES))
-
-    @property
-    def enabled(self) -> array[float]:
-        return self.columns[0]
-
-    @property
-    def torque(self) -> array[float]:
-        """N*m that the motor's current makes."""
-        return self.columns[2]
-
-    @property
-    def angle(self) -> array[float]:
-        """rad of the joint"""
-        return self.columns[5]
-
-    @property
-    def speed(self) -> array[float]:
-        """rad/s of the joint"""
-        return self.columns[6]
-
-    @property
-    def delivered(self) -> array[float]:
-        """N*m at the joint"""
-        return self.columns[7]
-
-
-class _Watcher:
-    """Takes the machine's own record of the truth."""
-
-    def __init__(self, stage: Stage) -> None:
-        self._stage = stage
-        self._due = -1.0
-        self.axes = [Traces() for _ in range(stage.draw.axes)]
-
-    def due(self, t: float) -> bool:
-        if t < self._due or self._stage.over:
-            return False
-        self._due = max(self._due + 1e-3, t + 5e-4)
-        return True
-
-    def row(self, values: Sequence[float]) -> None:
-        traces = self.axes[int(values[2])]
-        traces.clock.append(values[0])
-        for column, place in zip(traces.columns, PLACES, strict=True):
-            column.append(values[place])
-
-    def flush(self, clock: float) -> None:
-        """Nothing is kept elsewhere."""
+Traces = dict[str, NDArray[np.float64]]  # of one axis of the plant, by the names of its record, a row a millisecond
 
 
 @dataclass(frozen=True)
@@ -137,20 +72,10 @@ class Stage:
         self.wire = Wire(file.bus.bitrate)
         self.machine = Machine(plant_of(draw), self.wire.plant, self.wire.plant.clock, self.wire.switch)
         self.wire.attach(self.machine)
-        self.watcher = _Watcher(self)
-        self.machine.recorder = self.watcher
-        rig = Rig(self.wire.host, file.bus, file.axes, configuration.profiles)
-        self._axes = control_axes(configuration, rig)
-        self._tuners = tuners_of(self._axes, configuration.period)
-        self._mailbox = Mailbox(len(self._axes), len(self._tuners[0].parameters))
-        self._events = Events()
-        telemetry = Telemetry(rig, self._axes, self._tuners, self._mailbox, None, None, self._events)
-        self.loop = Loop(
-            rig, self._axes, self._tuners, self._mailbox, telemetry, self._events, file.controller,
-            file.bus.supervision, lambda: round(self.wire.now * 1e9),
-        )  # fmt: skip
-        self._operation = Operation(configuration, rig, self._axes, self.loop)
-        self._period = configuration.period
+        self.truth = Truth(draw.axes, PERIOD)
+        self.machine.recorder = self.truth
+        self.daemon = Daemon(configuration, self.wire)
+        self.loop = self.daemon.loop
         self.injected: float | None = None
         self.cleared = math.inf
         self.asked = 0.0
@@ -158,16 +83,16 @@ class Stage:
         self.watch = WATCH
 
     def recover(self) -> None:
-        """As `tsa set recover 1`."""
+        """Request a recovery."""
         self.asked = self.wire.now
-        self._mailbox.put(Command(0, RECOVER, 1.0))
+        self.daemon.recover()
 
     def act(self, name: str) -> None:
         """Do one of `ACTS`; once the loop has died, nothing more is recorded."""
         try:
             ACTS[name](self.machine, self.wire)
         except DiedError:
-            self.over = True
+            self.over, self.machine.recorder = True, None
             raise
 
     def stop(self) -> None:
@@ -177,9 +102,9 @@ class Stage:
 
     def tune(self, name: str, value: float) -> None:
         """As `tsa set`, for every axis."""
-        for place, tuner in enumerate(self._tuners):
+        for place, tuner in enumerate(self.daemon.tuners):
             number = next(n for n, parameter in enumerate(tuner.parameters) if parameter.name == name)
-            self._mailbox.put(Command(place, number, value))
+            self.daemon.mailbox.put(Command(place, number, value))
 
     def begin(self, line: str) -> None:
         """A fault of the plant, of its first axis."""
@@ -196,7 +121,7 @@ class Stage:
         script = _Script(self, trial)
         self.wire.at(self.wire.now, script.look)
         try:
-            self._operation.run(math.inf)
+            self.daemon.operation.run(math.inf)
         except DiedError:
             pass  # what the way down did then is not in the record
         except TsaError as error:
@@ -207,10 +132,10 @@ class Stage:
             with contextlib.suppress(Exception):
                 if not self.over:
                     self.wire.pass_until(self.wire.now + 0.02)
-            self.close()
-        events = self._events.all
+            self.daemon.mailbox.close()
+        events = self.daemon.events.all
         return Seen(
-            tuple(self.watcher.axes),
+            tuple(self.truth.columns(place) for place in range(self.draw.axes)),
             self.injected,
             self.cleared,
             self.asked,
@@ -222,19 +147,15 @@ class Stage:
             crashed,
         )
 
-    def close(self) -> None:
-        """Give the shared memory back."""
-        self._mailbox.close()
-
     # what the script asks
 
     @property
     def enabling(self) -> bool:
-        return self._axes[0].supervisor.phase is Phase.ENABLING
+        return self.daemon.axes[0].supervisor.phase is Phase.ENABLING
 
     @property
     def enabled(self) -> bool:
-        return self._axes[0].supervisor.phase is Phase.ENABLED
+        return self.daemon.axes[0].supervisor.phase is Phase.ENABLED
 
     @property
     def faulted(self) -> bool:

@@ -18,10 +18,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
+from tools.campaign.passive.judge import windows
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import Trial
 from tools.campaign.phase.rigs import LIMIT, STOP_TIME
-from tools.campaign.phase.stage import Seen, Traces, play
+from tools.campaign.phase.stage import PERIOD, Seen, Traces, play
 
 ZERO = 0.01  # N*m of the motor, 1 % of its rated torque: below it counts as none
 PEAK = 1.05 * LIMIT  # N*m of the motor: the limiter's limit and the noise of a current loop
@@ -63,21 +66,15 @@ class Verdict:
 
 
 def motion(axes: Sequence[Traces], since: float, until: float = math.inf) -> Motion:
-    """The worst of all axes."""
-    speed = energy = 0.0
-    low = high = 0.0
-    for traces in axes:
-        work = least = 0.0
-        begin: float | None = None
-        for clock, angle, omega, torque in zip(traces.clock, traces.angle, traces.speed, traces.delivered, strict=True):
-            if not since <= clock <= until:
-                continue
-            begin = angle if begin is None else begin
-            speed = max(speed, abs(omega))
-            low, high = min(low, angle - begin), max(high, angle - begin)
-            work += torque * omega * 1e-3
-            least = min(least, work)
-            energy = max(energy, work - least)
+    """Return the worst of all axes between two times."""
+    speed = energy = low = high = 0.0
+    for truth in axes:
+        on = (truth["clock"] >= since) & (truth["clock"] <= until)
+        if on.any():
+            angle, omega = truth["q_j"][on], truth["omega_j"][on]
+            speed = max(speed, float(np.abs(omega).max()))
+            low, high = min(low, float(angle.min() - angle[0])), max(high, float(angle.max() - angle[0]))
+            energy = max(energy, float(windows(truth["tau_j"][on] * omega * PERIOD).max(initial=0.0)))
     return Motion(speed, low, high, energy)
 
 
@@ -100,10 +97,9 @@ class Judge:
         if seen.injected is None and not seen.refused:
             wrong.append(f"the phase {self._trial.phase} never came")
         peak = max(
-            (abs(torque) for each in seen.axes for torque, clock in zip(each.torque, each.clock, strict=True)
-             if clock >= self._since),
+            (float(np.abs(each["torque_loop"][each["clock"] >= self._since]).max(initial=0.0)) for each in seen.axes),
             default=0.0,
-        )  # fmt: skip
+        )
         if peak > PEAK:
             wrong.append(f"{peak:.2f} N*m are above the limit of {LIMIT:g}")
         wrong += self._torque()
@@ -116,13 +112,9 @@ class Judge:
         return self._of(self._seen.axes)
 
     def _of(self, axes: Sequence[Traces]) -> list[float]:
-        """Times after the fault at which a motor of these axes had torque, s, in order."""
-        return sorted(
-            clock
-            for each in axes
-            for clock, torque in zip(each.clock, each.torque, strict=True)
-            if clock >= self._since and abs(torque) > ZERO
-        )
+        """Return the times after the fault at which a motor of these axes had torque, s, in order."""
+        times = (each["clock"][(each["clock"] >= self._since) & (np.abs(each["torque_loop"]) > ZERO)] for each in axes)
+        return sorted(np.concatenate([[], *times]).tolist())
 
     @property
     def _zero(self) -> float | None:
@@ -195,19 +187,16 @@ class Judge:
     def _wanted(self) -> Motion:
         """What a first start without a fault does in as long as this trial's recovery was enabled."""
         began = first_enabled(self._seen.axes, self._seen.asked)
-        length = max((each.clock[-1] for each in self._seen.axes if each.clock), default=0.0) - began
+        length = max((float(each["clock"][-1]) for each in self._seen.axes if each["clock"].size), default=0.0) - began
         twin, _ = play(dataclasses.replace(self._trial, names=(), phase="enabling"))
         start = first_enabled(twin.axes, 0.0)
         return motion(twin.axes, start, start + length)
 
 
 def first_enabled(axes: Sequence[Traces], since: float) -> float:
-    """When the first of these axes was enabled from `since` on, s; infinite when none was."""
-    return min(
-        (clock for each in axes for clock, enabled in zip(each.clock, each.enabled, strict=True)
-         if clock >= since and enabled),
-        default=math.inf,
-    )  # fmt: skip
+    """Return when the first of these axes was enabled from `since` on, s; infinite when none was."""
+    times = (each["clock"][(each["clock"] >= since) & (each["enabled"] > 0.0)] for each in axes)
+    return float(np.concatenate([[math.inf], *times]).min())
 
 
 def _less(excess: Excess, here: Motion, there: Motion) -> Excess:
