@@ -167,7 +167,7 @@ def test_a_calibrated_file_can_be_calibrated_again(folder: Path) -> None:
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv"), "write LOG=NEWTON"),
         (("low.csv", "--model", "a.toml", "--tensioner", "low.csv=nan"), "write LOG=NEWTON"),
         (("low.csv", "--model", "a.toml", "--tensioner", "other.csv=3"), "matches no log"),
-        (("low.csv", "--model", "a.toml", "--hold-out", "low*"), "must match some but not all"),
+        (("low.csv", "--model", "a.toml", "--hold-out", "low*"), "matches every log; leave at least one"),
         (("low.csv", "--model", "a.toml", "--out", "no/such/folder.toml"), "cannot be written"),
         (("no_tau_j.csv", "--model", "a.toml"), "column tau_j is missing"),
         (("reversed.csv", "--model", "a.toml"), "is reversed"),

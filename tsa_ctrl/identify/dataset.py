@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 MOST_JITTER = 0.20  # of the period; a row further off is late, and with `strict` an error
 UNIFORM = 1e-3  # of the period: less jitter than this is rounding, and the samples stay as they are
+FEWEST_LOGS = 3  # from which on whole logs are held out: of two, one would be learned from alone
 FEWEST = 10  # rows, below which a table is no log but a heading of one
 NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
@@ -154,6 +155,34 @@ def load_logs(paths: Iterable[str | Path], strict: bool = False, cutoff: float |
 def matches(name: str, pattern: str) -> bool:
     """Whether a pattern of the command line means this dataset; the name of a file means all of its pieces."""
     return fnmatch.fnmatch(name, pattern) or fnmatch.fnmatch(name.partition("#")[0], pattern)
+
+
+def held_out_logs(names: Sequence[str], pattern: str | None) -> set[str]:
+    """Return the logs that are held out: those of the pattern, else every third by name of at least FEWEST_LOGS.
+
+    Raises:
+        UsageError: the pattern matches no log, or every log.
+    """
+    if pattern is None:
+        return set(sorted(names)[2::3]) if len(names) >= FEWEST_LOGS else set()
+    chosen = {name for name in names if matches(name, pattern)}
+    if not chosen:
+        raise UsageError(f"--hold-out '{pattern}' matches no log; the logs are {', '.join(names)}")
+    if len(chosen) == len(names):
+        raise UsageError(f"--hold-out '{pattern}' matches every log; leave at least one to learn from")
+    return chosen
+
+
+def held_out_blocks(count: int, blocks: int, first: int, gap: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the samples of one log to learn from and those held out, (count,) each.
+
+    Every third of the `blocks` is held out, from number `first` on. `gap` samples on either side, fewer than a block
+    has, belong to neither.
+    """
+    sample = np.arange(count)
+    held = sample * blocks // max(count, 1) % 3 == first
+    near = held | held[np.maximum(sample - gap, 0)] | held[np.minimum(sample + gap, count - 1)]
+    return ~near, held
 
 
 def _datasets(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> list[Dataset]:

@@ -26,7 +26,7 @@ from tsa_ctrl.identify.calibrate.prepared import PreparedLog, instrument_lag, of
 from tsa_ctrl.identify.calibrate.pretension_range import reached, remark
 from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
-from tsa_ctrl.identify.dataset import Dataset, matches, notes_of
+from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
@@ -234,33 +234,17 @@ def _experiment(model: TendonSheath) -> str:
 
 def _held_out(logs: list[PreparedLog], pattern: str | None) -> tuple[list[PreparedLog], list[PreparedLog]]:
     """Logs to learn from and logs to measure the error on: whole logs, or blocks of the one log with gaps."""
-    if pattern is not None:
-        chosen = [matches(log.name, pattern) for log in logs]
-        if not any(chosen) or all(chosen):
-            names = ", ".join(log.name for log in logs)
-            raise UsageError(f"calibrate: hold-out '{pattern}' must match some but not all of the logs: {names}")
-    elif len(logs) >= 3:
-        order = sorted(range(len(logs)), key=lambda i: logs[i].name)
-        held = {i for rank, i in enumerate(order) if rank % 3 == 2}
-        chosen = [i in held for i in range(len(logs))]
-    else:
-        return _blocks(logs)
-    train = [log for log, out in zip(logs, chosen, strict=True) if not out]
-    return train, [log for log, out in zip(logs, chosen, strict=True) if out]
-
-
-def _blocks(logs: list[PreparedLog]) -> tuple[list[PreparedLog], list[PreparedLog]]:
-    from scipy.ndimage import maximum_filter1d  # slow to import
-
+    held = held_out_logs([log.name for log in logs], pattern)
+    if held:
+        return [log for log in logs if log.name not in held], [log for log in logs if log.name in held]
     train, test = [], []
     for log in logs:
         n = log.tau_j.size
         period = float(log.signals.t[1] - log.signals.t[0])
-        held = (np.arange(n) * HELD_OUT_BLOCKS // n) % 3 == 2
-        gap = min(GAP / period, GAP_SHARE * n / HELD_OUT_BLOCKS)
-        near = maximum_filter1d(held.astype(np.int8), 2 * round(gap) + 1) > 0
-        train.append(log.restricted(~near))
-        test.append(log.restricted(held))
+        gap = round(min(GAP / period, GAP_SHARE * n / HELD_OUT_BLOCKS))
+        fit, out = held_out_blocks(n, HELD_OUT_BLOCKS, 2, gap)
+        train.append(log.restricted(fit))
+        test.append(log.restricted(out))
     return train, test
 
 

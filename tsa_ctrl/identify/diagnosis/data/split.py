@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.errors import UsageError
-from tsa_ctrl.identify.dataset import matches
+from tsa_ctrl.identify.dataset import held_out_blocks, held_out_logs
 from tsa_ctrl.identify.diagnosis.data.frame import Frame, Run, block_numbers
 
 STRETCHES = 12  # of one log; every third is held out
@@ -23,7 +22,6 @@ GAP = 0.3  # s between what is learned from and what is held out: what a reversa
 ENDS = 0.15
 FIRST_SPEED = 0.01  # of the fastest: slower is standstill at the log's start
 FIRST_TRAVEL = 0.02  # of half the range, after which a joint that stood has its friction whatever was before
-FEWEST_LOGS = 3  # from which on whole logs are held out: of two, one would be learned from alone
 
 
 @dataclass(frozen=True)
@@ -39,7 +37,7 @@ class Split:
 def split(runs: Sequence[Run], hold_out: str | None) -> Split:
     """Raises UsageError when the pattern matches no log, or every one."""
     names = [run.name for run in runs]
-    chosen = _chosen(names, hold_out)
+    chosen = held_out_logs(names, hold_out)
     counts = [run.count for run in runs]
     inner = np.concatenate([_inner(run) for run in runs])
     if chosen:
@@ -47,17 +45,6 @@ def split(runs: Sequence[Run], hold_out: str | None) -> Split:
         return Split(_frame(runs, ~held & inner), ~held & inner, held, tuple(sorted(chosen)))
     fit, held = _stretches(counts, runs[0].period)
     return Split(_frame(runs, inner), fit & inner, held, ())
-
-
-def _chosen(names: Sequence[str], hold_out: str | None) -> set[str]:
-    if hold_out is None:
-        return set(sorted(names)[2::3]) if len(names) >= FEWEST_LOGS else set()
-    chosen = {name for name in names if matches(name, hold_out)}
-    if not chosen:
-        raise UsageError(f"--hold-out '{hold_out}' matches no log; the logs are {', '.join(names)}")
-    if len(chosen) == len(names):
-        raise UsageError(f"--hold-out '{hold_out}' matches every log; leave at least one to learn from")
-    return chosen
 
 
 def _frame(runs: Sequence[Run], train: NDArray[np.bool_]) -> Frame:
@@ -87,10 +74,8 @@ def _stretches(counts: Sequence[int], period: float) -> tuple[NDArray[np.bool_],
     """Stretches 1, 4, 7 ... of each log are held out; a gap on either side belongs to neither."""
     fit, held = [], []
     for count in counts:
-        number = np.arange(count) * STRETCHES // max(count, 1)
-        inside = number % 3 == 1
         gap = min(round(GAP / period), count // (8 * STRETCHES))
-        near = np.convolve(inside, np.ones(2 * gap + 1), mode="same") > 0.0
+        outside, inside = held_out_blocks(count, STRETCHES, 1, gap)
         held.append(inside)
-        fit.append(~near)
+        fit.append(outside)
     return np.concatenate(fit), np.concatenate(held)

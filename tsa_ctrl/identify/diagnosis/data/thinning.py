@@ -13,9 +13,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from tsa_ctrl.identify.dataset import Dataset, matches
+from tsa_ctrl.identify.dataset import FEWEST_LOGS, Dataset, matches
 from tsa_ctrl.identify.diagnosis.data.frame import Run
-from tsa_ctrl.identify.diagnosis.data.split import FEWEST_LOGS
 from tsa_ctrl.model.functions import Array
 
 LONGEST = 600.0  # s, of all logs together: up to here reversals are placed to 7 ms (prepare.COMPUTE_SAMPLES)
