@@ -15,7 +15,7 @@ def entry() -> None:
 
 
 if __name__ == "__main__":
-    from tsa_ctrl.system.keeper import follow
+    from tsa_ctrl.system.process_supervisor import follow
 
     follow()
     entry()

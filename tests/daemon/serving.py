@@ -14,8 +14,8 @@ from tsa_ctrl.control.estimator import EstimateState
 from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox
 from tsa_ctrl.ipc.protocol import Description, Range
-from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.safety.limiter import Reason
+from tsa_ctrl.system.process_supervisor import READY
 
 PATIENCE = 20.0  # s
 

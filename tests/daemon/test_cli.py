@@ -27,7 +27,7 @@ from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.page import Page, sparkline
 from tsa_ctrl.ipc.protocol import Recover, Set
 from tsa_ctrl.ipc.report import status_report
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 
 
 @pytest.fixture

@@ -57,13 +57,13 @@ def test_manager_is_told_and_a_hang_shows(rig: Rig, monkeypatch: pytest.MonkeyPa
 
 
 def test_hung_socket_server_does_not_keep_the_daemon_from_its_end(rig: Rig) -> None:
-    """Its keeper hangs, too, so no other takes its place: the daemon ends both, and prints its summary."""
+    """Its supervisor hangs, too, so no other takes its place: the daemon ends both, and prints its summary."""
     rig.plant()
     daemon = rig.run()
     until(lambda: rig.phase("running"), STARTED)
     listed = subprocess.run(["pgrep", "-P", str(daemon.pid), "-f", "ipc.server"], capture_output=True, text=True)
-    (keeper,) = map(int, listed.stdout.split())
-    os.kill(keeper, signal.SIGSTOP)
+    (supervisor,) = map(int, listed.stdout.split())
+    os.kill(supervisor, signal.SIGSTOP)
     daemon.terminate()
     summary, error, code = ended(daemon)
     assert (code, summary["cause"]) == (0, "SIGTERM"), error

@@ -28,7 +28,7 @@ from tsa_ctrl.drills.samples import Timing, Watchdog
 from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial
 from tsa_ctrl.drills.verify import trial_torque, verify
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.system.processes import plant as plant_process
+from tsa_ctrl.system.process_supervisor import plant as plant_process
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 PATIENT = 1.5  # s until torque must be zero; the default is 50 ms beyond the longest time-out: machines stall so long

@@ -19,7 +19,7 @@ from tsa_ctrl.demo.outcome import course_of
 from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.log.table import read_table
-from tsa_ctrl.system.processes import daemon, plant
+from tsa_ctrl.system.process_supervisor import daemon, plant
 
 RATE = 100.0  # Hz: ten frames per cycle through two interpreters
 SECONDS = 6.0

@@ -9,12 +9,18 @@ import sys
 import time
 from pathlib import Path
 
-from tsa_ctrl.system.keeper import terminal_blocked
+from tsa_ctrl.system.process_supervisor import terminal_blocked
 
-CHILD = "import time; from tsa_ctrl.system.keeper import follow; follow(); print('up', flush=True); time.sleep(120)"
+CHILD = """
+import time
+from tsa_ctrl.system.process_supervisor import follow
+follow()
+print('up', flush=True)
+time.sleep(120)
+"""
 PARENT = f"""
 import subprocess, sys, time
-from tsa_ctrl.system.keeper import environment
+from tsa_ctrl.system.process_supervisor import environment
 child = subprocess.Popen([sys.executable, "-c", {CHILD!r}], env=environment(), stdout=subprocess.PIPE, text=True)
 print(child.stdout.readline().strip(), child.pid, flush=True)
 time.sleep(120)

@@ -4,7 +4,7 @@ import multiprocessing
 import signal
 from multiprocessing.connection import Connection
 
-from tsa_ctrl.system.processes import unheard_by_children
+from tsa_ctrl.system.process_supervisor import unheard_by_children
 
 
 def tell_mask(pipe: Connection) -> None:

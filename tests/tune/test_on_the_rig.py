@@ -17,7 +17,7 @@ from tsa_ctrl.demo.rig import BusChoice
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.model.parameters import load_tendon_sheath
-from tsa_ctrl.system.processes import plant, tsa
+from tsa_ctrl.system.process_supervisor import plant, tsa
 
 RATE = 500.0  # Hz
 PATIENCE = 120.0  # s

@@ -18,8 +18,8 @@ from tsa_ctrl.config import load_configuration
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.plant.process import check
-from tsa_ctrl.system.processes import daemon
-from tsa_ctrl.system.processes import plant as plant_process
+from tsa_ctrl.system.process_supervisor import daemon
+from tsa_ctrl.system.process_supervisor import plant as plant_process
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import Run
 

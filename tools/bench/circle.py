@@ -17,7 +17,7 @@ import tempfile
 
 from tools import command
 from tools.command import Row
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 
 CASES = (
     "viscous_friction:1",

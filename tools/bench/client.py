@@ -40,7 +40,7 @@ from tsa_ctrl.cli.init import with_values
 from tsa_ctrl.demo.rig import BusChoice, choose
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.ipc import protocol
-from tsa_ctrl.system.processes import plant, tsa
+from tsa_ctrl.system.process_supervisor import plant, tsa
 
 COMMANDS = 0x201  # RPDO 1 of node 1: controlword, target torque
 TORQUE = 0.1  # N*m at the joint, either way

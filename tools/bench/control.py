@@ -40,7 +40,7 @@ from tsa_ctrl.demo.rig import VIRTUAL
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 from tsa_ctrl.virtual.script import Change
 from tsa_ctrl.virtual.simulation import simulate_loop
 

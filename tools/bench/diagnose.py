@@ -35,7 +35,7 @@ from tools.command import Results, Row
 from tsa_ctrl.identify import diagnose
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import model_from
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 
 # Cases per name of a family; of none and pair: all together.
 FULL = {"none": 400, "hidden_direction": 25, "single": 30, "pair": 60, "outside": 8, "confounded": 6, "rigid": 10}

@@ -28,7 +28,7 @@ from tsa_ctrl.log.convert import write_columns
 from tsa_ctrl.log.mcap_file import McapFile
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.signals import FIELD_NAMES
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 
 RATE = 1000  # Hz
 CHUNK = 1000  # records in one chunk, as the daemon writes them

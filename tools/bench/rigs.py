@@ -39,7 +39,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.model.curvature import Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, save_model
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 from tsa_ctrl.virtual.simulation import simulate_loop
 
 X = (0.05, 1.2)  # 1, friction angle

@@ -27,7 +27,7 @@ from tools.command import Row
 from tsa_ctrl.errors import BusError, TsaError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.protocol import Set, Status
-from tsa_ctrl.system.processes import plant, tsa
+from tsa_ctrl.system.process_supervisor import plant, tsa
 
 START = 120.0  # s until the daemon runs
 EVERY = 5.0  # s between two samples

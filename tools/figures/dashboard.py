@@ -18,7 +18,7 @@ from pathlib import Path
 from tests.dashboard.chromium import chromium
 from tools import command
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 
 PATIENCE = 60.0  # s for the daemon's socket
 

@@ -27,7 +27,7 @@ from tools.figures import look
 from tsa_ctrl.demo.rig import FADE_IN
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.table import read_course
-from tsa_ctrl.system.processes import tsa
+from tsa_ctrl.system.process_supervisor import tsa
 
 Columns = dict[str, NDArray[np.float64]]
 

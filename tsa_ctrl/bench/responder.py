@@ -10,7 +10,6 @@ import contextlib
 import os
 import select
 import struct
-import subprocess
 import sys
 import threading
 import time
@@ -24,7 +23,7 @@ from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.keeper import child
+from tsa_ctrl.system.process_supervisor import READY, Child
 
 PRIORITY = 70  # below the loop, above everything else
 BEAT = 0.02  # s between heartbeats, at the next SYNC
@@ -126,22 +125,16 @@ def standing_in(settings: BusSettings, axes: Sequence[AxisNodes]) -> Iterator[No
         with _in_a_thread(settings, axes):
             yield
         return
-    process = child("tsa_ctrl.bench.responder")
-    assert process.stdin is not None
+    process = Child("tsa_ctrl.bench.responder")
     assert process.stdout is not None
     try:
-        process.stdin.write(msgspec.json.encode(Task(settings, ids_of(axes))) + b"\n")
-        process.stdin.flush()
+        process.send(msgspec.json.encode(Task(settings, ids_of(axes))))
         readable, _, _ = select.select([process.stdout], [], [], START)
-        if not readable or process.stdout.readline() != b"ready\n":
+        if not readable or process.failure():
             raise BusError("bench: the process that stands in for the nodes did not start; is the machine too busy?")
         yield
     finally:
-        try:
-            process.communicate(timeout=START)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
+        process.end(START)
 
 
 @contextlib.contextmanager
@@ -165,7 +158,7 @@ def main() -> int:
     bus = open_bus(task.bus)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-    os.write(sys.stdout.fileno(), b"ready\n")
+    os.write(sys.stdout.fileno(), READY)
     Responder(bus, task.axes).run(lambda: bool(select.select([sys.stdin], [], [], 0.0)[0]))
     bus.close()
     return 0

@@ -122,15 +122,15 @@ def _diagnose(
     cutoff: float | None,
 ) -> Diagnosis:
     """Read, diagnose and write, with what is being done on stderr."""
-    from tsa_ctrl.system.processes import loading
+    from tsa_ctrl.system.process_supervisor import worker_context
 
     if len(os.sched_getaffinity(0)) > 1:  # matplotlib takes as long to load as all else together
-        loading("tsa_ctrl.identify.diagnosis.report.pictures")
+        worker_context("tsa_ctrl.identify.diagnosis.report.pictures")
 
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    import tsa_ctrl.system.lean  # noqa: F401 (before all that imports scipy)
+    import tsa_ctrl.system.lazy_imports  # noqa: F401 (before all that imports scipy)
     from tsa_ctrl.identify.dataset import load_logs
     from tsa_ctrl.identify.diagnosis import diagnose
     from tsa_ctrl.identify.diagnosis.report.beside import drawing

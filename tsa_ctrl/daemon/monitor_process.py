@@ -11,7 +11,6 @@ import os
 import signal
 import socket
 import struct
-import subprocess
 import sys
 import time
 from select import select
@@ -21,11 +20,10 @@ import msgspec
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.monitor.watch import Frame, Monitor, Stop, Watched
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.system.keeper import child
+from tsa_ctrl.system.process_supervisor import READY, Child
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 from tsa_ctrl.system.torque_off import OutputSettings, TorqueOff
 
-READY = b"ready\n"
 TICK = 0.004  # s between two checks for missing frames
 REPEAT = 0.02  # s between two repetitions of the stop
 PERMIT = 0.05  # s between two bytes that permit torque
@@ -204,16 +202,11 @@ class MonitorProcess:
         self.report = Report()
         self._told: set[str] = set()
         self._board = Board()
-        self._child = child("tsa_ctrl.daemon.monitor_process", self._board.descriptor, fd=self._board.descriptor)
-        assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        with contextlib.suppress(BrokenPipeError):
-            self._child.stdin.write(msgspec.json.encode(given) + b"\n")
-            self._child.stdin.flush()
-        answer = self._child.stdout.readline()
-        if answer != READY:
+        self._child = Child("tsa_ctrl.daemon.monitor_process", self._board.descriptor, fd=self._board.descriptor)
+        self._child.send(msgspec.json.encode(given))
+        if failure := self._child.failure():
             self.close()
-            raise UsageError(answer.decode(errors="replace").strip() or "the monitor ended at once; see its traceback")
+            raise UsageError(failure)
 
     @property
     def pid(self) -> int:
@@ -226,7 +219,7 @@ class MonitorProcess:
         if self.report.stop is not None:
             return Finding(Cause.MONITOR_STOPPED, str(self.report.stop))
         silent = now - self._board.heard
-        if silent > LATE and self._child.poll() is not None:
+        if silent > LATE and not self._child.alive:
             return Finding(Cause.MONITOR_ENDED, "its process is gone")
         return Finding(Cause.MONITOR_SILENT, f"no sign of life for {SILENT:g} s") if silent > SILENT else None
 
@@ -240,14 +233,7 @@ class MonitorProcess:
         """Let the process end, which takes until the drives confirm that they give no torque; kill one that hangs."""
         if time.monotonic() - self._board.heard > SILENT:
             self._child.kill()
-        if self._child.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._child.stdin.close()
-        try:
-            self._child.wait(OUTLIVE + 1.0)
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
+        self._child.end(OUTLIVE + 1.0)
 
 
 def main(argv: list[str]) -> int:

@@ -6,7 +6,6 @@ import contextlib
 import math
 import os
 import signal
-import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from types import FrameType
 
@@ -28,14 +27,13 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import pid_file
 from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.protocol import default_path
-from tsa_ctrl.ipc.server import READY
 from tsa_ctrl.log.process import LogProcess
 from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.outputs import untaken
 from tsa_ctrl.readiness import Nodes, missing, missing_on_bus, require
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.keeper import child
 from tsa_ctrl.system.notify import Notifier
+from tsa_ctrl.system.process_supervisor import Child
 
 PATIENCE = 2.0  # s for the socket server to end
 
@@ -55,17 +53,13 @@ class Children:
         self.mailbox = Mailbox(len(file.axes), len(tuners[0].parameters))
         description = describe(configuration, tuners)
         self._path = description.path
-        self._server = child("tsa_ctrl.ipc.server", self.mailbox.descriptor, fd=self.mailbox.descriptor)
-        assert self._server.stdin is not None
-        assert self._server.stdout is not None
+        self._server = Child("tsa_ctrl.ipc.server", self.mailbox.descriptor, fd=self.mailbox.descriptor)
         try:
-            self._server.stdin.write(msgspec.json.encode(description) + b"\n")
-            self._server.stdin.flush()
+            self._server.send(msgspec.json.encode(description))
             if file.log.enabled:
                 self.log = self._start_log(configuration)
-            answer = self._server.stdout.readline()
-            if answer != READY:
-                raise UsageError(answer.decode(errors="replace").strip() or "the socket server ended at once")
+            if failure := self._server.failure():
+                raise UsageError(failure)
             pid_file.write(self._path, os.getpid())
             if self.log is not None:
                 self.log.wait_until_up()
@@ -84,7 +78,7 @@ class Children:
 
     @property
     def server_alive(self) -> bool:
-        return self._server.poll() is None
+        return self._server.alive
 
     def end(self) -> None:
         """Complete the log and end all processes; may be called twice."""
@@ -92,11 +86,7 @@ class Children:
         if self.log is not None and self.log.alive:
             self.log.end()
         pid_file.remove(self._path, os.getpid())
-        with contextlib.suppress(OSError, ValueError, subprocess.TimeoutExpired):
-            self._server.communicate(timeout=PATIENCE)
-        if self._server.poll() is None:
-            self._server.kill()
-            self._server.wait()
+        self._server.end(PATIENCE)
 
 
 STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)

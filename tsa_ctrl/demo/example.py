@@ -11,7 +11,7 @@ from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.hidden import SECONDS, Hidden, draw, motion
 from tsa_ctrl.demo.rig import VIRTUAL, BusChoice
 from tsa_ctrl.errors import BusError
-from tsa_ctrl.system.processes import daemon, plant
+from tsa_ctrl.system.process_supervisor import daemon, plant
 
 Run = Callable[[Path, str, float, Callable[[float], None]], dict[str, Any]]  # folder, name, seconds, tick: a summary
 

@@ -16,7 +16,7 @@ import numpy as np
 from tsa_ctrl.doctor.can_interface import Check, Result, judge
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.system import realtime
-from tsa_ctrl.system.processes import unheard_by_children
+from tsa_ctrl.system.process_supervisor import unheard_by_children
 from tsa_ctrl.system.realtime import RealtimeSettings
 from tsa_ctrl.system.sleep import sleep_until
 

@@ -35,9 +35,8 @@ from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills.pull import Pull, Watch
 from tsa_ctrl.drills.samples import Said, Sample
 from tsa_ctrl.errors import TsaError
-from tsa_ctrl.system.processes import ignore
+from tsa_ctrl.system.process_supervisor import READY, ignore
 
-READY = b"ready\n"
 SILENT = 0.01  # s without a TPDO after which a drive is asked by SDO
 ASK = 0.002  # s between two questions, where the answer to the last has come
 UNANSWERED = 0.5  # s after which a question counts as lost

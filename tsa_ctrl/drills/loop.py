@@ -20,7 +20,7 @@ from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.safety.use_class import on_bench
-from tsa_ctrl.system.keeper import follow
+from tsa_ctrl.system.process_supervisor import follow
 from tsa_ctrl.system.torque_off import MonitorSettings
 
 FADE_IN = 0.2  # s

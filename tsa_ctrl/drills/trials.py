@@ -20,13 +20,13 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.daemon.joint_files import JointFiles
-from tsa_ctrl.drills.listener import READY, ZERO_SHARE
+from tsa_ctrl.drills.listener import ZERO_SHARE
 from tsa_ctrl.drills.pull import Pull
 from tsa_ctrl.drills.samples import Said, Sample, Timing, Watchdog, timing, watchdog
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.safety.shut_down import shut_down
-from tsa_ctrl.system.keeper import child, environment, terminal_blocked
+from tsa_ctrl.system.process_supervisor import Child, environment, terminal_blocked
 
 STARTED = 60.0  # s until the loop delivers torque
 SETTLED = 0.4  # s of torque before anything is done
@@ -73,33 +73,23 @@ class ListenerProcess:
 
     def __init__(self, configuration: Configuration) -> None:
         """Raises BusError when it cannot listen."""
-        self._process = child("tsa_ctrl.drills.listener", configuration.path)
-        assert self._process.stdout is not None
-        said = self._process.stdout.readline()
-        if said != READY:
+        self._process = Child("tsa_ctrl.drills.listener", configuration.path)
+        if reason := self._process.failure():
             self.end()
-            reason = said.decode(errors="replace").strip() or "it ended at once"
             raise BusError(
                 f"the listener beside the loop cannot listen: {reason}; choose a bus that two processes can "
                 "open, as SocketCAN is"
             )
 
     def ask(self, word: str) -> Any:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(word.encode() + b"\n")
-        self._process.stdin.flush()
-        line = self._process.stdout.readline()
+        self._process.send(word.encode())
+        line = self._process.receive()
         if not line:
             raise BusError("the listener beside the loop has ended; nothing was measured: start again")
         return msgspec.json.decode(line)
 
     def end(self) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            self._process.communicate(b"end\n", timeout=ENDED)
-        if self._process.poll() is None:
-            self._process.kill()
-            self._process.wait()
+        self._process.end(ENDED)
 
 
 @contextlib.contextmanager

@@ -2,8 +2,8 @@
 
 Everything is bounded: clients, line length, waiting answers, time to finish a line. Clients can load only this process,
 never the loop, which takes at most one command per cycle from the mailbox. If this process hangs or dies, another one
-replaces it and listens on the same socket (`system.keeper`). It ends with the daemon, because their pipe closes however
-the daemon dies.
+replaces it and listens on the same socket (`system.process_supervisor`). It ends with the daemon, because their pipe
+closes however the daemon dies.
 
 A stop request is handled before all others. The client that sends set-points waits for at most one request of one other
 client; meanwhile all others together get a third of the time. Each role has its own connections, and a new connection
@@ -34,8 +34,7 @@ from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
 from tsa_ctrl.ipc.protocol import AnyRequest, Description
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
-from tsa_ctrl.system.keeper import keep
-from tsa_ctrl.system.processes import ignore
+from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
 
 IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way
@@ -47,7 +46,6 @@ HANGS = 0.5  # s without a cycle, after which nobody is followed
 AHEAD = 0.1  # s: a set-point's time further ahead of ours is of another clock
 REPLACED = 1.5  # s without a sign of life, of which there are five a second, until another one takes over
 ENDING = ("stopping", "ended")  # phases
-READY = b"ready\n"
 
 
 class Server:
@@ -319,7 +317,7 @@ def main(argv: list[str]) -> int:
             def work(before: int) -> int:
                 return serve(listener, Mailbox(axes, parameters, os.dup(fd)), description, told=before > 0)
 
-            return keep(work, mailbox.alive, lambda: mailbox.heard, REPLACED, mailbox.replace)
+            return supervise(work, mailbox.alive, lambda: mailbox.heard, REPLACED, mailbox.replace)
     except TsaError as error:
         os.write(sys.stdout.fileno(), f"{error}\n".encode())
         return error.exit_code

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +10,7 @@ import msgspec
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.ring import LogHealth, RingWriter, WriterState
-from tsa_ctrl.system.keeper import child
+from tsa_ctrl.system.process_supervisor import Child
 from tsa_ctrl.version import __version__
 
 
@@ -47,13 +46,8 @@ class LogProcess:
         self.path = path
         self._ring = ring
         check_place(path)
-        self._child = child("tsa_ctrl.log.writer", ring.fd, path, stdout=subprocess.DEVNULL, fd=ring.fd)
-        assert self._child.stdin is not None
-        try:
-            self._child.stdin.write(msgspec.json.encode(header) + b"\n")
-            self._child.stdin.flush()
-        except BrokenPipeError:  # the writer has ended already, which `alive` and `health` show
-            return
+        self._child = Child("tsa_ctrl.log.writer", ring.fd, path, reports=False, fd=ring.fd)
+        self._child.send(msgspec.json.encode(header))
 
     @property
     def pid(self) -> int:
@@ -62,7 +56,7 @@ class LogProcess:
     @property
     def alive(self) -> bool:
         """False once the process is gone; then records are no longer written."""
-        return self._child.poll() is None
+        return self._child.alive
 
     def wait_until_up(self, timeout: float = STARTED) -> None:
         """Until the writer looks at the ring, or `timeout` s: a process that starts takes the processor from a loop."""
@@ -77,11 +71,7 @@ class LogProcess:
     def end(self, timeout: float = PATIENCE) -> LogHealth:
         """No more records come: let the writer drain the ring and complete the file; it is killed after `timeout` s."""
         self._ring.finish()
-        try:
-            self._child.communicate(timeout=timeout)  # closes its stdin, too
-        except subprocess.TimeoutExpired:
-            self._child.kill()
-            self._child.wait()
+        self._child.end(timeout)
         return self.health()
 
 

@@ -2,7 +2,7 @@
 
 It ends when the owner says so or dies (its end of stdin closes), after draining the ring. A disk that is full or gone
 is said through the ring, counted and tried again; the real-time process never waits for it. A writer that hangs or dies
-is replaced by one that goes on in another file with what the ring still holds (`system.keeper`).
+is replaced by one that goes on in another file with what the ring still holds (`system.process_supervisor`).
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from tsa_ctrl.log.mcap_file import McapFile, Note
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.ring import RingReader, WriterState
 from tsa_ctrl.signals import FIELDS
-from tsa_ctrl.system.keeper import keep
-from tsa_ctrl.system.processes import ignore
+from tsa_ctrl.system.process_supervisor import ignore, supervise
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost
@@ -153,7 +152,7 @@ def main(argv: list[str]) -> int:
     def work(before: int) -> int:
         return write(RingReader(fd), continued(path, before), header)
 
-    return keep(work, ring.alive, lambda: ring.heard, HANGS, ring.replace)
+    return supervise(work, ring.alive, lambda: ring.heard, HANGS, ring.replace)
 
 
 def write(ring: RingReader, path: Path, header: LogHeader) -> int:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 import struct
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,7 +12,7 @@ from enum import IntEnum
 import msgspec
 
 from tsa_ctrl.sensors.settings import SerialSensorSettings
-from tsa_ctrl.system.keeper import child as start
+from tsa_ctrl.system.process_supervisor import Child
 from tsa_ctrl.system.shared_memory import Newest, SharedMemory, space
 
 # One slot in shared memory per sensor, with one writer each; the loop reads it without a lock.
@@ -90,10 +89,10 @@ class SerialSensors:
         self._slots = Slots(max(1, len(self.settings)))
         self._children = [self._start(index) for index in range(len(self.settings))]
 
-    def _start(self, index: int) -> subprocess.Popen[bytes]:
+    def _start(self, index: int) -> Child:
         text = msgspec.json.encode(self.settings[index]).decode()
         fd, count = self._slots.fd, self._slots.count
-        return start("tsa_ctrl.sensors.reader", fd, count, index, text, stdout=subprocess.DEVNULL, fd=fd)
+        return Child("tsa_ctrl.sensors.reader", fd, count, index, text, reports=False, fd=fd)
 
     def reader(self, index: int) -> Callable[[float], float]:
         """SI value of a sensor at a monotonic time, nan when there is none younger than its time-out; about 1 us."""
@@ -105,7 +104,7 @@ class SerialSensors:
 
     def alive(self, index: int) -> bool:
         """Return True if the process of a sensor runs."""
-        return self._children[index].poll() is None
+        return self._children[index].alive
 
     def close(self) -> None:
         """End the processes; may be called twice."""
@@ -113,11 +112,7 @@ class SerialSensors:
             if child.stdin is not None:
                 child.stdin.close()
         for child in self._children:
-            try:
-                child.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.wait()
+            child.end(PATIENCE)
         if self._children:
             self._children = []
             self._slots.close()

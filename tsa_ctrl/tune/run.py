@@ -20,7 +20,7 @@ from tsa_ctrl.identify.dataset import Dataset, stretches
 from tsa_ctrl.log.table import read_course, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
 from tsa_ctrl.signals import INPUTS
-from tsa_ctrl.system.processes import daemon
+from tsa_ctrl.system.process_supervisor import daemon
 from tsa_ctrl.tune.excitation import Bounds, Waveform
 
 FloatArray = NDArray[np.float64]

@@ -22,7 +22,7 @@ from tsa_ctrl.identify.dataset import load_logs
 from tsa_ctrl.ipc.protocol import default_path
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.outputs import backups, untaken
-from tsa_ctrl.system.processes import daemon, postponed
+from tsa_ctrl.system.process_supervisor import daemon, postponed
 from tsa_ctrl.tune.by_stretch import why_not_told
 from tsa_ctrl.tune.excitation import (
     FREQUENCIES,

@@ -15,7 +15,10 @@ def play(
 ) -> dict[str, Any]:
     """Run `controller-NAME.toml` in `folder` on `plant` (default: its `plant.toml`); the log is in a folder NAME.
 
-    Returns the summary that `tsa run --json` prints. Raises BusError when the run fails, as `system.processes.daemon`.
+    Returns the summary that `tsa run --json` prints.
+
+    Raises:
+        BusError: the run failed, as in `system.process_supervisor.daemon`.
     """
     plant = folder / "plant.toml" if plant is None else plant
     result = simulate_loop(folder / f"controller-{name}.toml", plant, seconds, out=folder / name, tick=tick)

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tsa_ctrl.errors import BusError, UsageError
-from tsa_ctrl.system.keeper import end_with_parent
-from tsa_ctrl.system.processes import ignore, loading
+from tsa_ctrl.system.process_supervisor import end_with_parent, ignore, worker_context
 
 CONNECT = 10.0  # s to reach a scheduler
 
@@ -30,7 +29,7 @@ class Workers:
 def local(jobs: int | None = None, preload: str = "tsa_ctrl.identify.fleet.job") -> Iterator[Workers]:
     """Processes of this machine, one per core that this process may use; each begins with `preload` imported."""
     count = jobs or len(os.sched_getaffinity(0))
-    pool = ProcessPoolExecutor(count, mp_context=loading(preload), initializer=_begin)
+    pool = ProcessPoolExecutor(count, mp_context=worker_context(preload), initializer=_begin)
     try:
         yield Workers(pool, count, same_disk=True)
     except BaseException:

@@ -7,7 +7,7 @@ import sys
 
 SCRIPT = """
 import sys
-import tsa_ctrl.system.lean
+import tsa_ctrl.system.lazy_imports
 import scipy.special
 print("numpy.f2py.crackfortran" in sys.modules, "numpy.testing._private.utils" in sys.modules)
 import numpy
@@ -27,6 +27,6 @@ def test_a_module_that_is_loaded_stays_as_it_is() -> None:
     import numpy.testing
 
     before = sys.modules["numpy.testing"]
-    import tsa_ctrl.system.lean  # noqa: F401
+    import tsa_ctrl.system.lazy_imports  # noqa: F401
 
     assert sys.modules["numpy.testing"] is before is numpy.testing

@@ -1,4 +1,4 @@
-"""A worker that dies or hangs is replaced, one that has done its work is not, and none outlives its keeper."""
+"""A worker that dies or hangs is replaced, one that has done its work is not, and none outlives its supervisor."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tests.system.test_parent import alive
 
 PROGRAM = """
 import os, sys, time
-from tsa_ctrl.system import keeper
-keeper.LOOK, keeper.REST = 0.01, 0.0
+from tsa_ctrl.system import process_supervisor
+process_supervisor.LOOK, process_supervisor.REST = 0.01, 0.0
 heard = [0.0]
 def left():
     heard[0] = time.monotonic()
@@ -24,12 +24,14 @@ def work(before):
     print("worker", before, os.getpid(), flush=True)
     {work}
     return 0
-sys.exit(keeper.keep(work, left, lambda: heard[0], 0.3, lambda number: print("replaced", number, 0, flush=True)))
+def replaced(number):
+    print("replaced", number, 0, flush=True)
+sys.exit(process_supervisor.supervise(work, left, lambda: heard[0], 0.3, replaced))
 """
 
 
 class Kept:
-    """A keeper whose workers never leave a sign of life, and so have 0.3 s each."""
+    """A supervisor whose workers never leave a sign of life, and so have 0.3 s each."""
 
     def __init__(self, work: str) -> None:
         self.process = subprocess.Popen(
@@ -96,7 +98,7 @@ def test_worker_that_always_fails_is_given_up_once_the_parent_has_ended() -> Non
     assert len(numbers) > 10
 
 
-def test_worker_ends_with_its_keeper(kept: Callable[[str], Kept]) -> None:
+def test_worker_ends_with_its_supervisor(kept: Callable[[str], Kept]) -> None:
     one = kept("time.sleep(60)")
     _, _, worker = one.line()
     one.process.kill()

@@ -1,0 +1,379 @@
+"""Start child processes, supervise them and end them in every case.
+
+Ways to run a child process:
+
+* `Child`: `python -m MODULE`, bound to this process by a pipe to its stdin.
+* `supervise`: a worker forked from a process with one thread, replaced when it ends or hangs. The worker periodically
+  leaves a sign of life. A worker that hangs is killed and waited for before another one starts, so there are never
+  two. This runs in a separate process, because a fork in the loop's process would cost the loop cycles.
+* `worker_context`: workers of multiprocessing with a module that is imported already.
+* `plant`, `daemon`: the processes that a user would start.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import json
+import os
+import queue
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from subprocess import Popen
+from typing import TYPE_CHECKING, Any
+
+from tsa_ctrl.errors import BusError
+
+if TYPE_CHECKING:
+    from multiprocessing.context import BaseContext
+
+# A child process ends with its parent (Linux: prctl(2), PR_SET_PDEATHSIG), not by a signal of the terminal.
+_PARENT = "TSA_PARENT"  # environment variable with the parent's process id
+_PR_SET_PDEATHSIG = 1
+
+
+def environment() -> dict[str, str]:
+    """Return the environment for a child that shall receive SIGTERM however this process ends."""
+    return {**os.environ, _PARENT: str(os.getpid())}
+
+
+@contextlib.contextmanager
+def terminal_blocked() -> Iterator[None]:
+    """Block SIGINT and SIGHUP, so that a process started in the block inherits the mask and ignores the terminal.
+
+    The parent ends such a process. In this process, both signals are delivered at the end of the block.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+READY = b"ready\n"  # the line by which a child reports that it has started
+
+
+class Child(Popen[bytes]):
+    """Run `python -m MODULE ARGUMENTS` with pipes to its stdin and from its stdout.
+
+    The child must end when its stdin is closed, however this process ends. Create it before real-time scheduling is
+    requested, so that the child does not inherit it.
+    """
+
+    def __init__(self, module: str, *arguments: object, reports: bool = True, fd: int | None = None) -> None:
+        """Start the process; `reports`: False discards its stdout, `fd`: a file descriptor that is passed on to it."""
+        with terminal_blocked():
+            super().__init__(
+                [sys.executable, "-m", module, *map(str, arguments)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE if reports else subprocess.DEVNULL,
+                pass_fds=() if fd is None else (fd,),
+            )
+
+    @property
+    def alive(self) -> bool:
+        """Return True while the process runs."""
+        return self.poll() is None
+
+    def send(self, line: bytes) -> None:
+        """Write a line to its stdin; a child that has ended does not get it."""
+        assert self.stdin is not None
+        with contextlib.suppress(BrokenPipeError):
+            self.stdin.write(line + b"\n")
+            self.stdin.flush()
+
+    def receive(self) -> bytes:
+        """Return the next line of its stdout, empty once it has ended."""
+        assert self.stdout is not None
+        return self.stdout.readline()
+
+    def failure(self) -> str:
+        """Wait for its start; return the line that it wrote instead of `READY`, or empty text."""
+        answer = self.receive()
+        return (
+            "" if answer == READY else answer.decode(errors="replace").strip() or "it ended at once; see its traceback"
+        )
+
+    def end(self, patience: float) -> None:
+        """Close its stdin, and kill it if it has not ended after `patience` s; may be called twice."""
+        if self.stdin is not None:
+            with contextlib.suppress(OSError):
+                self.stdin.close()
+        try:
+            self.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            self.wait()
+
+
+def follow() -> None:
+    """Bind the started process to its parent; exit at once if the parent has already ended.
+
+    The started process calls this function itself.
+    """
+    parent = os.environ.pop(_PARENT, "")
+    if not parent or not sys.platform.startswith("linux"):
+        return
+    end_with_parent()
+    if str(os.getppid()) != parent:
+        sys.exit(1)
+
+
+def end_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
+    """Request the signal `number` for this process as soon as its parent ends, for whatever reason."""
+    with contextlib.suppress(OSError, AttributeError):  # not Linux
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number, 0, 0, 0)
+
+
+LOOK = 0.1  # s between two checks of the worker
+REST = 1.0  # s between two starts, so that a worker that fails at once takes no processor time from the loop
+LONGEST_REST = 10.0  # s; REST doubles up to it while workers fail: a start takes 0.1 s of a processor, so 1 % of it
+MOST = 10  # replacements in a row once the supervisor's parent has ended: the worker still has to store what is left
+
+
+def supervise(
+    work: Callable[[int], int],
+    alive: Callable[[], None],
+    heard: Callable[[], float],
+    hangs: float,
+    replaced: Callable[[int], None],
+) -> int:
+    """Run `work` in a child process and start another one whenever it fails.
+
+    Call this in a process with one thread. If this process ends, the worker ends as well. As long as the parent of
+    this process lives, a failed worker is always replaced.
+
+    Args:
+        work: the worker's function; receives the number of earlier workers and returns an exit code.
+        alive: records a sign of life; called before each start.
+        heard: returns the time of the last sign of life, s of the monotonic clock.
+        hangs: s without a sign of life after which the worker is killed.
+        replaced: called before each replacement with the number of earlier workers.
+
+    Returns:
+        0 when a worker ends with 0, or 1 after `MOST` replacements since the end of this process's parent.
+    """
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # waited for, below
+    parent, number, orphaned, rest = os.getppid(), 0, 0, REST
+    while orphaned <= MOST:
+        if number:
+            replaced(number)
+        alive()
+        begun = time.monotonic()
+        worker = _start(work, number)
+        if _watched(worker, heard, hangs) == 0:
+            return 0
+        worked = time.monotonic() - begun
+        time.sleep(max(0.0, rest - worked))
+        rest = REST if worked > LONGEST_REST else min(2.0 * rest, LONGEST_REST)
+        number += 1
+        orphaned += os.getppid() != parent
+    return 1
+
+
+def _start(work: Callable[[int], int], number: int) -> int:
+    supervisor = os.getpid()
+    worker = os.fork()
+    if worker:
+        return worker
+    code = 1
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})
+        end_with_parent(signal.SIGKILL)
+        if os.getppid() == supervisor:
+            code = work(number)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _watched(worker: int, heard: Callable[[], float], hangs: float) -> int:
+    """Wait for the worker's end and return its exit code, which is not 0 for a killed worker."""
+    killed = False
+    while True:
+        done, status = os.waitpid(worker, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status)
+        if not killed and time.monotonic() - heard() > hangs:
+            os.kill(worker, signal.SIGKILL)  # a worker blocked by a disk ends only when the disk responds
+            killed = True
+        signal.sigtimedwait({signal.SIGCHLD}, LOOK)  # returns at once when the worker ends, as the run's end waits
+
+
+def ignore(*numbers: signal.Signals) -> None:
+    """Ignore signals that a terminal sends to its whole process group, because another process ends this one."""
+    for number in numbers:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def unheard_by_children() -> Iterator[None]:
+    """Shield processes that this thread starts in the block from Ctrl-C.
+
+    This process receives a pending Ctrl-C after the block and must end its children. The signal mask is used because a
+    new program inherits it from its first instruction. A handler in the child would be installed about a second later,
+    and a Ctrl-C before that would end the child with a traceback. The resource tracker of multiprocessing is started
+    first because its start would reset the mask.
+    """
+    from multiprocessing import resource_tracker  # most processes have no children
+
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def postponed() -> Iterator[None]:
+    """Postpone SIGINT and SIGTERM to the end of the block.
+
+    Handlers are used because a signal mask applies to one thread only, and another thread could receive the signal.
+    Outside the main thread the block does nothing, because Python runs signal handlers in the main thread only.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    caught: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, lambda got, _: caught.append(got)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for waiting in dict.fromkeys(caught):
+            signal.raise_signal(waiting)
+
+
+LEAN = "tsa_ctrl.system.lazy_imports"
+
+
+def worker_context(module: str) -> BaseContext:
+    """Return the context that starts workers with `module` imported already.
+
+    A server process imports `module` in the background and forks the workers; only the first call chooses the module.
+    A fork of this process would copy locks that its threads hold. Linear algebra is limited to one thread per process,
+    because the workers would compete for the processors otherwise.
+    """
+    from multiprocessing import forkserver, get_context  # most processes have no workers
+
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    context = get_context("forkserver")
+    context.set_forkserver_preload([LEAN, module])
+    with unheard_by_children():
+        forkserver.ensure_running()
+    return context
+
+
+READY_TIME = 120.0  # s: the plant compiles its physics on the first start of a machine
+END_TIME = 15.0  # s
+OVERTIME = 30.0  # s beyond the requested duration after which the daemon counts as hung
+
+
+def tsa(*arguments: str) -> list[str]:
+    """Return the command line of a `tsa` command, independent of PATH."""
+    return [sys.executable, "-m", "tsa_ctrl", *arguments]
+
+
+@contextlib.contextmanager
+def plant(folder: Path, record: str | None = None) -> Iterator[subprocess.Popen[str]]:
+    """Run `tsa plant plant.toml` in `folder`, wait until it is ready, and end it when the block is left."""
+    more = [] if record is None else ["--record", record]
+    process = subprocess.Popen(
+        tsa("plant", "plant.toml", *more),
+        cwd=folder,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        _wait_ready(process)
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.communicate(timeout=END_TIME)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def _wait_ready(process: subprocess.Popen[str]) -> None:
+    lines: queue.Queue[str] = queue.Queue()
+
+    def read() -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            lines.put(line)
+        lines.put("")
+
+    threading.Thread(target=read, daemon=True).start()
+    end = time.monotonic() + READY_TIME
+    while True:
+        try:
+            line = lines.get(timeout=max(0.0, end - time.monotonic()))
+        except queue.Empty:
+            raise BusError(f"the plant was not ready within {READY_TIME:g} s; the machine is too busy") from None
+        if line.startswith("plant: ready"):
+            return
+        if not line:
+            process.wait()
+            assert process.stderr is not None
+            raise BusError(f"the plant ended: {_last_line(process.stderr.read())}")
+
+
+def daemon(folder: Path, name: str, seconds: float, tick: Callable[[float], None]) -> dict[str, Any]:
+    """Run `tsa run controller-NAME.toml` in `folder` for `seconds` of torque, and return its summary.
+
+    If this function is left early, the daemon receives SIGTERM, which ramps the torque to 0, and is waited for. `tick`
+    is called with the elapsed share of the time. Raises BusError with the daemon's last line if it fails.
+    """
+    command = tsa("run", f"controller-{name}.toml", "--seconds", f"{seconds:g}", "--json")
+    process = None
+    begin = time.monotonic()
+    try:
+        with postponed():  # a signal between start and assignment would leave a process that is never ended
+            process = subprocess.Popen(
+                command, cwd=folder, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            )
+        while True:
+            try:
+                out, errors = process.communicate(timeout=0.2)
+                break
+            except subprocess.TimeoutExpired:
+                gone = time.monotonic() - begin
+                tick(min(1.0, gone / (seconds + 3.0)))
+                if gone > seconds + OVERTIME:
+                    raise BusError(f"the daemon did not end {OVERTIME:g} s after its time") from None
+    finally:
+        if process is not None and process.poll() is None:
+            process.terminate()
+            try:
+                process.wait(END_TIME)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+    if process.returncode != 0:
+        cause = _last_line(errors)
+        with contextlib.suppress(json.JSONDecodeError):
+            cause = str(json.loads(out)["cause"])
+        raise BusError(f"the daemon ended with {process.returncode}: {cause}")
+    summary: dict[str, Any] = json.loads(out)
+    return summary
+
+
+def _last_line(text: str) -> str:
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else "no word from it"
