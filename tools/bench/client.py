@@ -1,38 +1,36 @@
-"""How long a set-point takes from its client to the drive's RPDO, in periods of the loop.
+"""Measure how long a set-point takes from its client to the RPDO of the drive, in periods of the loop.
 
 Usage: tools/run bench/client [--bus INTERFACE:CHANNEL] [--rate 0] [--client-rate 500] [--seconds 20] [--json]
 
 Plant, daemon, a client that streams set-points (`tsa_ctrl.Client`), and a witness on the bus are processes of this
 machine; the bus is the best that `tsa demo` would find. The client changes the sign of its torque at random times; the
-witness takes the time of the first RPDO that shows it. What the witness is late itself is in the figure. Three times:
-alone, beside a client that asks for the status and sets a parameter without end, and beside four of them.
+witness records the time of the first RPDO that shows it. Three runs: alone, next to a client that asks for the status
+and sets a parameter without end, and next to four of them.
 
-A value that just misses a cycle's RPDO goes with the next one: half a period in the mean, one at most. Beyond that
+A value that just misses the RPDO of a cycle goes with the next one: half a period in the mean, one at most. In addition
 there is the time of a cycle from its begin to its RPDO, printed as "cycle" (its p99 by the daemon's own histogram), and
-what client, socket, its server and witness wait for a processor. Exit code 1 when the p99 alone is more than one period
+what client, socket, its server and witness wait for a processor. Exit code 1 if the p99 alone is more than one period
 beyond the cycle.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import itertools
-import json
+import multiprocessing
 import os
 import random
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from tools import command
+from tools.command import Row
 from tsa_ctrl import Client
 from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.link import open_bus
@@ -50,17 +48,9 @@ SLOW, FAST = 250.0, 1000.0  # Hz of the loop, over UDP multicast and on a CAN in
 STARTED = 120.0  # s: the first start of a machine compiles
 ABOVE = 90  # priority of the witness, above the loop's
 SETTLED = 2.0  # s of torque before anything counts
+SPAWN = multiprocessing.get_context("spawn")  # a fork would share the sockets
 
-
-@dataclass(frozen=True)
-class Figures:
-    """Latencies in periods."""
-
-    floods: int
-    changes: int
-    p50: float
-    p99: float
-    worst: float
+Changes = list[tuple[float, int]]  # s, sign
 
 
 def main() -> int:
@@ -69,47 +59,22 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=0.0, help=f"Hz of the loop; 0: {FAST:g}, without CAN {SLOW:g}")
     parser.add_argument("--client-rate", type=float, default=500.0, help="Hz of set-points (default 500)")
     parser.add_argument("--seconds", type=float, default=20.0, help="of each of the three (default 20)")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--stream", help=argparse.SUPPRESS)  # this process is the client: its socket
-    parser.add_argument("--flood", help=argparse.SUPPRESS)  # this process is one that floods
+    command.share(parser, "json")
     options = parser.parse_args()
-    if options.stream:
-        return stream(options.stream, options.client_rate, options.rate, options.seconds)
-    if options.flood:
-        return flood(options.flood)
     bus = choose(options.bus)
     rate = options.rate or (FAST if bus.interface == "socketcan" else SLOW)
     with tempfile.TemporaryDirectory(prefix="bench-client-") as name:
-        cycle, figures = measure(Path(name), bus, rate, options.client_rate, options.seconds)
-    if options.json:
-        found = {"schema": 1, "rate": rate, "client_rate": options.client_rate, "cycle": cycle}
-        print(json.dumps({**found, "latency": [vars(each) for each in figures]}))
-    else:
+        folder = Path(name)
+        write(folder, bus, rate)
+        path = str(folder / "tsa.sock")
+        with plant(folder), daemon(folder, path):
+            rows = [beside(number, path, bus, rate, options.client_rate, options.seconds) for number in FLOODS]
+            with Client(path) as client:
+                cycle = (client.ask(protocol.Status())["work"]["p99"] or 0.0) * rate
+    if not options.json:
         print(f"{bus.name}, loop {rate:g} Hz, client {options.client_rate:g} Hz, cycle {cycle:.2f}; in periods:")
-        print("\n".join(table(figures)))
-    return 0 if figures[0].p99 <= 1.0 + cycle else 1
-
-
-def table(figures: Sequence[Figures]) -> list[str]:
-    """A line for each, below a head."""
-    lines = [f"{'beside':22}{'p50':>8}{'p99':>8}{'worst':>8}{'changes':>9}"]
-    for each in figures:
-        words = f"{each.floods} that flood{'s' if each.floods == 1 else ''}" if each.floods else "nobody"
-        lines.append(f"{words:22}{each.p50:8.2f}{each.p99:8.2f}{each.worst:8.2f}{each.changes:9}")
-    return lines
-
-
-def measure(
-    folder: Path, bus: BusChoice, rate: float, client_rate: float, seconds: float
-) -> tuple[float, list[Figures]]:
-    """A cycle's time to its RPDO, and latencies beside each number of floods; all in periods."""
-    write(folder, bus, rate)
-    path = str(folder / "tsa.sock")
-    with plant(folder), daemon(folder, path):
-        figures = [beside(number, path, bus, rate, client_rate, seconds) for number in FLOODS]
-        with Client(path) as client:
-            work = client.ask(protocol.Status())["work"]["p99"]
-    return (work or 0.0) * rate, figures
+    command.show(rows, ("beside", "p50", "p99", "worst", "changes"), options.json)
+    return 0 if rows[0]["p99"] <= 1.0 + cycle else 1
 
 
 def write(folder: Path, bus: BusChoice, rate: float) -> None:
@@ -138,32 +103,25 @@ def write(folder: Path, bus: BusChoice, rate: float) -> None:
 
 @contextlib.contextmanager
 def daemon(folder: Path, path: str) -> Iterator[None]:
-    """`tsa run`, with torque, as a process.
-
-    Raises:
-        BusError: it did not come up, or what was asked of it failed: with what it said last.
-    """
-    said = folder / "errors.txt"
-    errors = said.open("w")
-    process = subprocess.Popen(tsa("run", "controller.toml"), cwd=folder, stdout=subprocess.DEVNULL, stderr=errors)
-    try:
-        end = time.monotonic() + STARTED
-        while not running(path):
-            if process.poll() is not None or time.monotonic() > end:
-                raise BusError("it did not come up")
-            time.sleep(0.1)
-        time.sleep(SETTLED)
-        yield
-    except BusError as error:
-        lines = said.read_text(encoding="utf-8", errors="replace").splitlines()
-        raise BusError(f"{error}; the daemon said last: {lines[-1] if lines else 'nothing'}") from None
-    finally:
-        process.terminate()
-        process.wait(30.0)
-        errors.close()
+    """Run `tsa run` with torque as a process; raises BusError with its last line if it does not come up."""
+    with (folder / "errors.txt").open("w+") as errors:
+        process = subprocess.Popen(tsa("run", "controller.toml"), cwd=folder, stdout=subprocess.DEVNULL, stderr=errors)
+        try:
+            end = time.monotonic() + STARTED
+            while not running(path):
+                if process.poll() is not None or time.monotonic() > end:
+                    errors.seek(0)
+                    raise BusError(f"the daemon did not come up: {(errors.read().splitlines() or [''])[-1]}")
+                time.sleep(0.1)
+            time.sleep(SETTLED)
+            yield
+        finally:
+            process.terminate()
+            process.wait(30.0)
 
 
 def running(path: str) -> bool:
+    """Return whether the loop gives torque."""
     try:
         with Client(path) as client:
             return client.measure().phase == "running"
@@ -171,27 +129,25 @@ def running(path: str) -> bool:
         return False
 
 
-def beside(floods: int, path: str, bus: BusChoice, rate: float, client_rate: float, seconds: float) -> Figures:
-    """Changes of a client's sign, and when the bus shows them."""
-    own = [sys.executable, str(command.ROOT / "tools"), command.name_of(__name__)]
-    with contextlib.ExitStack() as stack:
-        for _ in range(floods):
-            process = subprocess.Popen([*own, "--flood", path])
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-        asked = ["--rate", str(rate), "--client-rate", str(client_rate), "--seconds", str(seconds)]
-        client = subprocess.Popen([*own, "--stream", path, *asked], stdout=subprocess.PIPE, text=True)
+def beside(floods: int, path: str, bus: BusChoice, rate: float, client_rate: float, seconds: float) -> Row:
+    """Return the latencies from the changes of a client's sign to the bus, periods, next to clients that flood."""
+    flooding = [SPAWN.Process(target=flood, args=(path,), daemon=True) for _ in range(floods)]
+    for process in flooding:
+        process.start()
+    with ProcessPoolExecutor(1, SPAWN) as pool:
+        client = pool.submit(stream, path, client_rate, rate, seconds)
         seen = witness(bus, client)
-        assert client.stdout is not None
-        changes = json.loads(client.stdout.read() or "[]")
-    latencies = [found * rate for found in matched(changes, seen)]
+    for process in flooding:
+        process.kill()
+    latencies = [found * rate for found in matched(client.result(), seen)]
     if not latencies:
         raise BusError("no change of the set-point was seen on the bus; is there torque?")
     p50, p99, worst = np.quantile(latencies, (0.5, 0.99, 1.0), method="inverted_cdf").tolist()
-    return Figures(floods, len(latencies), p50, p99, worst)
+    words = f"{floods} that flood{'s' if floods == 1 else ''}" if floods else "nobody"
+    return {"beside": words, "p50": p50, "p99": p99, "worst": worst, "changes": len(latencies)}
 
 
-def witness(bus: BusChoice, client: subprocess.Popen[str]) -> list[tuple[float, int]]:
+def witness(bus: BusChoice, client: Future[Changes]) -> Changes:
     """Time (s) and sign of every command on the bus, until the client has ended."""
     listening = open_bus(BusSettings(interface=bus.interface, channel=bus.channel))
     seen = []
@@ -200,7 +156,7 @@ def witness(bus: BusChoice, client: subprocess.Popen[str]) -> list[tuple[float, 
         with contextlib.suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(ABOVE))
         listening.accept((COMMANDS,))
-        while client.poll() is None:
+        while not client.done():
             frame = listening.recv(0.05)
             if frame is not None and frame[0] == COMMANDS and len(frame[1]) == 4:
                 torque = int.from_bytes(frame[1][2:4], "little", signed=True)
@@ -211,7 +167,7 @@ def witness(bus: BusChoice, client: subprocess.Popen[str]) -> list[tuple[float, 
     return seen
 
 
-def matched(changes: list[tuple[float, int]], seen: list[tuple[float, int]]) -> Iterator[float]:
+def matched(changes: Changes, seen: Changes) -> Iterator[float]:
     """s from each change to the first command that shows it before the next change; one that is not shown is inf."""
     times = np.array([at for at, _ in seen])
     for (at, sign), (following, _) in itertools.pairwise(changes):
@@ -220,10 +176,10 @@ def matched(changes: list[tuple[float, int]], seen: list[tuple[float, int]]) -> 
         yield float("inf") if shown is None or shown > following else shown - at
 
 
-def stream(path: str, client_rate: float, rate: float, seconds: float) -> int:
-    """The client: set-points at its rate, whose sign changes at random; prints when, and to what."""
+def stream(path: str, client_rate: float, rate: float, seconds: float) -> Changes:
+    """Send set-points whose sign changes at random; return the times and signs of the changes."""
     draw = random.Random(1)
-    changes: list[Any] = []
+    changes: Changes = []
     with Client(path) as client, client.lease(1.0) as lease:
         begin = due = change = time.monotonic()
         sign = 1
@@ -236,12 +192,11 @@ def stream(path: str, client_rate: float, rate: float, seconds: float) -> int:
             lease.send({"knee": TORQUE * sign}, now)
             due = max(due + 1.0 / client_rate, now)
             time.sleep(max(0.0, min(due, change) - time.monotonic()))
-    print(json.dumps(changes))
-    return 0
+    return changes
 
 
-def flood(path: str) -> int:
-    """A client without manners."""
+def flood(path: str) -> None:
+    """Ask and set without end."""
     with Client(path) as client:
         while True:
             client.ask(protocol.Status())

@@ -18,7 +18,6 @@ import argparse
 import dataclasses
 import itertools
 import json
-import math
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -32,6 +31,7 @@ from rich.table import Table
 
 from tools import command
 from tools.bench.torque_error import measure
+from tools.campaign.passive.experiment import true_model
 from tools.command import Results, Row
 from tsa_ctrl.control.plan import LAG
 from tsa_ctrl.demo import rig
@@ -50,7 +50,6 @@ LAST_TENTH = "last_tenth"  # evenly bent within the last 10 % of the length
 PROFILES: dict[str, Points] = {LAST_TENTH: ((0.0, 0.0), (0.9, 0.0), (1.0, 1.0))}
 LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
-ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
 TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
 WIDTH = 190  # characters of a table
 
@@ -91,19 +90,6 @@ class Case:
 
 
 DEMO = Case()
-
-
-def true_model(shape: str | Points, case: Case = DEMO) -> TendonSheath:
-    """The plant's own friction, pretension, stiffness and shape, and the encoder's lag."""
-    factors, nominal = case.factors, case.nominal
-    x = nominal.friction_angle * factors["friction_coefficient"]
-    # (3.55) is exact with all bends at the joint, but a turn of the motor is planned by where they are
-    effects: dict[str, dict[str, Any]] = {
-        "velocity_lag": {"time_constant": ENCODER_LAG},
-        "elongation_coupling": {"curvature_profile": shape},
-    }
-    model = nominal.recalibrated(x, nominal.pretension * factors["pretension"]).with_effects(effects)
-    return dataclasses.replace(model, axial_stiffness=nominal.axial_stiffness * factors["axial_stiffness"])
 
 
 def controller(folder: Path, law: str, rate: float) -> rig.Tables:
@@ -164,12 +150,12 @@ def rows(arguments: argparse.Namespace) -> Iterator[Row]:
     for shape, x in itertools.product(arguments.shapes, arguments.angles or [None]):
         case, profile = Case(x, arguments.off), PROFILES.get(shape, shape)
         axis = {"tendon": {"curvature": profile}, "motor": {"inertia": arguments.inertia}}
-        peak = max(3.0, 1.5 * case.torque(true_model(profile, case)))
+        peak = max(3.0, 1.5 * case.torque(true_model(profile, case.nominal, case.factors)))
         axis |= {"drive": {**drive, "peak_torque": peak}, "perturbation": case.factors}
         missing = {law for law in arguments.laws for joint in arguments.joints if (shape, joint, law, x) not in kept}
         with tempfile.TemporaryDirectory(prefix="bench-control-") as name:
             folder = Path(name)
-            save_model(true_model(profile, case), folder / "true.toml")
+            save_model(true_model(profile, case.nominal, case.factors), folder / "true.toml")
             tuned = [law for law in ("tuned", "extended") if law in missing]
             failed = {law: tune(folder, law, axis, arguments.rate, case) for law in tuned}
             for law, reason in failed.items():

@@ -7,13 +7,13 @@ does not contain a plant's smaller `friction` or `pretension` from the start, no
 from __future__ import annotations
 
 import dataclasses
+import math
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tools.bench.control import true_model
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo import rig
@@ -34,7 +34,25 @@ CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
 GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque: a joint of 0.02 kg*m^2 stays below 5 rad/s
 _PLACES = {name: place for place, (name, _) in enumerate(COLUMNS)}
 
+ENCODER_LAG = 1.0 / (2.0 * math.pi * 50.0)  # s, of the controller's own low-pass, [axis.encoder] velocity_cutoff
+
 Ended = Callable[[float, float, Sequence[Event]], bool]  # s of the log, rad/s of the joint, events: all was seen
+
+
+def true_model(
+    shape: str | Points, nominal: TendonSheath = rig.NOMINAL, factors: Mapping[str, float] = rig.TRUTH
+) -> TendonSheath:
+    """Return the model of the plant: friction, pretension and stiffness times `factors`, shape, and the encoder's lag.
+
+    (3.55) is exact with all bends at the joint, but a reversal of the motor is planned by where they are.
+    """
+    effects: dict[str, dict[str, Any]] = {
+        "velocity_lag": {"time_constant": ENCODER_LAG},
+        "elongation_coupling": {"curvature_profile": shape},
+    }
+    x = nominal.friction_angle * factors["friction_coefficient"]
+    model = nominal.recalibrated(x, nominal.pretension * factors["pretension"]).with_effects(effects)
+    return dataclasses.replace(model, axial_stiffness=nominal.axial_stiffness * factors["axial_stiffness"])
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Run plant and daemon on a vcan for long, and look for growing processes and lost cycles or records.
 
-Usage: tools/run campaign/soak [--seconds 1200] [--axes 1] [--json]
+Usage: tools/run bench/soak [--seconds 1200] [--axes 1] [--json]
 
 A client asks for the status and sets a value all the time. Memory and descriptors of plant, daemon, log writer and
 socket server are sampled; the slope of the memory is fitted after the first quarter. Exit code 1: the memory of a
