@@ -5,7 +5,6 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from tools.campaign.drive.makes import makes
 from tools.campaign.drive.trial import run_trial
 from tools.campaign.drive.variations import VARIATIONS, Variation
 from tsa_ctrl.plant.identity import Quirks
@@ -40,15 +39,3 @@ def test_a_refusal_that_a_line_mends_has_a_twin_that_runs() -> None:
         "mode_shows", "produces_sync", "boot_timeout", "enable_timeout", "reports_following", "warnings", "supervision",
         "require_watchdog", "velocity_source", "absent",
     } <= keys  # fmt: skip
-
-
-def test_what_diff_shows_of_each_make_is_of_its_own_profile() -> None:
-    """Makes that are impersonated are compared; their identity and units are not among what a start would change."""
-    found = {make.name: make for make in makes()}
-    assert {name for name, make in found.items() if make.differences is None} == {"synapticon"}
-    for make in found.values():
-        if make.differences is not None:
-            keys = {difference.entry.key for difference in make.differences}
-            assert (0x6060, 0) in keys
-            assert all(difference.found is not None for difference in make.differences), make.name
-            assert make.short.startswith(f"{len(keys)} of {make.compared}: ")

@@ -15,7 +15,6 @@ error. A fault that ended a run is printed below the table.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import itertools
 import json
 import subprocess
@@ -25,12 +24,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomlkit
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from tools import command
-from tools.bench.torque_error import measure
 from tools.campaign.passive.experiment import true_model
 from tools.command import Results, Row
 from tsa_ctrl.control.plan import LAG
@@ -41,6 +41,7 @@ from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
 from tsa_ctrl.system.process_supervisor import tsa
+from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.script import Change
 from tsa_ctrl.virtual.simulation import simulate_loop
 
@@ -52,6 +53,8 @@ LAWS = ("none", "(3.55)", "tuned", "extended", "true")
 NOMINAL_SHARE, TRUE_SHARE = 0.95, 1.0  # of the friction term; as shipped, and where nothing is uncertain
 TO_REST, REST = 3.0, 2.0  # s: the set-point's gain goes to 0 within two of the three; then speed is measured
 WIDTH = 190  # characters of a table
+WINDOW = 0.05  # s on either side of a reversal: longer than any reversal of the friction term takes
+LEAST_SPEED = 0.05  # rad/s that a joint must have had on both sides of a reversal: less is creep
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,37 @@ def play(folder: Path, joint: str, axis: dict[str, Any], law: str, rate: float, 
     found: Row = {"stopped": f"at {run.until:.2f} s: {run.faults[0]}"} if run.faults else {}
     if not run.error.size:  # a fault during the fade-in
         return found
-    return {**dataclasses.asdict(measure(run, end, end + TO_REST)), **found}
+    return {**measure(run, end, end + TO_REST), **found}
+
+
+def measure(axis: AxisResult, playing: float, rests: float) -> Row:
+    """Return RMS, 99th percentile and peak of the error, N*m, its jerk, N*m/s, and the joint's speed at rest, rad/s.
+
+    The set-point plays until `playing` s of the log's time; from `rests` s on there is none and all is at rest. Without
+    a reversal of the joint, or of the set-point of a joint at rest, there is no jerk.
+    """
+    log, truth = axis.log, axis.truth
+    counted = axis.counted & (log["t"] < playing)
+    t, omega, wanted = (log[name][counted] for name in ("t", "omega_j", "tau_j_des"))
+    error = axis.delivered[counted] - wanted
+    direction = omega if np.abs(omega).max() > LEAST_SPEED else np.gradient(wanted, t)
+    fast = np.flatnonzero(np.abs(direction) > LEAST_SPEED)
+    reversed_ = np.diff(np.sign(direction[fast])) != 0
+    near = np.zeros(t.size, dtype=bool)
+    for before, after in zip(t[fast[:-1][reversed_]], t[fast[1:][reversed_]], strict=True):
+        near |= (t >= before - WINDOW) & (t <= after + WINDOW)
+    resting = (truth["clock"] - axis.start >= rests) & (truth["clock"] - axis.start < axis.until)
+    return {
+        "rms": _rms(error),
+        "p99": float(np.percentile(np.abs(error), 99.0)),
+        "peak": float(np.abs(error).max()),
+        "jerk": _rms(np.gradient(error, t)[near]) if near.any() else None,
+        "resting_speed": _rms(truth["omega_j"][resting]),
+    }
+
+
+def _rms(values: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def rows(arguments: argparse.Namespace) -> Iterator[Row]:

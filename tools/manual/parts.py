@@ -9,11 +9,11 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
-from tools.campaign.drive.makes import makes
 from tools.campaign.drive.variations import VARIATIONS
-from tools.command import read_rows
+from tools.command import CONFIG, read_rows
 from tools.manual import hazards, measure
 from tools.package.licences import FILE
+from tsa_ctrl.bus.drive.profile import load_profile
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
@@ -84,11 +84,12 @@ def errors() -> str:
 
 
 def profiles() -> str:
-    """Return the shipped drive profiles, their sources, what these do not say, and what differs at power-on."""
-    head = "profile", "sources", "not known", "`tsa drive diff` at power-on: objects that differ, of those compared"
-    listed = ((make, make.profile) for make in makes())
-    rows = ((f"`{m.name}`", "; ".join(p.sources), "; ".join(p.unknown) or "-", m.short) for m, p in listed)
-    return table(head, rows)
+    """Return the shipped drive profiles, their sources, and what these do not say."""
+    rows = []
+    for path in sorted((CONFIG / "drives").glob("*.toml")):
+        profile = load_profile(path.stem, CONFIG)
+        rows.append((f"`{path.stem}`", "; ".join(profile.sources), "; ".join(profile.unknown) or "-"))
+    return table(("profile", "sources", "not known"), rows)
 
 
 def quirks() -> str:

@@ -1,12 +1,11 @@
 """Diagnose a measured cable drive, one load level (then one frequency) left out at a time.
 
-Usage: tools/run measured/diagnose [--split load|frequency|both] [--processes 2] [--rows FILE] [--reports FOLDER]
-                                [--pictures FOLDER] [--anew] [--list]
+Usage: tools/run measured/diagnose [--processes 2] [--rows FILE] [--reports FOLDER] [--pictures FOLDER] [--list]
 
 Each fold is a plain `diagnose(logs, model, hold_out=PATTERN)` on all 25 trials; its report goes below --reports. The
 errors are those of all samples of the trials left out, reversals and starts included, with the model fitted on the
 others; pooled over the folds. A fold that stands in --rows (default: the file that the manual's table is written from)
-is not run again, but for those that --pictures draws. Exits with 1 when the load split misses what is demanded of it.
+is not run again, but for those that --pictures draws.
 The data are looked for in the folder named by TSA_DATA, else in ../shared/data; without them there is one line and
 nothing to do.
 """
@@ -36,8 +35,6 @@ STEPS = ("as given", "recalibrated", "extended")
 # What hand-made fits reach, mN*m, from the README of the data: (3.55), with presliding, with load, with a spring.
 BY_HAND = {"load": (45.7, 15.3, 9.2, 7.0), "frequency": (45.0, 12.9, 8.5, 6.4)}
 PUBLISHED = 4.42  # mN*m, of a neural network, on splits of its own with all loads seen
-REQUIRED = 8.0  # mN*m, of the load split
-RIVALS = {"load_dependent_friction", "sheath_asymmetry"}  # one sign of the load cannot tell them apart
 SHOWN = ("load010_0.3Hz.csv.gz", "load050_0.3Hz.csv.gz", "load090_0.3Hz.csv.gz")
 STRETCH = (0.0, 9.0)  # s of them
 
@@ -104,19 +101,6 @@ def spoken(pattern: str) -> str:
     return f"load {int(name.removeprefix('load'))} %" if name.startswith("load") else name.replace("Hz", " Hz")
 
 
-def missed(rows: Sequence[Row]) -> list[str]:
-    """What the load split fails to show."""
-    out = []
-    if not pooled(rows)[2] <= REQUIRED:
-        out.append(f"the extended model is off by {pooled(rows)[2]:.2f} mN·m; at most {REQUIRED:g} is demanded")
-    for row in rows:
-        if ["presliding_hysteresis"] not in row["causes"]:
-            out.append(f"{row['left_out']}: presliding_hysteresis is not named alone")
-        if not any(set(claim) >= RIVALS for claim in row["causes"]):
-            out.append(f"{row['left_out']}: {', '.join(sorted(RIVALS))} are not one group")
-    return out
-
-
 def picture(curves: Sequence[Curve], folder: Path) -> None:
     """Draw held-out trials."""
     if curves:
@@ -135,37 +119,28 @@ def picture(curves: Sequence[Curve], folder: Path) -> None:
 
 def main() -> int:
     parser = command.parser(__name__, __doc__)
-    parser.add_argument("--split", choices=(*FOLDS, "both"), default="both")
     command.share(parser, "processes rows", rows=FILE)
     parser.add_argument("--reports", type=Path, default=command.ROOT / "out" / "davinci_diagnose", help="their folder")
     parser.add_argument("--pictures", type=Path, help="folder of the pictures; default: none are drawn")
-    parser.add_argument("--anew", action="store_true", help="run what is known, too")
     parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
     options = parser.parse_args()
     data = None if options.list else command.measured_data(__name__)
     if data is None and not options.list:
         return 0
-    splits = tuple(FOLDS) if options.split == "both" else (options.split,)
     results = Results(options.rows, lambda row: (row["split"], row["left_out"]))
     curves: list[Curve] = []
     if data is not None:
-        wanted = [(split, pattern) for split in splits for pattern in FOLDS[split]]
+        wanted = [(split, pattern) for split in FOLDS for pattern in FOLDS[split]]
         drawn = [each for each in wanted if options.pictures and any(Path(name).match(each[1]) for name in SHOWN)]
-        jobs = [
-            (*each, data, options.reports) for each in wanted if options.anew or each not in results or each in drawn
-        ]
+        jobs = [(*each, data, options.reports) for each in wanted if each not in results or each in drawn]
         for row, own in command.parallel(fold, jobs, options.processes):
             results.add(row)
-            curves += own if row["split"] == splits[0] else []
+            curves += own if row["split"] == "load" else []
             print(f"{row['left_out']}: {row['sentence']}", file=sys.stderr, flush=True)
-    known = [results[split, each] for split in splits for each in FOLDS[split] if (split, each) in results]
+    known = [results[split, each] for split in FOLDS for each in FOLDS[split] if (split, each) in results]
     head, lines = table(known)
     command.print_table(head, lines)
     if options.pictures:
         picture(curves, options.pictures)
     print("data: O'Neill, Stephens, Kowalewski, IEEE RA-L 3(4):3027-3034, 2018 (Open Database License 1.0)")
-    by_load = [row for row in known if row["split"] == "load"]
-    failures = missed(by_load) if len(by_load) == len(FOLDS["load"]) else []
-    for failure in failures:
-        print(f"missed: {failure}")
-    return 1 if failures else 0
+    return 0
