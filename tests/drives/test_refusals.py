@@ -20,7 +20,7 @@ DO = re.compile(
 ELSEWHERE = (  # messages that another function words, or ends: each is read below, or by the tests named there
     "another_master",
     "_not_booted",
-    "node {node_id} refuses {entry}",  # ended by cure() where it is caught: test_start, tests/tools/test_drives.py
+    "node {node_id} refuses {entry}",  # ended by cure() where it is caught: test_start, test_matrix
     "{path}: {error}",
     "{name}: {error}{holds}; {cure(",
     "read back {kept}; {cure(",

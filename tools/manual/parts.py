@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
-from tools.campaign.drive.variations import VARIATIONS
 from tools.command import CONFIG, read_rows
 from tools.manual import hazards, measure
 from tools.package.licences import FILE
@@ -93,13 +92,10 @@ def profiles() -> str:
 
 
 def quirks() -> str:
-    """Return the keys by which the simulated drive differs from the standard, and the variations that have each."""
-    rows = []
-    for field in filter(None, map(FIELD.match, inspect.getsource(Quirks).splitlines())):
-        names = [variation.name for variation in VARIATIONS if field["key"] in variation.quirks]
-        tried = "; ".join(names) if len(names) <= 3 else f"{names[0]}; {names[1]}; {len(names) - 2} more"
-        rows.append((f"`{field['key']}`", f"`{field['default']}`", field["words"], tried))
-    return table(("key of `[axis.drive]`", "default", "what the drive does", "tried as"), rows)
+    """Return the keys by which the simulated drive differs from the standard."""
+    fields = filter(None, map(FIELD.match, inspect.getsource(Quirks).splitlines()))
+    rows = [(f"`{field['key']}`", f"`{field['default']}`", field["words"]) for field in fields]
+    return table(("key of `[axis.drive]`", "default", "what the drive does"), rows)
 
 
 def verbs() -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from tools.campaign.drive.trial import run_trial
-from tools.campaign.drive.variations import VARIATIONS, Variation
+from tests.drives.matrix import run_trial
+from tests.drives.variations import VARIATIONS, Variation
 from tsa_ctrl.plant.identity import Quirks
 
 LONG = (  # virtual time

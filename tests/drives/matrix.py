@@ -9,8 +9,8 @@ from typing import Any
 
 import msgspec
 
+from tests.drives.variations import Variation
 from tools.campaign.daemon import Daemon
-from tools.campaign.drive.variations import Variation
 from tools.command import CONFIG
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.config import Configuration, load_configuration

@@ -1,1 +1,0 @@
-"""Drives that others wrote: the variations as data, and one trial of each in virtual time."""
