@@ -58,7 +58,7 @@ class Axis:
 
 
 class Log:
-    """Telemetry, remarks and losses: every call, by name."""
+    """Telemetry and notices: every call, by name."""
 
     def __init__(self, *given: object) -> None:
         self.given = given
@@ -89,8 +89,7 @@ class Bench:
         self.events = Events()
         self.cycle_calls: list[tuple[Any, ...]] = []
         self.tuners = [self.tuner(0), self.tuner(1)]
-        monkeypatch.setattr(module, "Remarks", Log)
-        monkeypatch.setattr(module, "Losses", Log)
+        monkeypatch.setattr(module, "Notices", Log)
         monkeypatch.setattr(module, "run_cycle", self.cycle)
         monkeypatch.setattr(module, "follow_up", lambda *given: self.cycle_calls.append(("after", *given)))
         self.rig = SimpleNamespace(wait=self.wait)

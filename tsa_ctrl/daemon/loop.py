@@ -15,9 +15,8 @@ from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import LoopPhase
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.losses import Losses
 from tsa_ctrl.daemon.monitoring import SecondChannel
-from tsa_ctrl.daemon.remarks import Remarks
+from tsa_ctrl.daemon.notices import Notices
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Mailbox
 from tsa_ctrl.safety.causes import REMEDIES, Cause
@@ -83,8 +82,7 @@ class Loop:
         self._faults = [0] * len(axes)
         self._back_offs = [0] * len(axes)
         self._limited = [0] * len(axes)
-        self._remarks = Remarks(axes, events)
-        self._losses = Losses(axes, events, self._ticker.history)
+        self._notices = Notices(axes, events, self._ticker.history)
         for index, axis in enumerate(axes):
             axis.image.overruns = self._ticker.history
             axis.connect(partial(mailbox.wanted, index))
@@ -138,7 +136,7 @@ class Loop:
         ticker.deadline = clock() + ticker.period
         if self._start == 0:
             self._start = ticker.deadline
-            self._remarks.begin()
+            self._notices.begin()
         else:  # on the same grid, so that the log has one; the time of a bring-up is a hole
             ticker.deadline += -(ticker.deadline - self._start) % ticker.period
         self.recover = False
@@ -181,10 +179,10 @@ class Loop:
             self._telemetry.check_sensors(self._t(planned))
             self._telemetry.check_bus(self._t(planned))
             self._telemetry.check_server(self._t(planned))
-            self._losses.update(self._t(planned), self.cycles)
+            self._notices.update_losses(self._t(planned), self.cycles)
         if self.phase in (LoopPhase.SETTLING, LoopPhase.RUNNING):
-            self._losses.update_skipped(self._t(planned), planned * 1e-9, self._settings.rate)
-        self._remarks.update(self._t(planned))
+            self._notices.update_skipped(self._t(planned), planned * 1e-9, self._settings.rate)
+        self._notices.update(self._t(planned))
         counts = (self.cycles, self.planned, ticker.skipped, ticker.overruns)
         recovery = (self._recovered, self._failed, self._over)
         self._telemetry.publish(planned * 1e-9, self._start * 1e-9, counts, self.phase.value, self._releases, recovery)

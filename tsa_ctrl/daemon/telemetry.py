@@ -14,6 +14,7 @@ from tsa_ctrl.control.live import Tuner
 from tsa_ctrl.daemon.assembly import STATE_CODE, LoopPhase
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
+from tsa_ctrl.daemon.notices import ProcessNotices
 from tsa_ctrl.ipc.mailbox import General, Mailbox, Parameters, Row
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.process import LogProcess
@@ -21,77 +22,6 @@ from tsa_ctrl.log.ring import RingWriter
 from tsa_ctrl.safety.release import ReleaseBudget
 from tsa_ctrl.signals import Place, signals_of
 from tsa_ctrl.system.notify import Notifier
-
-SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
-
-
-class Helper:
-    """Monitor one process next to the loop, and add an event when it hangs, is replaced, or responds again.
-
-    A check only reads shared memory twice, so the loop can make one with every status.
-    """
-
-    def __init__(
-        self, name: str, heard: Callable[[], float], replaced: Callable[[], int], words: tuple[str, str]
-    ) -> None:
-        """Prepare the monitoring of one process.
-
-        Args:
-            name: of the process, for the events.
-            heard: returns the time of its last sign of life, s of the monotonic clock, 0 before the first.
-            replaced: returns how often it was replaced so far.
-            words: consequences of a hanging process and of its replacement, for the events.
-        """
-        self.silent = 0.0  # s since the last sign of life if more than `SILENT`, else 0
-        self._name = name
-        self._heard = heard
-        self._replaced = replaced
-        self._hangs, self._goes_on = words
-        self._known = 0
-
-    def look(self, t: float, now: float, events: Events) -> None:
-        """Check the process and add events; `t` in s of the log, `now` in s of the monotonic clock."""
-        heard, replaced = self._heard(), self._replaced()
-        if heard == 0.0:  # it has not begun
-            return
-        if replaced > self._known:
-            self._known = replaced
-            events.add(t, "", f"{self._name}: its process hung or was gone, and another one took over; {self._goes_on}")
-        age = now - heard
-        if age > SILENT and self.silent == 0.0:
-            events.add(
-                t, "", f"{self._name}: its process hangs, nothing was heard of it for {age:.1f} s; {self._hangs}"
-            )
-        elif age <= SILENT and self.silent:
-            events.add(t, "", f"{self._name}: its process answers again")
-        self.silent = age if age > SILENT else 0.0
-
-
-def socket_server(heard: Callable[[], float], replaced: Callable[[], int]) -> Helper:
-    """Return the monitoring of the socket server."""
-    return Helper(
-        "socket",
-        heard,
-        replaced,
-        (
-            "the loop goes on, a signal (SIGTERM) ends it; a process in its place follows",
-            "the loop went on; clients connect anew",
-        ),
-    )
-
-
-def log_writer(heard: Callable[[], float], replaced: Callable[[], int]) -> Helper:
-    """Return the monitoring of the log writer."""
-    return Helper(
-        "log",
-        heard,
-        replaced,
-        (
-            "the loop goes on, records wait in memory for some seconds",
-            "the loop went on; the log goes on in another file (-2, -3 and so on in its name)",
-        ),
-    )
-
 
 _record, _status, _measured = (
     attrgetter(*(signal.source for signal in signals_of(place))) for place in (Place.LOG, Place.STATUS, Place.CLIENT)
@@ -131,9 +61,17 @@ class Telemetry:
         self._error_frames = 0
         self._warnings: dict[tuple[int, int], int] = {}  # told of each node
         self._server_alive: Callable[[], bool] | None = None
-        self._helpers: list[Helper] = []
+        self._processes: list[ProcessNotices] = []
         if ring is not None and log is not None:
-            self._helpers.append(log_writer(lambda: ring.heard, lambda: ring.replaced))
+            self._processes.append(
+                ProcessNotices(
+                    "log",
+                    lambda: ring.heard,
+                    lambda: ring.replaced,
+                    "the loop goes on, records wait in memory for some seconds",
+                    "the loop went on; the log goes on in another file (-2, -3 and so on in its name)",
+                )
+            )
         self._log = log
         self._sensors = sensors
         self._notifier = notifier
@@ -178,7 +116,7 @@ class Telemetry:
             overruns=overruns,
             dropped=self._rig.bus.counters.dropped,
             log_lost=self.log_lost,
-            log_silent=self._helpers[0].silent if self._log_alive and self._helpers else 0.0,
+            log_silent=self._processes[0].silent if self._log_alive and self._processes else 0.0,
             phase=phase,
             releases=releases.count,
             release_next=releases.next,
@@ -192,8 +130,8 @@ class Telemetry:
         if self._notifier is not None:
             loop = LoopPhase(phase)
             self._notifier.update(now, loop.name.lower(), loop.up, loop.ending)
-        for helper in self._helpers:
-            helper.look(now - start, now, self._events)
+        for process in self._processes:
+            process.update(now - start, now, self._events)
         self._mailbox.publish(general, [self._values(index, axis, now - start) for index, axis in self._axes])
         self.tell_lease(now - start, start)
         if self._events.changed:
@@ -267,7 +205,15 @@ class Telemetry:
         """Monitor the socket server as well."""
         self._server_alive = alive
         mailbox = self._mailbox
-        self._helpers.append(socket_server(lambda: mailbox.heard, lambda: mailbox.replaced))
+        self._processes.append(
+            ProcessNotices(
+                "socket",
+                lambda: mailbox.heard,
+                lambda: mailbox.replaced,
+                "the loop goes on, a signal (SIGTERM) ends it; a process in its place follows",
+                "the loop went on; clients connect anew",
+            )
+        )
 
     def check_server(self, t: float) -> None:
         """Add an event when the socket server no longer responds; called about once a second."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.telemetry import Helper
+from tsa_ctrl.daemon.notices import ProcessNotices
 
 STATUS = 0.02  # s between two looks, as of the loop
 
@@ -15,13 +15,13 @@ class Process:
         self.heard = 0.0
         self.replaced = 0
         self.events = Events()
-        self.helper = Helper("log", lambda: self.heard, lambda: self.replaced, ("hang", "on"))
+        self.notices = ProcessNotices("log", lambda: self.heard, lambda: self.replaced, "hang", "on")
 
     def until(self, begin: float, end: float, beats: bool) -> None:
         for look in range(round((end - begin) / STATUS)):
             now = begin + look * STATUS
             self.heard = now if beats else self.heard
-            self.helper.look(now - 100.0, now, self.events)
+            self.notices.update(now - 100.0, now, self.events)
 
     @property
     def said(self) -> list[tuple[float, str]]:
@@ -36,7 +36,7 @@ def test_hanging_process_is_said_once_and_within_two_seconds() -> None:
     ((t, text),) = process.said
     assert 10.0 < t < 12.0
     assert "log: its process hangs" in text
-    assert process.helper.silent > 8.0
+    assert process.notices.silent > 8.0
 
 
 def test_process_that_comes_back_is_said_and_may_hang_again() -> None:

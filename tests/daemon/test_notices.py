@@ -11,17 +11,17 @@ import pytest
 
 from tests.virtual.joints import play
 from tsa_ctrl.daemon.events import Events
-from tsa_ctrl.daemon.remarks import AGAIN, Remarks
+from tsa_ctrl.daemon.notices import AGAIN, AxisNotices
 
 
 def said(words: list[tuple[float, int]]) -> list[tuple[float, str]]:
     """Times and texts, of statuswords at their times; the loop looks at them fifty times a second."""
     axis: Any = SimpleNamespace(name="knee", image=SimpleNamespace(statusword=0, nodes=["drive node 1"]))
     events = Events()
-    remarks = Remarks([axis], events)
+    notices = AxisNotices(axis, events)
     for t, word in words:
         axis.image.statusword = word
-        remarks._look_at_bits(t, 0, axis)
+        notices.update_statusword(t)
     assert not events.faults
     assert {event.axis for event in events.all} <= {"knee"}
     return [(event.t, event.text) for event in events.all]

@@ -1,0 +1,271 @@
+"""Report as events what a person should know of a run: what this rig lacks, and what goes wrong without a fault.
+
+`AxisNotices` compares the state of one axis with its last one. `Notices` does this for all axes and for the loop.
+`ProcessNotices` monitors a process next to the loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from tsa_ctrl.bus.canopen.cia402 import INTERNAL_LIMIT, WARNING
+from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.estimator import EstimateState
+from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.safety.leaky import SECOND
+from tsa_ctrl.system.realtime import SKIPPED_SHARE, Overruns
+
+AGAIN = 10.0  # s between two notices of one kind on one axis; the log has the reason of every cycle
+LESS, AS_SAID = 0.93, 0.97  # of the file's friction torque: reported below the one, again only after the other
+LOST_SHARE = 0.05  # of the cycles since the last check: a sound bus loses fewer than one in 10,000
+LEAST_LOST = 2  # commands that a drive did not hear; one may be lost with an error
+SILENT = 1.0  # s without a sign of life until an event reports it; each process leaves at least five per second
+BITS = (  # of the statusword, that stop nothing
+    (WARNING, "warns (bit 7 of statusword {:#06x}): temperature or voltage; its display, or 0x603F, says what"),
+    (
+        INTERNAL_LIMIT,
+        "is at a limit of its own (bit 11 of statusword {:#06x}): it may give less than it is told; its current limit, "
+        "temperature, and 0x6072 and 0x6080",
+    ),
+)
+
+
+class Seldom:
+    """Permit one notice in `AGAIN` s."""
+
+    def __init__(self) -> None:
+        self._last = -AGAIN  # s
+
+    def permits(self, t: float) -> bool:
+        """Return True, and count the notice, if the last one was long enough before `t` in s."""
+        if t - self._last < AGAIN:
+            return False
+        self._last = t
+        return True
+
+
+class AxisNotices:
+    """Report changes of one axis as events."""
+
+    def __init__(self, axis: ControlAxis, events: Events) -> None:
+        self._axis = axis
+        self._events = events
+        self._cut = self._repeated = self._missed = self._statusword = 0
+        self._slack = self._contradicted = self._less = False
+        self._confirmed = True
+        self._why = ""
+        self._heard = (0, 0)
+        self._may_report_cut, self._may_report_repeated = Seldom(), Seldom()
+        self._may_report_missed, self._may_report_unheard = Seldom(), Seldom()
+        self._may_report_bit = {bit: Seldom() for bit, _ in BITS}
+
+    def _add(self, t: float, text: str) -> None:
+        self._events.add(t, self._axis.name, text)
+
+    def begin(self) -> None:
+        """Report what this rig cannot have, before the first cycle."""
+        axis = self._axis
+        for note in (*axis.law.notes, *axis.compensation_limit.bound.notes, axis.joint_torque.why_not):
+            if note:
+                self._add(0.0, note)
+
+    def update(self, t: float) -> None:
+        """Report what has changed since the last call; `t` in s of the log."""
+        self._update_torque(t)
+        self._update_estimate(t)
+        self.update_statusword(t)
+        self._update_elongation(t)
+        image = self._axis.image
+        if image.repeated != self._repeated and self._may_report_repeated.permits(t):
+            self._repeated = image.repeated
+            nodes = ", ".join(f"{node} {node.repeated}" for node in image.nodes if node.repeated)
+            self._add(
+                t,
+                f"PDOs came more than once in a cycle (since the start: {nodes}); the first of each is used. "
+                "Another node may have the same id, or an error on the bus repeats frames",
+            )
+
+    def _update_torque(self, t: float) -> None:
+        law, known = self._axis.law, self._axis.joint_torque
+        if law.cut > self._cut and self._may_report_cut.permits(t):
+            self._cut = law.cut
+            self._add(
+                t,
+                f"the set-point requires a motor torque outside {_range(law.domain)}, where one tendon goes slack; "
+                "the torque is limited to this range (DOMAIN); lower the set-point or raise the pretension",
+            )
+        if known.contradicted is not self._contradicted:
+            self._contradicted = known.contradicted
+            self._add(
+                t,
+                f"the joint torque sensor differs from the tendons' stretch, {1e3 * known.difference:+.0f} mN*m in the "
+                "mean, beyond the band most of the time: check the sensor's gain and zero, or identify stiffness and "
+                "bending (tsa calibrate)"
+                if known.contradicted
+                else "the joint torque sensor agrees with the tendons' stretch again",
+            )
+
+    def _update_estimate(self, t: float) -> None:
+        law, estimator = self._axis.law, self._axis.estimator
+        if bool(estimator.why) is not bool(self._why):
+            if estimator.why:
+                self._add(t, f"friction and pretension are not estimated: {estimator.why}")
+            elif estimator.state is EstimateState.ESTIMATED:  # else it was reset, by a disable
+                self._add(t, "friction and pretension are estimated again")
+            self._why = estimator.why
+        found = estimator.found if estimator.use else math.nan
+        if found < LESS and not self._less:
+            self._less = True
+            self._add(
+                t,
+                f"friction and pretension together are about {100.0 * found:.0f} % of what the model file says, by "
+                "the estimate that is in use: no more is compensated; a tensioner that gave way, a straighter or "
+                "smoother sheath: mend that, or calibrate anew",
+            )
+        elif found > AS_SAID:
+            self._less = False
+        if law.near_slack is not self._slack:
+            self._slack = law.near_slack
+            self._add(
+                t,
+                f"pretension {law.pretension:.3g} N at the present wrap angle: the tendons are "
+                f"{'near slack' if law.near_slack else 'no longer near slack'}; the motor torque is limited to "
+                f"{_range(law.domain)}",
+            )
+
+    def update_statusword(self, t: float) -> None:
+        """Report the bits of the statusword that stop nothing, when they begin; `t` in s of the log."""
+        image = self._axis.image
+        word, before = image.statusword, self._statusword
+        self._statusword = word
+        for bit, words in BITS:
+            if word & bit and not before & bit and self._may_report_bit[bit].permits(t):
+                self._add(t, f"{image.nodes[0]} {words.format(word)}")
+
+    def _update_elongation(self, t: float) -> None:
+        stretch = self._axis.joint_torque.stretch
+        if stretch is not None and stretch.confirmation.confirmed is not self._confirmed:
+            self._confirmed = stretch.confirmation.confirmed
+            if not self._confirmed:
+                self._add(
+                    t,
+                    "the tendon elongation is not as the reported motor torque predicts: friction or stiffness has "
+                    "changed, or the motor gives another torque than it reports; the band of tau_j_stretch no "
+                    "longer uses the reported torque alone",
+                )
+
+    def update_losses(self, t: float, run: int) -> None:
+        """Report lost commands and answers while torque is permitted; `run`: cycles since the last call."""
+        axis = self._axis
+        image, hearing, permitted = axis.image, axis.io.hearing, axis.terms.permitted
+        before, self._heard = self._heard, (hearing.asked, hearing.unheard)
+        asked, unheard = hearing.asked - before[0], hearing.unheard - before[1]
+        if permitted and unheard >= max(LEAST_LOST, LOST_SHARE * asked) and self._may_report_unheard.permits(t):
+            self._add(
+                t,
+                f"{image.nodes[0]} held an older command {unheard} of the last {asked} times that 0x6071 was read "
+                "back: commands are lost; look at the cable, the bus load, and the drive's cycle",
+            )
+        lost, self._missed = image.missed - self._missed, image.missed
+        if permitted and lost >= LOST_SHARE * run and self._may_report_missed.permits(t):
+            nodes = ", ".join(f"{node} {node.missed}" for node in image.nodes if node.missed)
+            self._add(
+                t,
+                f"{lost} of the last {run} cycles were without all answers (since the start: {nodes}); look at the "
+                "cable, the bus load, and collect in [controller]",
+            )
+
+
+class Notices:
+    """Report changes of all axes and of the loop as events."""
+
+    def __init__(self, axes: Sequence[ControlAxis], events: Events, overruns: Overruns) -> None:
+        self._axes = [AxisNotices(axis, events) for axis in axes]
+        self._events = events
+        self._overruns = overruns
+        self._checked = -math.inf  # s, monotonic
+        self._may_report_skipped = Seldom()
+        self._cycles = 0
+
+    def begin(self) -> None:
+        """Report what this rig cannot have, before the first cycle."""
+        for axis in self._axes:
+            axis.begin()
+
+    def update(self, t: float) -> None:
+        """Report what has changed since the last call; `t` in s of the log."""
+        for axis in self._axes:
+            axis.update(t)
+
+    def update_losses(self, t: float, cycles: int) -> None:
+        """Report a bus that loses answers or commands, about once a second; `cycles` run by now."""
+        run, self._cycles = cycles - self._cycles, cycles
+        for axis in self._axes:
+            axis.update_losses(t, run)
+
+    def update_skipped(self, t: float, now: float, rate: float) -> None:
+        """Report, about once a second, a loop that skipped at least `SKIPPED_SHARE` of the periods of a second.
+
+        Args:
+            t: time of the log, s.
+            now: monotonic time, s.
+            rate: of the loop, Hz.
+        """
+        if now - self._checked < SECOND:
+            return
+        skipped, begin = self._overruns.worst_second(self._checked)
+        self._checked = now
+        if skipped and skipped >= SKIPPED_SHARE * rate and self._may_report_skipped.permits(t):
+            planned = round(rate * SECOND)
+            remedy = self._overruns.remedy(begin, planned)
+            self._events.add(t, "", f"{skipped} of {planned} periods within a second had no cycle: {remedy}")
+
+
+class ProcessNotices:
+    """Monitor one process next to the loop, and add an event when it hangs, is replaced, or responds again.
+
+    A check only reads shared memory twice, so the loop can make one with every status.
+    """
+
+    def __init__(
+        self, name: str, heard: Callable[[], float], replaced: Callable[[], int], if_hung: str, if_replaced: str
+    ) -> None:
+        """Prepare the monitoring of one process.
+
+        Args:
+            name: of the process, for the events.
+            heard: returns the time of its last sign of life, s of the monotonic clock, 0 before the first.
+            replaced: returns how often it was replaced so far.
+            if_hung: consequence of a hanging process, for the events.
+            if_replaced: consequence of its replacement.
+        """
+        self.silent = 0.0  # s since the last sign of life if more than `SILENT`, else 0
+        self._name = name
+        self._heard = heard
+        self._replaced = replaced
+        self._if_hung, self._if_replaced = if_hung, if_replaced
+        self._known = 0
+
+    def update(self, t: float, now: float, events: Events) -> None:
+        """Check the process and add events; `t` in s of the log, `now` in s of the monotonic clock."""
+        heard, replaced = self._heard(), self._replaced()
+        if heard == 0.0:  # it has not begun
+            return
+        if replaced > self._known:
+            self._known = replaced
+            events.add(
+                t, "", f"{self._name}: its process hung or was gone, and another one took over; {self._if_replaced}"
+            )
+        age = now - heard
+        if age > SILENT and self.silent == 0.0:
+            events.add(
+                t, "", f"{self._name}: its process hangs, nothing was heard of it for {age:.1f} s; {self._if_hung}"
+            )
+        elif age <= SILENT and self.silent:
+            events.add(t, "", f"{self._name}: its process answers again")
+        self.silent = age if age > SILENT else 0.0
+
+
+def _range(domain: tuple[float, float]) -> str:
+    return f"{domain[0]:.3g} to {domain[1]:.3g} N*m"
