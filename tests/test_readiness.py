@@ -14,7 +14,7 @@ from tests.plant.bench import ACTUATOR
 from tests.virtual.files import controller, merged, write
 from tsa_ctrl.cli import cli
 from tsa_ctrl.config import Configuration, load_configuration
-from tsa_ctrl.daemon.assembly import describe
+from tsa_ctrl.daemon.build import describe
 from tsa_ctrl.daemon.run import run
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.provenance import NodeIdentity

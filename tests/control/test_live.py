@@ -11,7 +11,7 @@ import pytest
 
 from tests.daemon.machine import WITH_CELLS, Machine
 from tsa_ctrl.control.live import Parameter, Tuner, parameters_of
-from tsa_ctrl.daemon.assembly import describe, tuners_of
+from tsa_ctrl.daemon.build import describe, tuners_of
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.parameters import change
 

@@ -14,7 +14,7 @@ from tests.bus.nodes import Responder
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.telemetry import Telemetry

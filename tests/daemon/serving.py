@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from tsa_ctrl.control.estimator import EstimateState
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.ipc.mailbox import AxisStatus, General, Mailbox
 from tsa_ctrl.ipc.protocol import Description, Range
 from tsa_ctrl.safety.limiter import Reason

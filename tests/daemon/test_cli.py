@@ -21,7 +21,7 @@ from rich.console import Console
 from tests.daemon.serving import PATIENCE, Serving, description
 from tests.daemon.test_server import loop_taking
 from tsa_ctrl.cli import cli, set_
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.ipc.page import Page, sparkline

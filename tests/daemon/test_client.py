@@ -14,7 +14,7 @@ import pytest
 
 import tsa_ctrl
 from tests.daemon.serving import PATIENCE, Serving, until
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc.client import Client, Lease
 from tsa_ctrl.ipc.mailbox import Reading

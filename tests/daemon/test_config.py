@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from tsa_ctrl.cli import cli
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon.assembly import bound_for, describe, joint_torque_of
+from tsa_ctrl.daemon.build import bound_for, describe, joint_torque_of
 from tsa_ctrl.errors import UsageError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"

@@ -17,7 +17,7 @@ import msgspec
 import pytest
 
 from tests.daemon.serving import PATIENCE, QUARTERS, description
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.connection import Peer, Role, peer_of, role_of
 from tsa_ctrl.ipc.listener import CLIENTS, listen

@@ -14,7 +14,7 @@ import pytest
 
 from tests.daemon.machine import BARE, CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.ipc.mailbox import RECOVER, Command
 from tsa_ctrl.safety.causes import Cause, Finding
 

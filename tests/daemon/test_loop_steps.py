@@ -12,7 +12,7 @@ import pytest
 from tsa_ctrl.bus.settings import SupervisionSettings
 from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.daemon import loop as module
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, Command

@@ -13,10 +13,10 @@ from tests.bus.fake import FakeBus
 from tests.daemon.machine import Machine
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon import operation
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon import lifecycle
+from tsa_ctrl.daemon.build import LoopPhase
+from tsa_ctrl.daemon.lifecycle import Lifecycle
 from tsa_ctrl.daemon.monitoring import SecondChannel
-from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.errors import BusError, TsaError, UsageError
 
 CONFIG = Path(__file__).resolve().parents[2] / "config" / "controller.toml"
@@ -44,12 +44,12 @@ def test_a_bring_up_that_fails_again_leaves_the_fault_latched(error: TsaError, m
     def fails(*arguments: object) -> None:
         raise error
 
-    monkeypatch.setattr(operation, "bring_up", fails)
+    monkeypatch.setattr(lifecycle, "bring_up", fails)
     loop = Loop()
     configuration = load_configuration(CONFIG)
     file = configuration.file
     rig = Rig(FakeBus(), file.bus, file.axes, configuration.profiles)
-    Operation(configuration, rig, (), loop)._recover(math.inf)  # type: ignore[arg-type]
+    Lifecycle(configuration, rig, (), loop)._recover(math.inf)  # type: ignore[arg-type]
     assert loop.told == [f"recovery failed: {error}", LoopPhase.FAULTED]
 
 
@@ -65,7 +65,7 @@ def test_a_stop_while_it_starts_ends_it_without_a_fault(tmp_path: Path, who: str
     begin = machine.bus.clock.now
     file = machine.configuration.file
     rig = Rig(machine.bus, file.bus, file.axes, machine.configuration.profiles)  # one that never commanded
-    run = Operation(machine.configuration, rig, machine.axes, machine.loop, said.append)
+    run = Lifecycle(machine.configuration, rig, machine.axes, machine.loop, said.append)
     run.run(math.inf, ready=lambda: pytest.fail("the loop begins"))
     assert machine.bus.clock.now - begin < 1.0
     assert machine.bus.sent == []

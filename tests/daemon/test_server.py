@@ -23,7 +23,7 @@ import msgspec
 import pytest
 
 from tests.daemon.serving import PATIENCE, Serving, until
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
 from tsa_ctrl.ipc.listener import CLIENTS, listen

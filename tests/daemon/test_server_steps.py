@@ -16,7 +16,7 @@ import pytest
 
 from tests.daemon.serving import QUARTERS, description
 from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, measured
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import server
 from tsa_ctrl.ipc.listener import CLIENTS, listen

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from tsa_ctrl.daemon.events import MOST, Event, Events
+from tsa_ctrl.daemon.events import MOST, Events
 from tsa_ctrl.daemon.summary import NodeCount, Summary
 from tsa_ctrl.ipc.mailbox import TEXT
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.system.histogram import BINS, coarse, count, distribution
 

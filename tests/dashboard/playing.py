@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 
 from tests.daemon.serving import QUARTERS, Serving
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.ipc.mailbox import AxisStatus, Command, General, Parameters
 from tsa_ctrl.safety.causes import Cause
 

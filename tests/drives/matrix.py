@@ -16,9 +16,9 @@ from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.setpoint import SetPointSettings
-from tsa_ctrl.daemon.assembly import LoopPhase
-from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import TsaError
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.machine import AxisNodes, Machine
 from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
@@ -118,14 +118,14 @@ class Station:
             self.wire.at(self.wire.now + LOOK, look)
 
         try:
-            daemon.operation.run(math.inf, ready=begin)
+            daemon.lifecycle.run(math.inf, ready=begin)
             daemon.telemetry.check_bus(0.0)
         finally:
             daemon.mailbox.close()
             self.history += daemon.events.all
             fault = daemon.events.first_fault
             self.first_fault = "" if fault is None else f"{fault.text}; {REMEDIES[fault.cause_id]}"
-        return daemon.operation.unconfirmed
+        return daemon.lifecycle.unconfirmed
 
     def recover(self) -> None:
         """Request a recovery; the loop permits one in REST."""

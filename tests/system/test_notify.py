@@ -14,7 +14,7 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.daemon.machine import CONSTANT, Machine
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.system.notify import LONGEST, Notifier
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon.assembly import describe
+from tsa_ctrl.daemon.build import describe
 from tsa_ctrl.ipc.listener import listen
 from tsa_ctrl.ipc.mailbox import Command
 from tsa_ctrl.ipc.server import Server

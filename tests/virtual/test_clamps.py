@@ -9,7 +9,7 @@ import pytest
 
 from tests.virtual.files import controller, plant, write
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon.operation import Operation
+from tsa_ctrl.daemon.lifecycle import Lifecycle
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.readiness import Nodes
@@ -49,10 +49,10 @@ def test_what_a_bring_up_found_is_judged_before_any_drive_is_enabled(
         raise UsageError("not ready")
 
     run.machine.start()
-    operation = Operation(load_configuration(paths[0]), run.rig, run.axes, run.loop, simulated=True, admit=admit)
+    lifecycle = Lifecycle(load_configuration(paths[0]), run.rig, run.axes, run.loop, simulated=True, admit=admit)
     try:
         with pytest.raises(UsageError, match="not ready"):
-            operation.run(0.3)
+            lifecycle.run(0.3)
         assert seen == [(7, has_inputs)]
         assert not run.rig.has_commanded
     finally:

@@ -34,8 +34,8 @@ from tools.campaign.passive.cases import Ended
 from tools.campaign.passive.experiment import SENSORS, Experiment
 from tools.campaign.passive.judge import peak_speed, reactions, windows
 from tools.command import Row
-from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
-from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.lifecycle import Lifecycle, Say
 from tsa_ctrl.daemon.loop import Loop
-from tsa_ctrl.daemon.operation import Operation, Say
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import RECOVER, Command, Mailbox
 from tsa_ctrl.virtual.lockstep import Wire
 
 
 class Daemon:
-    """Axes, mailbox, events, loop and operation of one run on a wire."""
+    """Axes, mailbox, events, loop and lifecycle of one run on a wire."""
 
     def __init__(self, configuration: Configuration, wire: Wire, say: Say = lambda text: None) -> None:
         file = configuration.file
@@ -28,7 +28,7 @@ class Daemon:
             rig, self.axes, self.tuners, self.mailbox, self.telemetry, self.events, file.controller,
             file.bus.supervision, lambda: round(wire.now * 1e9),
         )  # fmt: skip
-        self.operation = Operation(configuration, rig, self.axes, self.loop, say)
+        self.lifecycle = Lifecycle(configuration, rig, self.axes, self.loop, say)
 
     def recover(self) -> None:
         """Request a recovery, as `tsa set recover 1`."""

@@ -26,7 +26,7 @@ from tools import command
 from tools.figures import look
 from tsa_ctrl.demo.rig import FADE_IN
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.table import read_course
+from tsa_ctrl.log.table import load_run
 from tsa_ctrl.system.process_supervisor import tsa
 
 Columns = dict[str, NDArray[np.float64]]
@@ -47,7 +47,7 @@ def course(folder: Path, seconds: float) -> Columns:
     logs = sorted(folder.glob("*.mcap"))
     if not logs:
         raise UsageError(f"{folder}: no log in it; give a folder that `tsa demo --out` left")
-    columns = read_course(logs[-1], ("q_j",), FADE_IN, FADE_IN + seconds)
+    columns = load_run(logs[-1], ("q_j",), FADE_IN, FADE_IN + seconds)
     return {**columns, "t": columns["t"] - columns["t"][0]}
 
 

@@ -15,7 +15,7 @@ from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
-from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.ipc.mailbox import Mailbox

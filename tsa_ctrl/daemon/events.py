@@ -3,33 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import msgspec
 
 from tsa_ctrl.config import AxisSettings
 from tsa_ctrl.ipc.mailbox import TEXT
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.safety.causes import Cause
 from tsa_ctrl.sensors.process import LineState, SerialSensors
 
 MOST = 50  # events that are kept, the first fault among them
 LONGEST = 1000  # characters of a text; the first fault always has room in the mailbox
 LONGEST_NAME = 100  # characters of an axis' name
-
-
-@dataclass(frozen=True)
-class Event:
-    """Hold one event; `t` in s since the start of the loop, `axis` empty for all axes, `number` counts from 0."""
-
-    number: int
-    t: float
-    axis: str
-    text: str
-    fault: bool
-    cause_id: str = ""  # of a fault: `Cause.id`
-
-    def __str__(self) -> str:
-        return f"{self.t:9.3f} s  {self.axis + ': ' if self.axis else ''}{self.text}"
 
 
 class Events:

@@ -13,7 +13,7 @@ from tsa_ctrl.config import ControllerSection
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
 from tsa_ctrl.control.live import Tuner
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.notices import Notices

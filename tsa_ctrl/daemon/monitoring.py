@@ -10,7 +10,7 @@ from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.drive.torque_path import drive_scale, encoder_scale
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.daemon.assembly import give_of
+from tsa_ctrl.daemon.build import give_of
 from tsa_ctrl.daemon.monitor_process import Given, MonitorProcess, Report
 from tsa_ctrl.monitor.watch import Watched, WatchedAxis
 from tsa_ctrl.safety.causes import Finding

@@ -15,12 +15,12 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.link import is_simulated, open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.live import Tuner
-from tsa_ctrl.daemon.assembly import control_axes, describe, log_header, tuners_of
+from tsa_ctrl.daemon.build import control_axes, describe, log_header, tuners_of
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.joint_files import admitted
+from tsa_ctrl.daemon.lifecycle import Lifecycle, Say
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitoring import SecondChannel, monitor_line, monitor_process
-from tsa_ctrl.daemon.operation import Operation, Say
 from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
@@ -180,7 +180,7 @@ class Daemon:
                     )
                     loop.attach(channel)
                     self._enter(loop)
-                    operation = Operation(
+                    lifecycle = Lifecycle(
                         configuration,
                         rig,
                         axes,
@@ -194,14 +194,14 @@ class Daemon:
                     )
                     realtime.freeze_garbage()  # slow: between bring-up and loop nothing may keep our heartbeat waiting
                     try:
-                        operation.run(seconds, self._reset_faults)
+                        lifecycle.run(seconds, self._reset_faults)
                     finally:
                         realtime.release()
             finally:
                 children.end()
                 channel.close()
             log = children.log
-            summary = operation.summary(
+            summary = lifecycle.summary(
                 children.mailbox,
                 str(rights),
                 None if log is None else str(log.path.resolve()),

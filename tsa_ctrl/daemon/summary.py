@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.settings import write_text
 from tsa_ctrl.system.histogram import Distribution

@@ -11,7 +11,7 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.settings import Role
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.live import Tuner
-from tsa_ctrl.daemon.assembly import STATE_CODE, LoopPhase
+from tsa_ctrl.daemon.build import STATE_CODE, LoopPhase
 from tsa_ctrl.daemon.events import AxisSensors, Events
 from tsa_ctrl.daemon.monitoring import SecondChannel
 from tsa_ctrl.daemon.notices import ProcessNotices

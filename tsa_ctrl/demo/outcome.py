@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tsa_ctrl.demo.rig import FADE_IN
-from tsa_ctrl.log.table import read_course
+from tsa_ctrl.log.table import load_run
 
 FloatArray = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def course_of(folder: Path, summary: dict[str, Any], seconds: float) -> Course:
     Raises BusError when it holds too little torque.
     """
     log = folder / str(summary["log"])
-    columns = read_course(log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
+    columns = load_run(log, ("q_j",), FADE_IN, seconds, str(summary["cause"]))
     return Course(columns["t"], columns["tau_j_des"], columns["tau_j"], log, summary, columns["q_j"])
 
 

@@ -21,8 +21,8 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.redundancy import check_columns
 from tsa_ctrl.identify.units import check_rate, check_sizes
-from tsa_ctrl.log.info import mended
 from tsa_ctrl.log.table import Table, read_table, sha256_of
+from tsa_ctrl.log.timestamp_repair import repair_timestamps
 from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals
@@ -135,7 +135,7 @@ def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None
     """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
 
     Needs t, tau_m and one velocity or angle; `Dataset.require` asks for what a model needs beyond that. Late rows, lost
-    samples, doubled stamps and holes are mended and told in `notes`; of pieces between holes this is the longest.
+    samples, doubled stamps and holes are repaired and listed in `notes`; of pieces between holes this is the longest.
     `strict` mends no more than jitter of 20 % of the period; `cutoff` in Hz is that of the smoother that derives
     velocities and accelerations, default what the data demand. Raises UsageError that names file, column and row for a
     missing column, a nan, a time that runs back, an empty or damaged file, or a unit that cannot be right.
@@ -187,7 +187,7 @@ def held_out_blocks(count: int, blocks: int, first: int, gap: int) -> tuple[NDAr
 
 def _datasets(table: Table, name: str, sha256: str, strict: bool, cutoff: float | None) -> list[Dataset]:
     """One dataset for each piece of the table."""
-    pieces = mended(table, strict)
+    pieces = repair_timestamps(table, strict)
     names = [name] if len(pieces) == 1 else [f"{name}#{number}" for number in range(1, len(pieces) + 1)]
     return [_dataset(piece, own, sha256, strict, cutoff) for piece, own in zip(pieces, names, strict=True)]
 

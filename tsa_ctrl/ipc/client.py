@@ -20,7 +20,7 @@ import msgspec
 from tsa_ctrl.errors import BusError, LeaseLostError, UsageError
 from tsa_ctrl.ipc import pid_file, protocol
 from tsa_ctrl.ipc.connection import user_of
-from tsa_ctrl.ipc.protocol import AnyRequest, default_path
+from tsa_ctrl.ipc.protocol import AnyRequest, Event, default_path
 from tsa_ctrl.signals import Kind, Place, signals_of
 
 LONGEST_ANSWER = 4 * 1024 * 1024  # bytes
@@ -76,17 +76,6 @@ class Measured(msgspec.Struct, frozen=True):
             if axis.name == name:
                 return axis
         raise KeyError(name)
-
-
-class Told(msgspec.Struct, frozen=True):
-    """Hold an event of the daemon; `t` in s since its first cycle, `axis` empty for all axes."""
-
-    number: int
-    t: float
-    axis: str
-    text: str
-    fault: bool
-    cause_id: str = ""  # of a fault
 
 
 class Client:
@@ -187,9 +176,9 @@ class Client:
                 due += math.ceil((now - due) / period) * period
             self._sleep(due - now)
 
-    def events(self) -> list[Told]:
+    def events(self) -> list[Event]:
         """Return the events since the last call, faults included; raises BusError without an answer."""
-        found = self._as(self.ask(protocol.Events(self._next_event)).get("events"), list[Told])
+        found = self._as(self.ask(protocol.Events(self._next_event)).get("events"), list[Event])
         if found:
             self._next_event = found[-1].number + 1
         return found

@@ -97,6 +97,20 @@ def is_stop(line: bytes) -> bool:
         return False
 
 
+class Event(msgspec.Struct, frozen=True):
+    """Hold an event; `t` in s since the loop's first cycle, `axis` empty for all axes, `number` counts from 0."""
+
+    number: int
+    t: float
+    axis: str
+    text: str
+    fault: bool
+    cause_id: str = ""  # of a fault: `Cause.id`
+
+    def __str__(self) -> str:
+        return f"{self.t:9.3f} s  {self.axis + ': ' if self.axis else ''}{self.text}"
+
+
 class Range(msgspec.Struct, frozen=True):
     """Describe one live parameter; without bounds it cannot be set on this axis."""
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.reader import Unpacked
+from tsa_ctrl.log.reader import DecompressionLimit
 from tsa_ctrl.signals import INPUTS
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _end(path: Path, stream: BinaryIO | gzip.GzipFile, head: bytes, above: int) 
     `head` is the part of `stream` that has been read. Raises UsageError for a blank line before a row, which DuckDB
     would skip without a warning, and for a compressed file that unpacks to more than a log can hold.
     """
-    counted = Unpacked(path) if isinstance(stream, gzip.GzipFile) else None
+    counted = DecompressionLimit(path) if isinstance(stream, gzip.GzipFile) else None
 
     def following() -> bytes:
         block = stream.read(BLOCK)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,91 +14,10 @@ from tsa_ctrl.log.convert import coded
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
-from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, longest_step
+from tsa_ctrl.log.timestamp_repair import repair_timestamps
+from tsa_ctrl.log.timing import check_increasing, fit_grid
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.signals import COLUMNS
-
-Array = NDArray[np.float64]
-
-SHORTEST = 1.0  # s, of a piece; in a shorter one the ends take half (0.15 s of filter each, friction build-up)
-LEAST_KEPT = 0.5  # share of the rows; if more are lost, the time stamps are wrong rather than some rows missing
-
-
-def mended(table: Table, strict: bool = False) -> list[Table]:
-    """Return the table as pieces without gaps and duplicate time stamps; `notes` of each piece list the changes.
-
-    Late rows, lost samples and noisy stamps are kept, because `timing.resampled` interpolates linearly between the
-    stamps. A gap is a step too long for that. A log of the daemon, which counts its lost cycles, and a table without
-    time are returned unchanged.
-
-    Args:
-        table: the table as it was read.
-        strict: True returns the table unchanged, so that time stamps that do not increase are rejected later.
-
-    Raises:
-        UsageError: time is not a number or decreases, or gaps leave too few rows. The message is one line with file,
-            row, column and remedy.
-    """
-    t = table.columns.get("t")
-    if strict or table.recorded or t is None or len(t) < 3:
-        return [table]
-    check_increasing(table, t, doubled=True)
-    joined = _joined(table)
-    return _pieces(joined) if len(joined) > 2 else [table]
-
-
-def _joined(table: Table) -> Table:
-    """Average rows with the same time stamp, which a coarse clock or a row written twice causes."""
-    t = table.columns["t"]
-    new = np.concatenate([[True], np.diff(t) > 0.0])
-    if new.all():
-        return table
-    starts = np.flatnonzero(new)
-    counts = np.diff(np.append(starts, len(t)))
-    columns = {name: np.add.reduceat(values, starts) / counts for name, values in table.columns.items()}
-    columns["t"] = t[starts]
-    doubled = len(t) - len(starts)
-    row = table.place(int(np.argmin(new)))
-    note = (
-        f"{doubled} of {len(t)} rows ({doubled / len(t):.2%}) have the stamp of the row before, first {row}: averaged"
-    )
-    rows = starts if table.rows is None else table.rows[starts]
-    return dataclasses.replace(table, columns=columns, rows=rows, notes=(*table.notes, note))
-
-
-def _pieces(table: Table) -> list[Table]:
-    t = table.columns["t"]
-    steps = np.diff(t)
-    holes = np.flatnonzero(steps > longest_step(float(np.median(steps)), LONGEST_SKIP)) + 1
-    if len(holes) == 0:
-        return [table]
-    edges = [0, *(int(hole) for hole in holes), len(t)]
-    spans = list(pairwise(edges))
-    kept = [(a, b) for a, b in spans if t[b - 1] - t[a] >= SHORTEST]
-    if not kept:
-        kept = [max(spans, key=lambda span: span[1] - span[0])]
-    rows = sum(b - a for a, b in kept)
-    widest = int(holes[np.argmax(steps[holes - 1])])
-    where = f"{table.place(widest)}: a step of {steps[widest - 1]:.4g} s where the period is {np.median(steps):.4g} s"
-    if rows < LEAST_KEPT * len(t):
-        raise UsageError(
-            f"{table.label}: column t, {where}; {len(holes)} such holes leave {rows / len(t):.0%} of the rows in "
-            f"pieces of {SHORTEST:g} s, at least {LEAST_KEPT:.0%} must be: log at a steady rate, or correct the stamps"
-        )
-    dropped = (
-        f", {len(t) - rows} rows ({1.0 - rows / len(t):.2%}) in shorter ones are left out" if rows < len(t) else ""
-    )
-    pieces = f"1 piece of {SHORTEST:g} s or more" if len(kept) == 1 else f"{len(kept)} pieces"
-    count = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
-    note = f"time has {count}, the widest at {where}: taken as {pieces}{dropped}"
-    return [_cut(table, a, b, note) for a, b in kept]
-
-
-def _cut(table: Table, start: int, end: int, note: str) -> Table:
-    columns = {name: values[start:end] for name, values in table.columns.items()}
-    rows = np.arange(start, end) if table.rows is None else table.rows[start:end]
-    return dataclasses.replace(table, columns=columns, rows=rows, notes=(*table.notes, note))
-
 
 Codes = dict[str, dict[int, str]]
 
@@ -176,7 +93,7 @@ def inspect(path: str | Path) -> LogInfo:
     sha256 = sha256_of(path)
     if kind_of(file) != ".mcap":
         table = read_table(path)
-        return LogInfo(str(path), sha256, [_axis_info(table, 0.0)], problems=_to_be_mended(table))
+        return LogInfo(str(path), sha256, [_axis_info(table, 0.0)], problems=_repairs(table))
     log = LogFile(file)
     if axis is not None and axis not in log.axes:
         raise UsageError(f"{file}: holds no axis '{axis}'; it holds {', '.join(log.axes)}")
@@ -193,10 +110,10 @@ def inspect(path: str | Path) -> LogInfo:
     return LogInfo(str(path), sha256, infos, log.about, log.problems, log.notes)
 
 
-def _to_be_mended(table: Table) -> list[str]:
+def _repairs(table: Table) -> list[str]:
     """Return the notes on duplicate time stamps and gaps, as they are reported when the log is used."""
     try:
-        return list(dict.fromkeys(note for piece in mended(table) for note in piece.notes))
+        return list(dict.fromkeys(note for piece in repair_timestamps(table) for note in piece.notes))
     except UsageError as error:
         return [str(error).removeprefix(f"{table.label}: ")]
 

@@ -33,7 +33,7 @@ ALWAYS = 256 << 20  # bytes that any file may unpack to: half an hour of one axi
 RATIO = 200  # permitted compression ratio beyond that: logs of a rig at rest reach 60, of a moving rig 2 to 10
 
 
-class Unpacked:
+class DecompressionLimit:
     """Limit the unpacked size of a compressed file, so that a small file cannot fill the reader's memory."""
 
     def __init__(self, path: Path) -> None:
@@ -54,7 +54,7 @@ class Unpacked:
 class CountedStream:
     """Count the bytes of a stream as they are read."""
 
-    def __init__(self, stream: GzipFile, counted: Unpacked) -> None:
+    def __init__(self, stream: GzipFile, counted: DecompressionLimit) -> None:
         self._stream = stream
         self._counted = counted
         self.closed = False
@@ -143,7 +143,7 @@ class LogFile:
         message = np.dtype([("head", _HEAD), ("values", "<f8", (len(self.fields),))])
         self.complete, self.damaged = False, 0
         self.notes = []
-        counted = Unpacked(self.path)
+        counted = DecompressionLimit(self.path)
         chunks = 0
         for opcode, content in self._records():
             if opcode == Opcode.FOOTER:
@@ -281,7 +281,7 @@ def _stream(content: bytes) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(content))
 
 
-def _unpacked(content: bytes, counted: Unpacked) -> bytes | None:
+def _unpacked(content: bytes, counted: DecompressionLimit) -> bytes | None:
     """Return the messages of a chunk, or None if they are damaged or their number is wrong. Raises UsageError."""
     try:
         chunk = Chunk.read(_stream(content))

@@ -169,7 +169,7 @@ STRETCH = "tau_j_stretch"
 LEAST_CYCLES = 100  # with torque; fewer do not suffice for an evaluation
 
 
-def read_course(
+def load_run(
     log: str | Path,
     names: Collection[str],
     fade_in: float,

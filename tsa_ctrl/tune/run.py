@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.dataset import Dataset, stretches
-from tsa_ctrl.log.table import read_course, sha256_of
+from tsa_ctrl.log.table import load_run, sha256_of
 from tsa_ctrl.model.provenance import Origin, nodes_from, with_origin
 from tsa_ctrl.signals import INPUTS
 from tsa_ctrl.system.process_supervisor import daemon
@@ -171,7 +171,7 @@ class RigRunner:
 
 def read_run(name: str, log: Path, axis: str, fade_in: float, seconds: float, by_stretch: bool = False) -> Run:
     """Read a run of `seconds` s of torque; raises BusError when it holds too little. `by_stretch` as of a runner."""
-    part = read_course(f"{log}:{axis}", INPUTS, fade_in, seconds, by_stretch=by_stretch)
+    part = load_run(f"{log}:{axis}", INPUTS, fade_in, seconds, by_stretch=by_stretch)
     return Run(name, log, part["t"], part["tau_j_des"], part["tau_j"], _pieces(part, name, sha256_of(log)))
 
 

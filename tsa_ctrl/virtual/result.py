@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.daemon.assembly import STATES
+from tsa_ctrl.daemon.build import STATES
 from tsa_ctrl.daemon.summary import Summary
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.safety.limiter import Reason

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration, load_configuration
-from tsa_ctrl.daemon.assembly import control_axes, log_header, tuners_of
+from tsa_ctrl.daemon.build import control_axes, log_header, tuners_of
 from tsa_ctrl.daemon.events import Events
+from tsa_ctrl.daemon.lifecycle import Lifecycle
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitor_process import REPEAT, Report
 from tsa_ctrl.daemon.monitoring import SecondChannel, watched_of
-from tsa_ctrl.daemon.operation import Operation
 from tsa_ctrl.daemon.telemetry import Telemetry
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
@@ -325,16 +325,16 @@ class Run:
     def play(self, faults: Sequence[Fault], changes: Sequence[Change], tick: Progress) -> Simulation:
         script = beginnings(self.machine, faults, self._wire)
         settings = commands([axis.name for axis in self.axes], self._tuners, changes)
-        operation = Operation(self._configuration, self.rig, self.axes, self.loop, simulated=True)
+        lifecycle = Lifecycle(self._configuration, self.rig, self.axes, self.loop, simulated=True)
         self.machine.start()
         self._every(EVERY, self._records.drain)
         self._every(EVERY, lambda now: tick(min(1.0, now / (self._seconds + 1.0))))
         with _garbage_left():
-            operation.run(self._seconds, ready=lambda: self._schedule(script, settings))
+            lifecycle.run(self._seconds, ready=lambda: self._schedule(script, settings))
         self._truth.finish()
         self._records.end(self._wire.now)
         log = self._records.path
-        summary = operation.summary(
+        summary = lifecycle.summary(
             self._mailbox, RIGHTS, None if log is None else str(log.resolve()), self._records.written
         )
         if log is not None:

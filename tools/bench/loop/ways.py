@@ -18,7 +18,7 @@ from tsa_ctrl.bus.wire.socketcan import SocketCan
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.control.cycle import follow_up, run_cycle
-from tsa_ctrl.daemon.assembly import control_axes, tuners_of
+from tsa_ctrl.daemon.build import control_axes, tuners_of
 from tsa_ctrl.daemon.events import Events
 from tsa_ctrl.daemon.run import Children
 from tsa_ctrl.daemon.telemetry import Telemetry

@@ -13,7 +13,7 @@ import numpy as np
 from tools.campaign.passive.experiment import INERTIA, Experiment
 from tools.campaign.passive.judge import GUARD, FloatArray, latches, peak_speed, power, reactions, speed, windows
 from tools.campaign.passive.scan import RELAXED, REST, STILL
-from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault
 

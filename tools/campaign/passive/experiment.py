@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.daemon.events import Event
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.model.curvature import NAMED, Points, Profile, centred
 from tsa_ctrl.model.parameters import TendonSheath, save_model
 from tsa_ctrl.plant.axis import COLUMNS, Record

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 
 GUARD = ("passivity", "oscillation")  # first words of the guard's events

@@ -39,7 +39,7 @@ from tools import command
 from tools.campaign.passive.experiment import INERTIA, SENSORS, Experiment
 from tools.campaign.passive.judge import most_work, peak_speed, reactions, speed
 from tools.command import Row
-from tsa_ctrl.daemon.events import Event
+from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
 

@@ -20,7 +20,7 @@ from tools.campaign.phase.acts import ACTS, DiedError
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import MOMENTS, Draw, Trial
 from tools.campaign.phase.rigs import FADE_IN, controller_of, plant_of
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.mailbox import Command
 from tsa_ctrl.plant.faults import parse_fault
@@ -121,7 +121,7 @@ class Stage:
         script = _Script(self, trial)
         self.wire.at(self.wire.now, script.look)
         try:
-            self.daemon.operation.run(math.inf)
+            self.daemon.lifecycle.run(math.inf)
         except DiedError:
             pass  # what the way down did then is not in the record
         except TsaError as error:

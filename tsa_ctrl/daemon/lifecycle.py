@@ -14,7 +14,7 @@ from tsa_ctrl.bus.live.prove import prove
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.control.axis import ControlAxis
-from tsa_ctrl.daemon.assembly import LoopPhase
+from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.daemon.joint_files import JointFiles
 from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.summary import NodeCount, Summary
@@ -27,7 +27,7 @@ from tsa_ctrl.safety.use_class import stop_bit
 from tsa_ctrl.system.histogram import coarse, distribution
 
 
-def descend(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: float) -> None:
+def ramp_down(rig: Rig, axes: Sequence[ControlAxis], period: float, stop_time: float) -> None:
     """Ramp the last torque to 0 within `stop_time` s, without the control law, after the loop has failed.
 
     Supervisor and limiter of each axis still apply, so a joint that runs away during the ramp gets no torque.
@@ -57,7 +57,7 @@ Say = Callable[[str], None]
 Admit = Callable[[Nodes, bool], None]  # nodes, and whether a drive has digital inputs; raises UsageError
 
 
-class Operation:
+class Lifecycle:
     """Operate an assembled rig for one run; `unconfirmed` lists the drives that did not confirm that they are off."""
 
     def __init__(
@@ -124,7 +124,7 @@ class Operation:
                     self._recover(seconds)
             except Exception:
                 with contextlib.suppress(Exception):  # the first error is re-raised, and shut_down follows anyway
-                    descend(self._rig, self._axes, period, self._configuration.file.controller.stop_time)
+                    ramp_down(self._rig, self._axes, period, self._configuration.file.controller.stop_time)
                 raise
         finally:
             self.unconfirmed = shut_down(self._rig, period, say=self._say)

@@ -10,7 +10,7 @@ import pytest
 from tests.bus.fake import FakeClock
 from tests.daemon.machine import CONSTANT, ENABLED, Drive, Machine
 from tsa_ctrl.bus.wire.seam import Frame
-from tsa_ctrl.daemon.operation import descend
+from tsa_ctrl.daemon.lifecycle import ramp_down
 
 
 class BrokenError(RuntimeError):
@@ -64,7 +64,7 @@ def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
     before = len(machine.drive.commands)
     last = machine.drive.torques[-1]
     assert last > 300
-    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
     torques = machine.drive.torques[before:]
     assert torques == sorted(torques, reverse=True)
     assert last - 10 <= torques[0] <= last
@@ -74,7 +74,7 @@ def test_fades_the_last_torque_to_zero(machine: Machine) -> None:
 
 def test_enables_nothing(machine: Machine) -> None:
     """A failure before any torque leaves the drive disabled."""
-    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     assert not any(machine.drive.torques)
     assert machine.drive.statusword != ENABLED
     assert all(word != 0x0F for word, _ in machine.drive.commands)
@@ -87,7 +87,7 @@ def test_stays_at_zero_in_a_fault(machine: Machine) -> None:
         machine.run()
     before = len(machine.drive.commands)
     machine.drive.fail()
-    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
     assert not any(machine.drive.torques[before:])
 
 
@@ -97,7 +97,7 @@ def test_a_stop_time_below_one_period_is_one_command_of_zero(machine: Machine) -
     with pytest.raises(BrokenError):
         machine.run()
     before = len(machine.drive.commands)
-    descend(machine.rig, machine.axes, 1e-3, 1e-4)
+    ramp_down(machine.rig, machine.axes, 1e-3, 1e-4)
     assert machine.drive.torques[before:] == [0]
 
 
@@ -106,7 +106,7 @@ def test_an_axis_without_torque_is_not_enabled_on_the_way_down(machine: Machine)
     machine.drive.at_sync[3] = fail
     with pytest.raises(BrokenError):
         machine.run()
-    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     assert all(word not in (0x07, 0x0F) for word, _ in machine.drive.commands)
 
 
@@ -118,7 +118,7 @@ def test_falls_in_a_line_and_keeps_it_for_the_log(machine: Machine, drive: Timed
     kept: list[float] = []
     first = drive.beats + 1
     drive.at_sync.update({first + n: lambda: kept.append(machine.axis.terms.tau_m_cmd) for n in range(50)})
-    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     expected = [full * (1.0 - n / 50) for n in range(51)]
     assert drive.torques[before:] == pytest.approx([1e3 * torque for torque in expected[1:]], abs=0.51)
     assert [*kept, machine.axis.terms.tau_m_cmd] == pytest.approx(expected)
@@ -129,7 +129,7 @@ def test_cycles_keep_their_period_and_the_whole_its_time(machine: Machine, drive
     begin = broken(machine, drive)
     drive.at_sync[drive.beats + 20] = lambda: drive.silent.add(0x181)
     drive.at_sync[drive.beats + 21] = drive.silent.clear
-    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     syncs, commands = drive.times[0x080], drive.times[0x201]
     assert syncs == pytest.approx([begin + 1e-3 * n for n in range(1, 51)], abs=1e-9)
     assert [round(1e6 * (b - a)) for a, b in zip(syncs, commands, strict=True)] == [0] * 19 + [600] + [0] * 30
@@ -144,14 +144,14 @@ def test_a_stall_is_not_slept_off(machine: Machine, drive: TimedDrive) -> None:
         machine.bus.clock.now += 5.5e-3
 
     drive.at_sync[drive.beats + 20] = stall
-    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     assert drive.times[0x201][-1] == pytest.approx(begin + 0.05, abs=1e-9)
 
 
 def test_heartbeat_goes_on(machine: Machine, drive: TimedDrive) -> None:
     """Every 20 ms, so that no node's watchdog ends the ramp."""
     broken(machine, drive)
-    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
     assert len(drive.times[0x77F]) in (5, 6)
 
 
@@ -159,12 +159,12 @@ def test_a_fault_is_zero_in_the_log_too(machine: Machine, drive: TimedDrive) -> 
     """What is not permitted is not said to have been sent."""
     broken(machine, drive)
     drive.fail()
-    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
     assert machine.axis.terms.tau_m_cmd == 0.0
     kept: list[float] = []
     drive.at_sync[drive.beats + 2] = lambda: kept.append(machine.axis.terms.tau_m_cmd)
     machine.axis.terms.tau_m_cmd = 0.4
-    descend(machine.rig, machine.axes, 1e-3, 0.1)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.1)
     assert kept == [0.0]
 
 
@@ -181,7 +181,7 @@ def test_joint_that_runs_away_meanwhile_gets_no_torque(machine: Machine, drive: 
 
     drive.at_sync[drive.beats + 20] = run_away
     drive.at_sync[drive.beats + 22] = rest
-    descend(machine.rig, machine.axes, 1e-3, 0.05)
+    ramp_down(machine.rig, machine.axes, 1e-3, 0.05)
     torques = drive.torques[before:]
     assert all(torques[:18])
     assert not any(torques[20:])

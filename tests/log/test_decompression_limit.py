@@ -12,7 +12,7 @@ import zstandard
 from tests.log.logs import write_log
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log import reader
-from tsa_ctrl.log.reader import LogFile, Unpacked, _unpacked
+from tsa_ctrl.log.reader import DecompressionLimit, LogFile, _unpacked
 from tsa_ctrl.log.table import read_table
 
 
@@ -52,9 +52,9 @@ def test_a_frame_that_is_larger_than_its_chunk_declares_is_not_unpacked(tmp_path
         head = (0).to_bytes(16, "little") + size.to_bytes(8, "little") + zlib.crc32(data).to_bytes(4, "little")
         return head + (4).to_bytes(4, "little") + b"zstd" + len(packed).to_bytes(8, "little") + packed
 
-    assert _unpacked(chunk(1000, bytes(1000)), Unpacked(tmp_path / "x")) == bytes(1000)
-    assert _unpacked(chunk(10, bytes(1000)), Unpacked(tmp_path / "x")) is None
-    full = Unpacked(tmp_path / "x")
+    assert _unpacked(chunk(1000, bytes(1000)), DecompressionLimit(tmp_path / "x")) == bytes(1000)
+    assert _unpacked(chunk(10, bytes(1000)), DecompressionLimit(tmp_path / "x")) is None
+    full = DecompressionLimit(tmp_path / "x")
     full.left = 999
     with pytest.raises(UsageError, match="unpacks to more than"):
         _unpacked(chunk(1000, bytes(1000)), full)
