@@ -9,9 +9,9 @@ from typing import Any
 
 import msgspec
 
+from tests.daemon.machine import CONFIG
 from tests.drives.variations import Variation
-from tools.campaign.daemon import Daemon
-from tools.command import CONFIG
+from tests.virtual.daemon import Daemon
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.control.estimator import EstimatorSettings

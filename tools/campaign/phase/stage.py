@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.campaign.daemon import Daemon
+from tests.virtual.daemon import Daemon
 from tools.campaign.phase.acts import ACTS, DiedError
 from tools.campaign.phase.catalogue import BY_NAME, Hazard
 from tools.campaign.phase.plan import MOMENTS, Draw, Trial
