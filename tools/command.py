@@ -15,7 +15,7 @@ import random
 import secrets
 import subprocess
 import sys
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:  # the guest's first process has the standard library alone
 ROOT = Path(__file__).resolve().parent.parent
 CONFIG = ROOT / "config"
 MOST_PROCESSES = 2
+SENSORS = ("motor", "encoder", "sensor")  # no joint encoder; joint encoder; joint encoder and joint torque sensor
+WORST = 20  # rows of a list of the worst
 
 Row = dict[str, Any]
 Item = TypeVar("Item")
@@ -232,6 +234,27 @@ def table(head: Sequence[str], lines: Iterable[Sequence[object]], title: str | N
     for line in lines:
         found.add_row(*map(_cell, line))
     return found
+
+
+Columns = Mapping[str, Callable[[Row], object]]  # head: cell of a row
+
+
+def listing(title: str, rows: Iterable[Row], columns: Columns) -> Table:
+    """Return a table with a line for each row."""
+    return table(tuple(columns), ([cell(row) for cell in columns.values()] for row in rows), title)
+
+
+def worst(rows: Iterable[Row], by: str, columns: Columns) -> list[Table]:
+    """Return the rows with the largest values of `by`, a table for each sensor configuration."""
+    of: dict[str, list[Row]] = {}
+    for row in sorted(rows, key=lambda row: -float(row[by])):
+        of.setdefault(row["sensors"], []).append(row)
+    return [listing(f"{WORST} worst, {name}", those[:WORST], columns) for name in SENSORS if (those := of.get(name))]
+
+
+def seconds_of(key: str, digits: int = 3) -> Callable[[Row], str | None]:
+    """Return a cell for a time that may be missing."""
+    return lambda row: None if row[key] is None else f"{row[key]:.{digits}f}"
 
 
 def print_table(head: Sequence[str], lines: Iterable[Sequence[object]]) -> None:

@@ -92,11 +92,19 @@ FAULTS = {  # by what a person calls it
 STRAIGHT = 0.8  # of the bending angle, at the end of
 WITHIN = 3.0  # s
 STAIRS = 60  # angles that are told by then
-WORST = 20
 KEY = ("fault", "load", "sensors", "set_point", "calibrated")
 # 1, half intervals of the stiffness and of the centre of the bends, as bench/stretch prints them for rigs. Their minima
 # are MODEL and COURSE_FOUND in identify/calibrate/stretch.py.
 CALIBRATED = (0.006, 0.002)
+LISTED: command.Columns = {
+    "fault": lambda row: row["fault"],
+    "load": lambda row: row["load"],
+    "set-point": lambda row: row["set_point"],
+    "given (mJ)": lambda row: f"{row['given']:.0f}",
+    "peak (rad/s)": lambda row: f"{row['peak']:.1f}",
+    "reported (s)": command.seconds_of("told", 2),
+    "latched (s)": command.seconds_of("latched", 2),
+}
 NONE = 0.02  # N*m, that a drive reports of no torque
 
 
@@ -179,25 +187,6 @@ def cell(row: dict[str, Any]) -> str:
     return f"{times}; {row['given']:.0f}"
 
 
-def worst(rows: Sequence[Row]) -> list[Table]:
-    """Return the trials in which the joint was given most work, a table for each sensor configuration."""
-    found = []
-    for sensors in SENSORS:
-        those = sorted((row for row in rows if row["sensors"] == sensors), key=lambda row: -float(row["given"]))
-        heads = ("fault", "load", "set-point", "given (mJ)", "peak (rad/s)", "reported (s)", "latched (s)")
-        table = Table(*heads, title=f"{WORST} worst, {sensors}", title_justify="left")
-        for row in those[:WORST]:
-            times = ("-" if row[key] is None else f"{row[key]:.2f}" for key in ("told", "latched"))
-            table.add_row(
-                *(row[key] for key in ("fault", "load", "set_point")),
-                f"{row['given']:.0f}",
-                f"{row['peak']:.1f}",
-                *times,
-            )
-        found += [table] if those else []
-    return found
-
-
 def main() -> int:
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--loads", nargs="+", choices=LOADS, default=LOADS[:4])
@@ -213,7 +202,7 @@ def main() -> int:
     rows = command.run_rows(_trial, wanted, lambda row: tuple(row[name] for name in KEY), arguments)
 
     def shown() -> list[Table | str]:
-        more = worst(rows) if arguments.worst else []
+        more = command.worst(rows, "given", LISTED) if arguments.worst else []
         return [*tables(rows, arguments), *more, f"{len(rows)} trials; seed {arguments.seed}"]
 
     command.print_tables(rows, arguments, shown)

@@ -27,7 +27,7 @@ from __future__ import annotations
 import argparse
 import functools
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from rich.table import Table
 
@@ -43,8 +43,8 @@ CHANGES = {
     "bending": (0.8, 0.9, 1.1, 1.2),
     "torque_gain": (1.4, 2.0),
 }
+case_of = functools.partial(command.from_row, Case)
 LOSSES = (("pretension", 0.5), ("friction", 0.1), ("torque_gain", 1.4), ("torque_gain", 2.0))
-WORST = 20
 LOSS_TITLE = "loss: worst work added (mJ) before; once both directions have slid"
 
 
@@ -97,29 +97,23 @@ def table(rows: Sequence[Row]) -> Table:
     return found
 
 
-def listing(title: str, rows: Iterable[Row]) -> Table:
-    """Return a line for each row: work, speed, and how soon the loop reported and latched."""
-    heads = ("sensors", "load", "set-point", "change", "delay", "at (s)", "then (rad/s)", "added (mJ)", "c = 0 (mJ)")
-    more = ("peak (rad/s)", "reported (s)", "latched (s)", "after (mJ)", "late (mJ)", "words")
-    found = Table(*heads, *more, title=title, title_justify="left")
-    found.columns[-1].no_wrap = True
-    for row in rows:
-        without = f"{1e3 * row['work_without']:.1f}" if "work_without" in row else "-"
-        found.add_row(
-            *(row[name] for name in ("sensors", "load", "set_point")),
-            case_of(row).what,
-            str(row["delay"]),
-            f"{row['at']:g}",
-            f"{abs(row['speed']):.1f}",
-            f"{1e3 * row['added']:.1f}",
-            without,
-            f"{row['peak']:.1f}",
-            *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("reported", "latched")),
-            "-" if row["acted"] is None else f"{1e3 * row['after']:.1f}",
-            f"{1e3 * row['late_added']:.1f}",
-            row["words"].split(";")[0].split(":")[0].removesuffix(" by the controller")[:24],
-        )
-    return found
+LISTED: command.Columns = {
+    "sensors": lambda row: row["sensors"],
+    "load": lambda row: row["load"],
+    "set-point": lambda row: row["set_point"],
+    "change": lambda row: case_of(row).what,
+    "delay": lambda row: row["delay"],
+    "at (s)": lambda row: f"{row['at']:g}",
+    "then (rad/s)": lambda row: f"{abs(row['speed']):.1f}",
+    "added (mJ)": lambda row: f"{1e3 * row['added']:.1f}",
+    "c = 0 (mJ)": lambda row: f"{1e3 * row['work_without']:.1f}" if "work_without" in row else None,
+    "peak (rad/s)": lambda row: f"{row['peak']:.1f}",
+    "reported (s)": command.seconds_of("reported"),
+    "latched (s)": command.seconds_of("latched"),
+    "after (mJ)": lambda row: None if row["acted"] is None else f"{1e3 * row['after']:.1f}",
+    "late (mJ)": lambda row: f"{1e3 * row['late_added']:.1f}",
+    "words": lambda row: row["words"].split(";")[0].split(":")[0][:24],
+}
 
 
 def losses(rows: Sequence[Row]) -> Table:
@@ -136,17 +130,6 @@ def losses(rows: Sequence[Row]) -> Table:
                 "; ".join(f"{1e3 * max(r['added'] for r in each):.0f}" if each else "-" for each in (early, late))
             )
         found.add_row(*key, *cells, f"{1e3 * max(row.get('work_without', 0.0) for row in those):.0f}")
-    return found
-
-
-def worst(rows: Sequence[Row]) -> list[Table]:
-    """Return the tables of those that were added most work, one for each sensor configuration."""
-    found = []
-    for sensors in SENSORS:
-        those = [row for row in rows if row["sensors"] == sensors and row["change"]]
-        if those:
-            those.sort(key=lambda row: -float(row["added"]))
-            found.append(listing(f"{WORST} worst, {sensors}", those[:WORST]))
     return found
 
 
@@ -175,8 +158,10 @@ def run(chosen: argparse.Namespace) -> int:
     def tables(rows: list[Row]) -> list[Table | str]:
         changed = [row for row in rows if row["change"]]
         tables: list[Table | str] = [losses(changed)] if chosen.loss else [table(rows)]
-        tables += worst(rows) if chosen.worst else []
-        tables += [listing("missed", [row for row in changed if not row["good"]])] if chosen.which else []
+        tables += command.worst(changed, "added", LISTED) if chosen.worst else []
+        tables += (
+            [command.listing("missed", [row for row in changed if not row["good"]], LISTED)] if chosen.which else []
+        )
         count = sum(not row["good"] for row in rows)
         drawn = f"; seed {chosen.seed}" if chosen.sample else ""
         return [*tables, f"{len(rows)} runs, {len(rows) - count} as they must be, {count} missed{drawn}"]
@@ -193,9 +178,6 @@ def good(row: Row) -> bool:
 def _at(row: Row, compensation: float) -> Case | None:
     """Return the case of a row with this compensation; None for a row of another one."""
     return case_of(row) if row["compensation"] == compensation else None
-
-
-case_of = functools.partial(command.from_row, Case)
 
 
 def words(row: Row) -> str:

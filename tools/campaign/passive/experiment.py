@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tools import command
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.motion import gait
@@ -28,7 +29,7 @@ from tsa_ctrl.virtual.script import Change, Fault
 from tsa_ctrl.virtual.simulation import Run
 
 INERTIA = {"weight": 0.02, "spring": 0.02, "free": 0.02, "limb": 0.05, "wearer": 0.05}  # kg*m^2 of the joint, by load
-SENSORS = ("motor", "encoder", "sensor")  # no joint encoder; joint encoder; joint encoder and joint torque sensor
+SENSORS = command.SENSORS
 SET_POINTS = ("zero", "constant", "sine", "gait")
 CONSTANT, SINE, FREQUENCY = 0.3, 0.5, 0.5  # N*m, N*m, Hz
 GAIT_SHARE = {"weight": 0.4, "free": 0.4}  # of the gait's torque: a joint of 0.02 kg*m^2 stays below 5 rad/s
