@@ -8,6 +8,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.model.routing import RoutingSection
+
 # The description of a range is part of the error: the unit, the reason for the range, and the likely mistake.
 Positive = Annotated[float, Meta(gt=0.0)]
 NonNegative = Annotated[float, Meta(ge=0.0)]
@@ -113,6 +115,7 @@ class ActuatorFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_o
     sheath: SheathSection
     pretension: PretensionSection = PretensionSection()
     uncertainty: UncertaintySection = UncertaintySection()
+    routing: RoutingSection | None = None  # joints that bend the sheaths; None: nothing does
     effects: dict[str, dict[str, Any]] = {}
     provenance: dict[str, Any] = {}
 

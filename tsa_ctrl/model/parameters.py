@@ -20,6 +20,7 @@ from tsa_ctrl.model.actuator_file import MOST_FRICTION, ActuatorFile, RigidDrive
 from tsa_ctrl.model.catalogue import CATALOGUE, check_effects
 from tsa_ctrl.model.curvature import Points, course_of
 from tsa_ctrl.model.provenance import Origin, interval_low, origin_of, toml_table
+from tsa_ctrl.model.routing import Routing
 
 Effects = Mapping[str, Mapping[str, Any]]  # by name, the checked parameters of each
 
@@ -49,6 +50,7 @@ class TendonSheath:
     pretension_uncertainty: float = 0.25
     axial_stiffness_uncertainty: float = UncertaintySection().axial_stiffness
     bending_centre_uncertainty: float = UncertaintySection().bending_centre
+    routing: Routing | None = None  # joints that bend the sheaths
     effects: Effects = field(default_factory=dict)
     source: str = ""
     half_loop_low: float | None = field(default=None, compare=False)  # N*m at the joint, of the calibration's interval
@@ -179,6 +181,7 @@ def model_from(data: dict[str, Any], where: str) -> Model:
         pretension_uncertainty=file.uncertainty.pretension,
         axial_stiffness_uncertainty=file.uncertainty.axial_stiffness,
         bending_centre_uncertainty=file.uncertainty.bending_centre,
+        routing=None if file.routing is None else Routing.of(file.routing),
         source=where,
         half_loop_low=interval_low(file.provenance, "half_loop_torque"),
         origin=origin_of(file.provenance, where),
@@ -214,6 +217,11 @@ def dump_model(model: Model, template: str | Path | None = None, provenance: Map
                 table.pop(key, None)
             elif table.get(key) != value:
                 table[key] = value
+    routing = model.routing if isinstance(model, TendonSheath) else None
+    if routing is None:
+        document.pop("routing", None)
+    elif document.get("routing") != routing.section():
+        document["routing"] = toml_table(routing.section())
     document.pop("effects", None)
     if model.effects:
         effects = tomlkit.table(is_super_table=True)

@@ -1,0 +1,142 @@
+"""How joints bend sheaths: the `[routing]` table of a model file, its functions, and what is refused in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.model.actuator import ACTUATOR
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
+from tsa_ctrl.model.routing import Routing
+
+EXAMPLE = Path(__file__).parents[2] / "config" / "actuator.toml"
+BOTH = "[routing]\njoints = { hip = 0.8, knee = -0.3 }\n"
+TABLE = BOTH + "table.ankle = [[-0.5, 0.2], [0.0, 0.0], [1.0, 0.6]]\n"
+APART = TABLE + "[routing.tendon_b]\njoints = { hip = 0.5 }\n"
+
+
+def loaded(folder: Path, routing: str) -> TendonSheath:
+    path = folder / "model.toml"
+    path.write_text(f"{EXAMPLE.read_text(encoding='utf-8')}\n{routing}", encoding="utf-8")
+    return load_tendon_sheath(path)
+
+
+def routed(folder: Path, routing: str) -> Routing:
+    found = loaded(folder, routing).routing
+    assert found is not None
+    return found
+
+
+def test_a_file_without_routing_has_none() -> None:
+    assert load_tendon_sheath(EXAMPLE).routing is None
+
+
+def test_gains_bend_both_sheaths_in_proportion_to_the_joints(tmp_path: Path) -> None:
+    """2.6 + 0.8 * 0.5 - 0.3 * 0.2 = 2.94 rad."""
+    routing = routed(tmp_path, BOTH)
+    assert routing.joints == ("hip", "knee")
+    assert routing.alike
+    assert routing.wrap_angles(2.6, {"hip": 0.5, "knee": 0.2, "other": 9.0}) == pytest.approx((2.94, 2.94))
+
+
+@pytest.mark.parametrize(
+    ("ankle", "added", "slope"),
+    [(-2.0, 0.2, 0.0), (-0.5, 0.2, -0.4), (-0.25, 0.1, -0.4), (0.0, 0.0, 0.6), (0.5, 0.3, 0.6), (3.0, 0.6, 0.0)],
+)
+def test_a_table_is_linear_between_its_points_and_constant_beyond(
+    tmp_path: Path, ankle: float, added: float, slope: float
+) -> None:
+    route = routed(tmp_path, TABLE).a
+    angles = {"hip": 0.0, "knee": 0.0, "ankle": ankle}
+    assert route.added(angles) == pytest.approx(added)
+    assert route.slopes(angles) == {"hip": 0.8, "knee": -0.3, "ankle": pytest.approx(slope)}
+
+
+def test_the_second_tendon_may_be_routed_differently(tmp_path: Path) -> None:
+    routing = routed(tmp_path, APART)
+    assert not routing.alike
+    assert routing.joints == ("hip", "knee", "ankle")
+    angles = {"hip": 1.0, "knee": 1.0, "ankle": 1.0}
+    assert routing.wrap_angles(2.6, angles) == pytest.approx((2.6 + 0.8 - 0.3 + 0.6, 2.6 + 0.5))
+
+
+def test_path_lengths_follow_the_wrap_angles(tmp_path: Path) -> None:
+    """(3.52): p + d/2 = 0.7 mm per rad; 1 rad of the hip is 0.56 mm of tendon a and 0.35 mm of tendon b."""
+    model = loaded(tmp_path, APART)
+    assert model.routing is not None
+    changes = model.routing.path_changes(model.lever, {"hip": 1.0, "knee": 0.0, "ankle": 0.0})
+    assert changes == pytest.approx((0.56e-3, 0.35e-3))
+
+
+@pytest.mark.parametrize("routing", [BOTH, TABLE, APART])
+def test_a_written_file_has_the_same_routing(tmp_path: Path, routing: str) -> None:
+    model = loaded(tmp_path, routing)
+    for template in (None, EXAMPLE, tmp_path / "model.toml"):
+        save_model(model, tmp_path / "again.toml", template)
+        assert load_tendon_sheath(tmp_path / "again.toml").routing == model.routing
+    save_model(dataclasses.replace(model, routing=None), tmp_path / "none.toml", tmp_path / "model.toml")
+    assert load_tendon_sheath(tmp_path / "none.toml").routing is None
+    assert ACTUATOR.routing is None
+
+
+@pytest.mark.parametrize(
+    ("routing", "words"),
+    [
+        (
+            "[routing]\njoints = { hip = 80.0 }\n",
+            r"joints.hip = 80; allowed is -10 to 10, rad of wrap angle per rad of the joint",
+        ),
+        ("[routing]\njoint = { hip = 0.8 }\n", r"routing: unknown key 'joint'; did you mean 'joints'"),
+        (TABLE.replace("knee", "ankle"), r"joint 'ankle' has a gain and a table; keep one of them"),
+        ("[routing]\ntable.hip = [[0.0, 0.0]]\n", r"table.hip = \[\[0.0, 0.0\]\]; give two or more points"),
+        ("[routing]\ntable.hip = [[0.0, 0.0], [0.0, 1.0]]\n", r"give two or more points .* rising"),
+    ],
+)
+def test_what_is_no_routing_is_refused_in_one_line(tmp_path: Path, routing: str, words: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        loaded(tmp_path, routing)
+    assert re.search(words, str(caught.value))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_joint_that_is_no_axis_is_refused_with_the_names_of_those_that_are(tmp_path: Path) -> None:
+    routing = routed(tmp_path, BOTH)
+    routing.check_joints(["hip", "knee", "ankle"], "plant.toml")
+    with pytest.raises(UsageError) as caught:
+        routing.check_joints(["knee", "foot"], "plant.toml: axis 'knee'")
+    assert str(caught.value) == (
+        "plant.toml: axis 'knee': [routing] names joint 'hip'; the axes are knee, foot; "
+        "give the name of one of them, or add an axis of that name"
+    )
+
+
+def test_the_extremes_over_the_travel_are_those_of_a_fine_grid(tmp_path: Path) -> None:
+    """The table's valley at 0 lies within the travel of the ankle."""
+    route = routed(tmp_path, TABLE).a
+    travel = {"hip": (-0.5, 0.7), "knee": (0.0, 1.2), "ankle": (-0.4, 2.0)}
+    grid = {name: [low + (high - low) * i / 40 for i in range(41)] for name, (low, high) in travel.items()}
+    sums = [
+        route.added({"hip": hip, "knee": knee, "ankle": ankle})
+        for hip in grid["hip"]
+        for knee in grid["knee"]
+        for ankle in [*grid["ankle"], 0.0]
+    ]
+    assert route.extremes(travel) == pytest.approx((min(sums), max(sums)))
+
+
+def test_a_sheath_that_would_be_bent_less_than_straight_is_refused_with_place_and_remedy(tmp_path: Path) -> None:
+    """2.6 - 0.8 * 4 = -0.6 rad."""
+    routing = routed(tmp_path, BOTH)
+    routing.check_travel(2.6, {"hip": (-1.0, 1.0), "knee": (-math.pi, math.pi)}, "plant.toml")
+    routing.check_travel(2.6, {}, "plant.toml")
+    with pytest.raises(UsageError) as caught:
+        routing.check_travel(2.6, {"hip": (-4.0, 1.0)}, "plant.toml")
+    assert str(caught.value) == (
+        "plant.toml: [routing] tendon a has a wrap angle of -0.6 rad over the travel (hip from -4 to 1 rad); "
+        "allowed is 0 or more; correct gains, tables or [sheath] bending_angle, or narrow the travel"
+    )

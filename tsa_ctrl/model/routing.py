@@ -1,0 +1,187 @@
+"""How joints bend the sheaths that cross them: `[routing]` of an actuator model file, as data and as functions of it.
+
+    Theta_i(q) = Theta_0 + sum over joints of g_ij q_j, or of a table of that joint        (rad; i: tendon a or b)
+    Delta l_i(q) = (p + d/2) (Theta_i(q) - Theta_0)                                        (m; (3.52))
+
+Theta_0 is `[sheath] bending_angle`: all joints at 0. Joints are named as the axes of the controller and of the plant.
+A table is linear between its points and constant beyond them. The plant, the control law and the tools that identify
+read the same table; where they differ, a file would mean two machines.
+"""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from tsa_ctrl.errors import UsageError
+
+MOST_GAIN = 10.0  # rad/rad; a sheath that turns ten times as far as its joint does not exist, a gain in degrees does
+Points = tuple[tuple[float, float], ...]  # (rad of the joint, rad of wrap angle beyond [sheath] bending_angle)
+Span = tuple[float, float]  # rad, lowest and highest angle of a joint
+
+
+class RouteSection(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[routing.tendon_b]: one tendon's sheath."""
+
+    joints: dict[str, float] = {}  # rad/rad by axis name
+    table: dict[str, tuple[tuple[float, float], ...]] = {}  # [[q, theta], ...] in rad by axis name
+
+    def __post_init__(self) -> None:
+        twice = sorted(self.joints.keys() & self.table.keys())
+        if twice:
+            raise ValueError(f"joint '{twice[0]}' has a gain and a table; keep one of them")
+        for name, gain in self.joints.items():
+            if abs(gain) > MOST_GAIN:
+                raise ValueError(
+                    f"joints.{name} = {gain:g}; allowed is -{MOST_GAIN:g} to {MOST_GAIN:g}, "
+                    "rad of wrap angle per rad of the joint; correct the unit"
+                )
+        for name, points in self.table.items():
+            if len(points) < 2 or any(a[0] >= b[0] for a, b in itertools.pairwise(points)):
+                raise ValueError(
+                    f"table.{name} = {[list(point) for point in points]}; give two or more points "
+                    "[rad of the joint, rad of wrap angle], the first number rising"
+                )
+
+
+class RoutingSection(RouteSection, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[routing]: both tendons, or tendon a where `tendon_b` is given."""
+
+    tendon_b: RouteSection | None = None  # of the tendon with T3 and T4; a joint that is not named does not bend it
+
+
+@dataclass(frozen=True)
+class Route:
+    """What the joints add to the wrap angle of one tendon."""
+
+    gains: Mapping[str, float]  # rad/rad
+    tables: Mapping[str, Points]
+
+    @classmethod
+    def of(cls, section: RouteSection) -> Route:
+        return cls(dict(section.joints), dict(section.table))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Return the names of the joints that this sheath crosses."""
+        return (*self.gains, *self.tables)
+
+    def added(self, angles: Mapping[str, float]) -> float:
+        """Return rad of wrap angle beyond that with all joints at 0; `angles`: rad by joint, of all joints."""
+        bent = 0.0
+        for name, gain in self.gains.items():
+            bent += gain * angles[name]
+        for name, points in self.tables.items():
+            bent += _between(points, angles[name])
+        return bent
+
+    def slopes(self, angles: Mapping[str, float]) -> dict[str, float]:
+        """Return d Theta / d q of each joint, rad/rad; 0 beyond the ends of a table, and at a point what follows it."""
+        return {**self.gains, **{name: _slope(points, angles[name]) for name, points in self.tables.items()}}
+
+    def extremes(self, travel: Mapping[str, Span]) -> Span:
+        """Return the least and the most that joints within `travel` add, rad.
+
+        The terms of the joints are independent, so that their extremes add. A joint without travel is taken over its
+        table, and where it has a gain, at 0.
+        """
+        least = most = 0.0
+        for name, gain in self.gains.items():
+            ends = [gain * q for q in travel.get(name, (0.0, 0.0))]
+            least, most = least + min(ends), most + max(ends)
+        for name, points in self.tables.items():
+            low, high = travel.get(name, (points[0][0], points[-1][0]))
+            reached = [theta for q, theta in points if low < q < high]
+            reached += [_between(points, low), _between(points, high)]
+            least, most = least + min(reached), most + max(reached)
+        return least, most
+
+
+@dataclass(frozen=True)
+class Routing:
+    """Both tendons of a pair: a has the tensions T1 and T2, b has T3 and T4."""
+
+    a: Route
+    b: Route
+
+    @classmethod
+    def of(cls, section: RoutingSection) -> Routing:
+        first = Route.of(section)
+        return cls(first, first if section.tendon_b is None else Route.of(section.tendon_b))
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Return the names of all joints that bend either sheath, each once, in the order of the file."""
+        return tuple(dict.fromkeys((*self.a.joints, *self.b.joints)))
+
+    @property
+    def alike(self) -> bool:
+        """Return whether both tendons are routed in the same way."""
+        return self.a == self.b
+
+    def wrap_angles(self, bending_angle: float, angles: Mapping[str, float]) -> tuple[float, float]:
+        """Return Theta_a and Theta_b, rad; `bending_angle`: Theta_0, rad, `angles`: rad by joint, of all joints."""
+        return bending_angle + self.a.added(angles), bending_angle + self.b.added(angles)
+
+    def path_changes(self, lever: float, angles: Mapping[str, float]) -> tuple[float, float]:
+        """Return what the joints add to the path lengths of both tendons, m, by (3.52); `lever`: p + d/2, m."""
+        return lever * self.a.added(angles), lever * self.b.added(angles)
+
+    def section(self) -> dict[str, Any]:
+        """Return the `[routing]` table that reads as this routing."""
+        table = _table(self.a)
+        return table if self.alike else {**table, "tendon_b": _table(self.b)}
+
+    def check_joints(self, known: Iterable[str], where: str) -> None:
+        """Raise UsageError for a joint that is no axis; `where` begins the message."""
+        names = tuple(known)
+        for joint in self.joints:
+            if joint not in names:
+                raise UsageError(
+                    f"{where}: [routing] names joint '{joint}'; the axes are {', '.join(names)}; "
+                    "give the name of one of them, or add an axis of that name"
+                )
+
+    def check_travel(self, bending_angle: float, travel: Mapping[str, Span], where: str) -> None:
+        """Raise UsageError if a wrap angle is below 0 within the joints' travel: a sheath bends at least straight."""
+        for name, route in (("a", self.a), ("b", self.b)):
+            least = bending_angle + route.extremes(travel)[0]
+            if least < 0.0:
+                crossed = [(joint, travel[joint]) for joint in route.joints if joint in travel]
+                spans = ", ".join(f"{joint} from {low:.4g} to {high:.4g} rad" for joint, (low, high) in crossed)
+                over = f" over the travel ({spans})" if spans else ""
+                raise UsageError(
+                    f"{where}: [routing] tendon {name} has a wrap angle of {least:.4g} rad{over}; "
+                    "allowed is 0 or more; correct gains, tables or [sheath] bending_angle, or narrow the travel"
+                )
+
+
+def _between(points: Points, angle: float) -> float:
+    if angle <= points[0][0]:
+        return points[0][1]
+    if angle >= points[-1][0]:
+        return points[-1][1]
+    i = bisect.bisect_right(points, angle, key=lambda point: point[0])
+    (q, theta), (q_next, theta_next) = points[i - 1], points[i]
+    return theta + (theta_next - theta) * (angle - q) / (q_next - q)
+
+
+def _slope(points: Points, angle: float) -> float:
+    if not points[0][0] <= angle < points[-1][0]:
+        return 0.0
+    i = bisect.bisect_right(points, angle, key=lambda point: point[0])
+    return (points[i][1] - points[i - 1][1]) / (points[i][0] - points[i - 1][0])
+
+
+def _table(route: Route) -> dict[str, Any]:
+    table: dict[str, Any] = {}
+    if route.gains:
+        table["joints"] = dict(route.gains)
+    if route.tables:
+        table["table"] = {name: [list(point) for point in points] for name, points in route.tables.items()}
+    return table
