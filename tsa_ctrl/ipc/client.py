@@ -1,6 +1,6 @@
-"""Talking to a running daemon: requests and answers, measurements, events, and a lease to stream set-points.
+"""Talk to a running daemon: requests, measurements, events, and a lease to stream set-points.
 
-`tsa_ctrl.Client` is this one; `tsa help client` is its page.
+`tsa_ctrl.Client` is the class of this module; `tsa help client` is its page.
 """
 
 from __future__ import annotations
@@ -186,15 +186,16 @@ class Client:
     def lease(self, seconds: float = 0.2) -> Lease:
         """Own the set-points of all axes; it is lost after `seconds` without one.
 
-        Raises UsageError when somebody else holds it (and says who), or when no axis takes its set-point from here;
-        BusError when no answer comes.
+        Raises:
+            UsageError: another client holds the lease, or no axis takes its set-point from the socket.
+            BusError: the daemon does not answer.
         """
         self.ask(protocol.Lease(seconds))
         self._lease = Lease(self, seconds)
         return self._lease
 
     def recover(self) -> None:
-        """Ask for a new start after a latched fault; raises UsageError for who may not, BusError."""
+        """Request a recovery from a latched fault; raises UsageError if it is rejected, BusError without an answer."""
         self.ask(protocol.Recover())
 
     def stop(self) -> dict[str, Any]:
@@ -205,9 +206,9 @@ class Client:
         return pid_file.stop(self._path, lambda: self.ask(protocol.Stop()))
 
     def stream(self, lines: bytes, patience: float) -> None:
-        """Send without an answer, and take what has come; for `Lease`.
+        """Send lines that have no answer, and process received events; for `Lease`.
 
-        Where the server is hundreds of values behind, waits for it: `patience` s, then raises LeaseLostError.
+        Waits up to `patience` s for a server that is hundreds of values behind, then raises LeaseLostError.
         """
         try:
             self._write(lines, patience)
@@ -215,7 +216,7 @@ class Client:
             self.close()  # half a line cannot be taken back
             raise self._ended("the socket's server does not read any longer; is it hanging?") from None
         except OSError:
-            pass  # its end is read next, with what was said before it
+            pass  # the end is read next, after earlier messages
         self._read(0.0)
         for message in self._messages():
             self._take(message)

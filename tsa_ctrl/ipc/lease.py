@@ -1,4 +1,4 @@
-"""The set-point has one owner at a time: who takes its lease keeps it by using it, and loses it otherwise."""
+"""Give the set-point one owner at a time: its lease is kept by set-points and lost by silence."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ CONFIRMED = 0.25  # of its time: how often its holder is told that values arrive
 
 
 class Lease:
-    """Who may give set-points now.
+    """Hold the client that may send set-points.
 
-    A client that gives one without having asked for the lease holds it, too, as long as that value acts: `silently`,
-    as such a client does not expect to be told anything.
+    A client that sends one without a lease also holds it while that value acts. It receives no events about the lease.
     """
 
     def __init__(self, withdraw: Callable[[], None], tell: Callable[[str], None]) -> None:
-        """`withdraw` is called whenever it ends; `tell` gets in words what people should know."""
+        """`withdraw` is called at each end of the lease; `tell` receives the text of an event."""
         self.holder: Connection | None = None
         self.seconds = 0.0
         self._silently = True
@@ -31,22 +30,22 @@ class Lease:
 
     @property
     def listener(self) -> Connection | None:
-        """Its holder, where that one expects to be told what happens."""
+        """Return the holder if it receives events about the lease."""
         return None if self._silently else self.holder
 
     def left(self, now: float) -> float:
-        """s until it ends unless it is renewed."""
+        """Return the time until the lease ends, s."""
         return self._until - now
 
     def report(self, now: float) -> dict[str, Any] | None:
-        """For the status: who holds it, and for how long (s) unless it is renewed; None: nobody."""
+        """Return the holder for the status and the time (s) that is left; None without a holder."""
         if self.holder is None:
             return None
         process, user, _ = self.holder.peer
         return {"process": process, "user": user, "seconds": self.seconds, "left": max(0.0, self.left(now))}
 
     def take(self, client: Connection, seconds: float, now: float) -> None:
-        """On request, or renewed; raises UsageError when another client holds it, or for a time out of bounds."""
+        """Take or renew the lease; raises UsageError if another client holds it, or for a time out of bounds."""
         if not SHORTEST <= seconds <= LONGEST:
             raise UsageError(f"a lease of {seconds:g} s; allowed is {SHORTEST:g} to {LONGEST:g} s")
         self._refuse_others(client, now)
@@ -56,20 +55,20 @@ class Lease:
         self.holder, self.seconds, self._silently, self._until = client, seconds, False, now + seconds
 
     def use(self, client: Connection, seconds: float, now: float) -> None:
-        """By a set-point, which acts for `seconds`; raises UsageError when another client holds it."""
+        """Renew the lease by a set-point, which acts for `seconds`; raises UsageError if another client holds it."""
         self._refuse_others(client, now)
         if self.listener is None:
             self.holder, self.seconds = client, seconds
         self._until = now + self.seconds
 
     def confirm(self, time: float, now: float) -> None:
-        """The value of `time` has arrived: its holder is told so now and then."""
+        """Confirm to the holder, a few times per lease period, that the value of `time` has arrived."""
         if self.listener is not None and now - self._confirmed >= CONFIRMED * self.seconds:
             self._confirmed = now
             self.listener.push({"event": "lease", "held": True, "time": time})
 
     def end(self, why: str) -> None:
-        """Nobody holds it any longer: what was wanted is withdrawn, and its holder and people are told why."""
+        """End the lease, withdraw the set-points and report `why` to the holder and as an event."""
         if self.listener is not None:
             self._tell(f"set-point: {self.listener.peer} no longer holds its lease: {why}")
             self.listener.push({"event": "lease", "held": False, "why": why})
@@ -77,7 +76,7 @@ class Lease:
         self._withdraw()
 
     def check(self, now: float) -> None:
-        """End it when its time is over."""
+        """End the lease if its time is over."""
         if self.holder is not None and now > self._until:
             self.end(f"no set-point came for {self.seconds:g} s")
 

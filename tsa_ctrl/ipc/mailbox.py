@@ -1,7 +1,7 @@
-"""Shared memory between the loop and the socket server: commands in, status out. Neither side ever waits for the other.
+"""Shared memory between the loop and the socket server: commands in, status out. Neither side waits for the other.
 
-Commands are places with a bound, taken in turn. Set-points, status and events are each the newest that is whole (see
-`system.shared_memory`, whose rule says what either side believes): a set-point never waits behind another.
+Commands are queued in a bounded number of places. Of set-points, status and events only the newest complete value is
+kept (see `system.shared_memory`), so a set-point never waits behind an earlier one.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from tsa_ctrl.system.shared_memory import Newest, Places, SharedMemory, space
 
 SLOTS = 64  # commands that may wait; the loop takes one per cycle
 TEXT = 16 * 1024  # bytes of events
-STAGE = 512  # bytes of what the start waits for
+STAGE = 512  # bytes of the startup stage
 
 
 class General(NamedTuple):
-    """The status of the whole; times in s, monotonic."""
+    """Hold the status of the loop; times in s, monotonic."""
 
     time: float = 0.0
     start: float = 0.0
@@ -34,7 +34,7 @@ class General(NamedTuple):
     overruns: float = 0.0
     dropped: float = 0.0
     log_lost: float = 0.0
-    log_silent: float = 0.0  # s for which nothing was heard of the log writer, when that is too long
+    log_silent: float = 0.0  # s since the log writer's last sign of life, if that is too long
     phase: float = 0.0  # code
     releases: float = 0.0  # of latches, on request
     release_next: float = 0.0  # s, monotonic, from which on the next one is permitted
@@ -64,7 +64,7 @@ _STATUS = _STAGE + space(2, STAGE)
 
 @dataclass(frozen=True)
 class Command:
-    """One command for the loop; `parameter` indexes the table of live parameters, or is one of the negative codes."""
+    """Hold a command; `parameter` indexes the table of live parameters, or is one of the negative codes."""
 
     axis: int
     parameter: int
@@ -76,7 +76,7 @@ RELEASE = -2  # release the latch of the axis' guard
 
 
 class Mailbox:
-    """Both ends: made by the loop's process, mapped from its descriptor by the server's."""
+    """Provide both ends: the loop's process creates the memory, the server's maps it from the descriptor."""
 
     def __init__(self, axes: int, parameters: int, descriptor: int | None = None) -> None:
         """`parameters`: live parameters per axis, whose values are part of the status."""
@@ -108,7 +108,7 @@ class Mailbox:
 
     @property
     def heard(self) -> float:
-        """When the server left its last sign of life, s, monotonic; 0 before the first."""
+        """Return the time of the server's last sign of life, s, monotonic; 0 before the first."""
         return self._words[_HEARD // 8] * 1e-9
 
     @property
@@ -117,7 +117,7 @@ class Mailbox:
         return self._words[_REPLACED // 8]
 
     def close(self) -> None:
-        """Unmap; the memory goes with its last user."""
+        """Unmap the memory, which is released with its last user."""
         self.lateness.release()
         self.work.release()
         self._memory.close()
@@ -125,15 +125,15 @@ class Mailbox:
     # The server's side
 
     def alive(self) -> None:
-        """Leave a sign of life."""
+        """Record a sign of life of the server."""
         self._words[_HEARD // 8] = time.monotonic_ns()
 
     def replace(self, number: int) -> None:
-        """Leave word that `number` servers had to be replaced."""
+        """Record that `number` servers were replaced."""
         self._words[_REPLACED // 8] = number
 
     def put(self, command: Command) -> int | None:
-        """Queue a command; its ticket, or None when the queue is full."""
+        """Queue a command and return its ticket, or None if the queue is full."""
         if self._put - self._words[_TAIL // 8] >= SLOTS:
             return None
         self._put += 1
@@ -145,20 +145,20 @@ class Mailbox:
         return self._words[_TAIL // 8] > ticket
 
     def want(self, axis: int, value: float, time: float) -> None:
-        """The axis' set-point (N*m), as its client wanted it at `time` (s, monotonic); it replaces the one before."""
+        """Replace the set-point of an axis (N*m); `time` is its time stamp in s, monotonic."""
         self._wanted[axis].write(_WANTED.pack(value, time))
 
     def withdraw(self) -> None:
-        """Nobody wants anything any longer."""
+        """Withdraw the set-points of all axes."""
         for register in self._wanted:
             register.write(_WANTED.pack(0.0, -math.inf))
 
     def tell(self, now: float, text: str) -> None:
-        """What people should know of the socket, for the events; the newest alone. `now` in s, monotonic."""
+        """Pass a text about the socket to the loop's events, which replaces an earlier one; `now` in s, monotonic."""
         self._told.write(_timed(now, text))
 
     def measured(self) -> tuple[float, int, int, list[Any]]:
-        """Time (s, monotonic), number and phase of the newest cycle, and what each axis measured; zeros before it."""
+        """Return time (s, monotonic), number and phase of the newest cycle, and a `Reading` per axis, or zeros."""
         number, content = self._measured.read()
         if number == 0:
             return 0.0, 0, 0, [Reading() for _ in range(self._axes)]
@@ -167,11 +167,11 @@ class Mailbox:
         return time, cycle, phase, [Reading(*values[n * size : (n + 1) * size]) for n in range(self._axes)]
 
     def request_stop(self) -> None:
-        """Ask the loop to end; never queued behind anything."""
+        """Request the end of the loop, ahead of every queued command."""
         self._words[_STOP // 8] = 1
 
     def status(self) -> tuple[General, list[tuple[Any, Parameters]]]:
-        """The last status that is whole, and for each axis its live parameters; zeros before the first."""
+        """Return the last complete status, and an `AxisStatus` with live parameters per axis, or zeros."""
         self._seen = self._status.read()[1] or self._seen
         values = self._status_format.unpack(self._seen)
         general = len(General._fields)
@@ -181,13 +181,13 @@ class Mailbox:
         return General(*values[:general]), [(AxisStatus(*row[:fields]), row[fields:]) for row in rows]
 
     def text(self) -> tuple[int, bytes]:
-        """Number and bytes of the events as last published whole; 0 and none before the first."""
+        """Return number and bytes of the last complete events; 0 and no bytes before the first."""
         found = self._text.read()
         self._seen_text = found if found[0] else self._seen_text
         return self._seen_text
 
     def stage(self) -> tuple[float, str]:
-        """Since when (s, monotonic) the start waits, and for what; empty while the loop runs."""
+        """Return the begin (s, monotonic) and the name of the startup stage; empty while the loop runs."""
         found = self._stage.read()
         self._seen_stage = found[1] if found[0] else self._seen_stage
         return _of_time(self._seen_stage)
@@ -195,7 +195,7 @@ class Mailbox:
     # The loop's side
 
     def take(self) -> Command | None:
-        """The next command, or None; never more than one, so that no client can fill a cycle."""
+        """Return the next command or None; one per cycle, so that no client can fill a cycle."""
         number = self._words[_TAIL // 8] + 1
         content = self._commands.read(number)
         if content is None:
@@ -204,7 +204,7 @@ class Mailbox:
         return Command(*_COMMAND.unpack(content))
 
     def wanted(self, axis: int) -> tuple[float, float] | None:
-        """The axis' newest set-point and its time, once (see `want`); -inf is the time of one that was withdrawn."""
+        """Return the newest set-point of an axis and its time once, else None; a withdrawn one has the time -inf."""
         content = self._wanted[axis].take()
         return None if content is None else _WANTED.unpack(content)
 
@@ -213,7 +213,7 @@ class Mailbox:
         return self._words[_STOP // 8] != 0
 
     def told(self) -> tuple[float, str] | None:
-        """What `tell` was given, once, and when."""
+        """Return time and text of the last `tell` once, else None."""
         content = self._told.take()
         return None if content is None else _of_time(content)
 
@@ -228,11 +228,11 @@ class Mailbox:
         self._status.write(self._status_format.pack(*general, *values))
 
     def publish_stage(self, now: float, text: str) -> None:
-        """Say what the start waits for since `now`; empty when it is over."""
+        """Write the startup stage that begins at `now`; empty at its end."""
         self._stage.write(_timed(now, text))
 
     def publish_text(self, text: bytes) -> None:
-        """Write the events, cut to what fits by the caller (`TEXT` bytes)."""
+        """Write the events; the caller limits them to `TEXT` bytes."""
         self._text.write(text)
 
 

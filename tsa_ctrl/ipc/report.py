@@ -1,4 +1,4 @@
-"""What the socket server tells: the status as one JSON object (no NaN, null for unknown), and events as they come."""
+"""Report the status as one JSON object (null for an unknown value), and print events as they occur."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MONITOR = ("off", "watching", "stopped", "failed")  # by code: daemon.monitoring
 def status_report(
     mailbox: Mailbox, description: Description, now: float, lease: dict[str, Any] | None = None
 ) -> dict[str, Any]:
-    """What `tsa status --json` prints; `now` in s, monotonic; `lease`: who owns the set-point."""
+    """Return the object of `tsa status --json`; `now` in s, monotonic; `lease`: the holder of the set-point."""
     general, axes = mailbox.status()
     _, text = mailbox.text()
     since, stage = mailbox.stage()
@@ -104,7 +104,7 @@ def measurement(mailbox: Mailbox, description: Description, now: float, clamped:
 
 
 def events_since(mailbox: Mailbox, number: int) -> list[dict[str, Any]]:
-    """The kept events from this number on."""
+    """Return the kept events from this number on."""
     _, text = mailbox.text()
     return [event for event in (msgspec.json.decode(text) if text else []) if event["number"] >= number]
 
@@ -171,13 +171,13 @@ WAITING = 256  # lines that wait for a terminal that is stopped; further ones ar
 
 
 class EventPrinter:
-    """Tells events on stderr as they come: neither loop nor socket server waits for a terminal (Ctrl-S, a pager).
+    """Print events on stderr in a thread, so that a stopped terminal (Ctrl-S, a pager) delays no other process.
 
-    A thread writes; it ends with the process, in whatever write it hangs.
+    The thread ends with the process, even if it hangs in a write.
     """
 
     def __init__(self, mailbox: Mailbox, told: bool = False) -> None:
-        """`told`: what there is by now was told by another."""
+        """`told`: True if an earlier process has printed the present events."""
         self._mailbox = mailbox
         self._lines: queue.Queue[str] = queue.Queue(WAITING)
         threading.Thread(target=self._write, daemon=True).start()
@@ -187,7 +187,7 @@ class EventPrinter:
             self._last = max((event["number"] for event in msgspec.json.decode(text or b"[]")), default=-1)
 
     def update(self) -> None:
-        """Print what is new."""
+        """Print new events."""
         sequence, text = self._mailbox.text()
         if sequence == self._sequence:
             return
@@ -200,7 +200,7 @@ class EventPrinter:
                     self._lines.put_nowait(f"{event['t']:.3f} s: {where}{event['text']}\n")
 
     def finish(self, seconds: float) -> None:
-        """Give what was told last `seconds` to be written."""
+        """Wait up to `seconds` s until the last events are written."""
         end = time.monotonic() + seconds
         while self._lines.unfinished_tasks and time.monotonic() < end:
             time.sleep(0.005)

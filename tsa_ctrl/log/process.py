@@ -1,4 +1,4 @@
-"""Starting and ending the log writer from the real-time process; nothing here is called inside a cycle."""
+"""Start and end the log writer from the real-time process, outside its cycles."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ class LogHeader:
 
 
 PATIENCE = 5.0  # s for the writer to drain and complete the file
-STARTED = 20.0  # s for the writer to look at the ring
+STARTED = 20.0  # s until the writer reads the ring
 POLL = 0.01  # s
 
 
 class LogProcess:
-    """The log writer as a child process.
+    """Run the log writer as a child process.
 
-    Start it before real-time scheduling is asked for, so that it runs without it.
+    Start it before real-time scheduling is requested, so that the child does not inherit it.
     """
 
     def __init__(self, path: Path, ring: RingWriter, header: LogHeader) -> None:
-        """Raises UsageError when no new file can be created at `path`."""
+        """Start the process; raises UsageError if no new file can be created at `path`."""
         self.path = path
         self._ring = ring
         check_place(path)
@@ -55,21 +55,21 @@ class LogProcess:
 
     @property
     def alive(self) -> bool:
-        """False once the process is gone; then records are no longer written."""
+        """Return False once the process has ended; records are no longer written then."""
         return self._child.alive
 
     def wait_until_up(self, timeout: float = STARTED) -> None:
-        """Until the writer looks at the ring, or `timeout` s: a process that starts takes the processor from a loop."""
+        """Wait up to `timeout` s until the writer reads the ring: its start takes processor time from the loop."""
         end = time.monotonic() + timeout
         while self.health().state is WriterState.STARTING and self.alive and time.monotonic() < end:
             time.sleep(POLL)
 
     def health(self) -> LogHealth:
-        """What the writer last said."""
+        """Return the last report of the writer."""
         return LogHealth(self._ring)
 
     def end(self, timeout: float = PATIENCE) -> LogHealth:
-        """No more records come: let the writer drain the ring and complete the file; it is killed after `timeout` s."""
+        """Let the writer drain the ring and complete the file; it is killed after `timeout` s."""
         self._ring.finish()
         self._child.end(timeout)
         return self.health()

@@ -1,8 +1,8 @@
-"""The shared-memory ring that carries records out of the real-time process, and notes: texts of what happened.
+"""Carry records and notes (texts of events) out of the real-time process through a ring in shared memory.
 
-One writer, any number of readers, no locks and no system calls. Each record and each note is a place of its own (see
-`system.shared_memory`): a reader takes what is whole and has the number that comes next. What is not there yet it takes
-the next time; what was written over meanwhile is counted as lost.
+There is one writer and any number of readers, without locks and system calls. Each record and each note has a separate
+place (see `system.shared_memory`). A reader takes complete contents in the order of their numbers. Contents that were
+overwritten before they were read count as lost.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _NOTES = 64  # notes that may wait; the oldest is overwritten
 
 
 class _Word(IntEnum):
-    """What stands where in the header, 8 bytes each."""
+    """List the words of the header, 8 bytes each."""
 
     MAGIC = 0
     AXES = 1
@@ -40,9 +40,9 @@ class _Word(IntEnum):
     WRITER_STATE = 8  # by the log writer, as the words that follow
     WRITTEN = 9
     LOST = 10
-    TROUBLE = 11  # errno of what kept the writer from writing, 0: none
+    TROUBLE = 11  # errno of a failed write, 0: none
     HEARD = 12  # ns, monotonic, of the writer's last sign of life
-    REPLACED = 13  # writers that had to be replaced by another
+    REPLACED = 13  # number of replaced writers
     COUNT = 64  # of axis 0: records written; one word per axis from here
     STORED = 288  # of axis 0: number of the last record that the log writer is done with; one word per axis from here
 
@@ -51,16 +51,16 @@ MAX_AXES = _HEADER // 8 - _Word.STORED
 
 
 class WriterState(IntEnum):
-    """What the log writer says of itself through the ring."""
+    """List the states that the log writer reports through the ring."""
 
     STARTING = 0
     WRITING = 1
-    TROUBLED = 2  # cannot write; drains the ring, counts what is lost and tries again
+    TROUBLED = 2  # cannot write; drains the ring, counts lost records and tries again
     ENDED = 3
 
 
 class Ring:
-    """The mapping itself; use `RingWriter` and `RingReader`."""
+    """Map the memory; use `RingWriter` and `RingReader`."""
 
     def __init__(self, axes: int, slots: int, fd: int | None = None) -> None:
         records, notes = space(slots, _FORMAT.size), space(_NOTES, NOTE_BYTES)
@@ -73,12 +73,12 @@ class Ring:
         self._notes = Places(self._memory, _HEADER + axes * records, _NOTES, NOTE_BYTES)
 
     def close(self) -> None:
-        """Give the mapping back; the memory goes when the last process has."""
+        """Unmap the memory, which is released with its last user."""
         self._memory.close()
 
     @property
     def heard(self) -> float:
-        """When the log writer left its last sign of life, s, monotonic; 0 before the first."""
+        """Return the time of the log writer's last sign of life, s, monotonic; 0 before the first."""
         return self._words[_Word.HEARD] * 1e-9
 
     @property
@@ -91,10 +91,10 @@ class Ring:
 
 
 class RingWriter(Ring):
-    """The real-time side. `fd` goes to the readers (`subprocess.Popen(pass_fds=[ring.fd])`)."""
+    """Write the ring in the real-time process; pass `fd` to the readers."""
 
     def __init__(self, axes: int, slots: int = SLOTS) -> None:
-        """Memory for `axes` axes; raises ValueError for sizes that make no sense."""
+        """Create the memory for `axes` axes; raises ValueError for sizes out of range."""
         if not 0 < axes <= MAX_AXES or slots < 2:
             raise ValueError(f"{axes} axes of {slots} slots: need 1 to {MAX_AXES} axes and at least 2 slots")
         super().__init__(axes, slots)
@@ -116,17 +116,15 @@ class RingWriter(Ring):
         self._words[_Word.NOTES] = count
 
     def finish(self) -> None:
-        """Say that no more records come: the log writer drains the ring, completes the file and ends."""
+        """Report the end of the records: the log writer drains the ring, completes the file and ends."""
         self._words[_Word.CLOSED] = 1
 
 
 class RingReader(Ring):
-    """A reader with a position of its own; reads what is there from now on, or all that no writer has stored yet
-    (`from_start`).
-    """
+    """Read the ring from a separate position: new records only, or all that no writer has stored (`from_start`)."""
 
     def __init__(self, fd: int, from_start: bool = True) -> None:
-        """Map the ring behind a descriptor; raises ValueError when it is none."""
+        """Map the ring of a descriptor; raises ValueError if it is not a ring of this version."""
         magic, axes, slots, fields = struct.unpack("=4Q", os.pread(fd, 32, 0).ljust(32, b"\0"))
         if magic != _MAGIC or fields != len(FIELDS):
             raise ValueError("not a ring of this version")
@@ -141,37 +139,37 @@ class RingReader(Ring):
         return self._words[_Word.COUNT + axis]
 
     def read(self, axis: int) -> NDArray[np.float64]:
-        """Records of one axis since the last call, oldest first, shape (k, fields); overwritten ones count as lost."""
+        """Return the records of one axis since the last call, oldest first, shape (k, fields)."""
         first = self._next[axis]
         found, self._next[axis] = _taken(self._places[axis], first, self._count(axis))
         self.lost += self._next[axis] - first - len(found)
         return np.frombuffer(b"".join(found)).reshape(-1, len(FIELDS))
 
     def notes(self) -> list[bytes]:
-        """Notes since the last call, oldest first; overwritten ones are left out."""
+        """Return the notes since the last call, oldest first, without overwritten ones."""
         found, self._next_note = _taken(self._notes, self._next_note, self.word(_Word.NOTES))
         return found
 
     @property
     def finished(self) -> bool:
-        """True once the owner has said that no more records come."""
+        """Return True once the owner has reported the end of the records."""
         return bool(self._words[_Word.CLOSED])
 
     def alive(self) -> None:
-        """Leave a sign of life."""
+        """Record a sign of life."""
         self._words[_Word.HEARD] = time.monotonic_ns()
 
     def replace(self, number: int) -> None:
-        """Leave word that `number` writers had to be replaced."""
+        """Record that `number` writers were replaced."""
         self._words[_Word.REPLACED] = number
 
     def stored(self) -> None:
-        """What was read is written: whoever comes after this reader begins behind it."""
+        """Record that all records read are stored; a reader that replaces this one begins after them."""
         for axis, following in enumerate(self._next):
             self._words[_Word.STORED + axis] = following - 1
 
     def report(self, state: WriterState, written: int, lost: int, trouble: int) -> None:
-        """Leave word for the owner: records written and lost, errno of a trouble (0: none)."""
+        """Report to the owner: records written and lost, errno of a failed write (0: none)."""
         self.alive()
         self._words[_Word.WRITTEN] = written
         self._words[_Word.LOST] = lost
@@ -180,7 +178,7 @@ class RingReader(Ring):
 
 
 def _taken(places: Places, first: int, last: int) -> tuple[list[bytes], int]:
-    """What is whole of the numbers `first` to `last`, and the number to go on with: the first that is not there yet."""
+    """Return the complete contents with the numbers `first` to `last`, and the number to continue with."""
     found = []
     for number in range(max(first, last + 1 - places.count), last + 1):
         content = places.read(number)
@@ -192,7 +190,7 @@ def _taken(places: Places, first: int, last: int) -> tuple[list[bytes], int]:
 
 
 class LogHealth:
-    """What the log writer last said through a ring: for status pages and the summary at exit."""
+    """Hold the last report of the log writer, for the status and the summary."""
 
     def __init__(self, ring: Ring) -> None:
         self.state = WriterState(ring.word(_Word.WRITER_STATE))

@@ -1,4 +1,4 @@
-"""A log file of any kind to a table of columns; what the columns mean is judged elsewhere."""
+"""Read a log file of any kind as a table of columns."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class Table:
         return len(next(iter(self.columns.values()), ()))
 
     def place(self, row: int) -> str:
-        """A row (0-based index) for people: counted from 1, with the line of a text file."""
+        """Return the number of a row (0-based index) for messages: counted from 1, with the line of a text file."""
         number = (row if self.rows is None else int(self.rows[row])) + 1
         return f"row {number}" if self.above is None else f"row {number} (line {number + self.above})"
 
 
 def kind_of(path: Path) -> str:
-    """The ending that decides how a log is read; raises UsageError for another one."""
+    """Return the ending of the file name; raises UsageError for an unknown one."""
     name = path.name.lower()
     for ending in ENDINGS:
         if name.endswith(ending):
@@ -58,7 +58,7 @@ def kind_of(path: Path) -> str:
 
 
 def split_axis(path: str | Path) -> tuple[Path, str | None]:
-    """`run.mcap:NAME` names one axis of a log; a file whose name has the colon itself is taken as it stands."""
+    """Split `run.mcap:NAME` into file and axis; a file whose name contains the colon has no axis."""
     file = Path(path)
     stem, colon, axis = str(path).rpartition(":")
     if colon and not file.exists() and stem.lower().endswith(".mcap"):
@@ -80,7 +80,7 @@ def check_readable(path: Path) -> None:
 
 
 def sha256_of(path: str | Path) -> str:
-    """Hash of a log file's bytes, hexadecimal: what a written result is traced back by."""
+    """Return the hexadecimal SHA-256 of a log file, by which a result is traced back to it."""
     file, _ = split_axis(path)
     check_readable(file)
     with file.open("rb") as stream:
@@ -88,9 +88,10 @@ def sha256_of(path: str | Path) -> str:
 
 
 def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table:
-    """Read one axis of a log; `wanted` columns only, or all numeric ones.
+    """Read one axis of a log: the columns `wanted`, or all numeric columns.
 
-    Raises UsageError in one line: no such file, unknown kind, not readable, damaged, several axes and none named.
+    Raises:
+        UsageError: the file is missing, of an unknown kind or damaged, or has several axes and none is named.
     """
     file, axis = split_axis(path)
     check_readable(file)
@@ -105,7 +106,7 @@ def read_table(path: str | Path, wanted: Collection[str] | None = None) -> Table
 
 
 def _read_log(path: Path, axis: str | None, wanted: Collection[str] | None) -> Table:
-    """One axis of the daemon's own log; without the fields that it never had."""
+    """Read one axis of the daemon's log, without columns that have no value."""
     from tsa_ctrl.log.reader import LogFile
 
     log = LogFile(path)
@@ -202,7 +203,7 @@ def load_run(
     if by_stretch:
         columns = {**columns, "tau_j": columns.get(STRETCH, np.full(len(columns["t"]), np.nan))}
         if not np.isfinite(columns["tau_j"]).any():
-            raise BusError(f"{log}: the tendons' stretch told no joint torque; see the run's events")
+            raise BusError(f"{log}: the tendon elongation gave no joint torque; see the run's events")
     t = columns["t"]
     active = np.flatnonzero((columns["tau_j_des"] != 0.0) | (columns["tau_m_cmd"] != 0.0))
     if not active.size:

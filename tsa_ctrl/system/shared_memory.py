@@ -1,4 +1,4 @@
-"""Memory that processes share without a lock, and the one rule by which either side believes what it finds there.
+"""Share memory between processes without a lock, with one rule by which a reader accepts a content.
 
 A word is 8 bytes, aligned, with one writer. It goes through a memoryview cast to "Q", which copies it by a memcpy of
 constant size: one load or store of a 64-bit processor, never half of one. (`struct.pack_into` with "<" or "=" may copy
@@ -33,10 +33,10 @@ _TRIES = 100  # of a reader; one is lost only when whole writes began and ended 
 
 
 class SharedMemory:
-    """`size` bytes, made here and touched once so that no page fault comes later, or mapped from a `descriptor`."""
+    """Hold `size` bytes, created and touched once so that no page fault comes later, or mapped from a `descriptor`."""
 
     def __init__(self, size: int, descriptor: int | None = None) -> None:
-        """Raises ValueError when there is less behind the descriptor."""
+        """Create or map the memory; raises ValueError if the descriptor has fewer bytes."""
         made = descriptor is None
         if descriptor is None:
             descriptor = os.memfd_create("tsa", os.MFD_CLOEXEC)
@@ -49,11 +49,11 @@ class SharedMemory:
         self.words = self._view[: size // 8 * 8].cast("Q")
 
     def array(self, at: int, count: int) -> memoryview:
-        """`count` words from byte `at` on."""
+        """Return `count` words from byte `at` on."""
         return self.words[at // 8 : at // 8 + count]
 
     def close(self) -> None:
-        """Unmap and give the descriptor back; who holds an `array` releases it before. Raises BufferError otherwise."""
+        """Unmap the memory and close the descriptor; raises BufferError while an `array` is in use."""
         self.words.release()
         self._view.release()
         self.bytes.close()
@@ -61,12 +61,12 @@ class SharedMemory:
 
 
 def space(count: int, size: int) -> int:
-    """Bytes that `count` places for contents of up to `size` bytes take."""
+    """Return the bytes of `count` places for contents of up to `size` bytes."""
     return count * (-(-(_HEAD.size + size) // _LINE) * _LINE)
 
 
 class Places:
-    """Numbered contents in places that are taken in turn: number n lies in place n modulo `count`. Numbers from 1."""
+    """Hold contents that are numbered from 1; number n lies in place n modulo `count`."""
 
     def __init__(self, memory: SharedMemory, at: int, count: int, size: int) -> None:
         """From byte `at`, a multiple of 64, on; `size`: the longest content in bytes."""
@@ -78,7 +78,7 @@ class Places:
         self.size = size
 
     def write(self, number: int, content: bytes) -> None:
-        """Only the one writer of these places may; raises ValueError for a content that is too long."""
+        """Write a content, in the one process that writes; raises ValueError if it is too long."""
         length = len(content)
         if length > self.size:
             raise ValueError(f"{length} bytes, there is room for {self.size}")
@@ -87,7 +87,7 @@ class Places:
         self._bytes[at : at + _HEAD.size + length] = _WORD.pack(crc32(summed) | length << 32) + summed
 
     def read(self, number: int) -> bytes | None:
-        """The content of this number; None unless it is there and whole."""
+        """Return the content of this number, or None unless it is complete."""
         at = self._at[number % self.count]
         if self._words[at // 8 + 1] != number:  # spares the copy, in which it is looked at again
             return None
@@ -97,11 +97,11 @@ class Places:
         return summed[_WORD.size :] if found == number and crc32(summed) == check & _U32 else None
 
     def claimed(self, number: int) -> int:
-        """The number that stands where this one belongs, whole or not."""
+        """Return the number of the content, complete or not, in the place of this number."""
         return self._words[self._at[number % self.count] // 8 + 1]
 
     def newest(self) -> tuple[int, bytes]:
-        """Number and content of the newest that is whole; 0 and nothing before the first."""
+        """Return number and bytes of the newest complete content; 0 and no bytes before the first."""
         words = self._words
         for _ in range(_TRIES):
             claimed = sorted((words[at // 8 + 1] for at in self._at), reverse=True)
@@ -114,7 +114,7 @@ class Places:
 
 
 class Newest:
-    """One content that is written again and again, in two places in turn; a reader gets the newest that is whole."""
+    """Hold one content that is written repeatedly, in two places in turn; a reader gets the newest complete one."""
 
     def __init__(self, memory: SharedMemory, at: int, size: int) -> None:
         self._places = Places(memory, at, 2, size)
@@ -122,19 +122,19 @@ class Newest:
         self._taken = 0
 
     def write(self, content: bytes) -> None:
-        """Only its one writer may; raises ValueError for a content that is too long."""
+        """Write the content, in the one process that writes; raises ValueError if it is too long."""
         self._number += 1
         self._places.write(self._number, content)
 
     def read(self) -> tuple[int, bytes]:
-        """Number and content; 0 and nothing before the first, or when it was written over each time it was read."""
+        """Return number and content; 0 and no bytes before the first, or if each attempt was overwritten."""
         one, other = self._places.claimed(0), self._places.claimed(1)
         number = one if one > other else other
         content = self._places.read(number) if number else None
         return self._places.newest() if content is None else (number, content)
 
     def take(self) -> bytes | None:
-        """What this reader has not been given yet, the newest alone; None when there is no such content."""
+        """Return the newest content once; None without a new one."""
         if self._places.claimed(0) <= self._taken and self._places.claimed(1) <= self._taken:
             return None
         number, content = self.read()
