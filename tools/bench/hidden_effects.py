@@ -47,12 +47,11 @@ class Motion:
 class Hidden:
     """`change` of the torque (N*m) that a plain drive needs, or that tendons lose, with this number of the effect.
 
-    `parameter` of the model file that the number is, "" where the file's law is another one; `range`: of a number in
-    which the change is not linear. `follows_acceleration`: which at steady speed is the velocity's noise alone.
+    `range`: of a number in which the change is not linear. `follows_acceleration`: the change at steady speed is only
+    noise of the velocity.
     """
 
     change: Callable[[Motion, float], Array]
-    parameter: str = ""
     needs_angle: bool = False
     range: tuple[float, float] | None = None
     follows_acceleration: bool = False
@@ -136,18 +135,18 @@ def cycles(log: Motion) -> float:
 
 
 HIDDEN: Mapping[str, Hidden] = {
-    "gravity_load": Hidden(lambda log, a: a * np.sin(log.q + 0.4), "amplitude", needs_angle=True),
-    "joint_stiffness": Hidden(lambda log, a: a * log.q, "stiffness", needs_angle=True),
+    "gravity_load": Hidden(lambda log, a: a * np.sin(log.q + 0.4), needs_angle=True),
+    "joint_stiffness": Hidden(lambda log, a: a * log.q, needs_angle=True),
     "torque_offset": Hidden(lambda log, a: np.full(len(log.q), a)),
-    "viscous_friction": Hidden(lambda log, a: a * log.omega, "coefficient"),
-    "inertia": Hidden(lambda log, a: a * log.acceleration, "inertia", follows_acceleration=True),
-    "direction_asymmetric_friction": Hidden(lambda log, a: a * np.abs(log.omega), "viscous_difference"),
+    "viscous_friction": Hidden(lambda log, a: a * log.omega),
+    "inertia": Hidden(lambda log, a: a * log.acceleration, follows_acceleration=True),
+    "direction_asymmetric_friction": Hidden(lambda log, a: a * np.abs(log.omega)),
     "stribeck_friction": Hidden(
         lambda log, a: a * direction(log) * np.exp(-np.abs(log.omega) / (STRIBECK * log.fastest))
     ),
     "torque_ripple": Hidden(lambda log, a: a * np.sin(cycles(log) * log.q + 0.7), needs_angle=True),
     "presliding_hysteresis": Hidden(presliding, needs_angle=True, range=(1e-6, 0.1)),
-    "transport_delay": Hidden(late, "delay", range=(1e-4, 0.1)),
+    "transport_delay": Hidden(late, range=(1e-4, 0.1)),
 }
 
 
