@@ -23,7 +23,7 @@ def commands() -> dict[str, str]:
     for path in sorted([*FOLDER.glob("*.py"), *FOLDER.glob("*/*.py")]):
         name = path.relative_to(FOLDER).with_suffix("").as_posix()
         text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-        if f"tools/run {name} " in f"{text} ":
+        if f"tools/run {name} " in " ".join([*text.split(), ""]):
             found[name] = text.splitlines()[0]
     return found
 

@@ -41,17 +41,17 @@ from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.virtual.result import AxisResult
 from tsa_ctrl.virtual.script import Change, parse_fault_option
 
-AT = 0.9995  # s, between two cycles: what is told in the next one is told after it
-AT_ONCE, SLOWLY = 3.0, 6.0  # s that are looked at, of what is wrong at once and of what gets worse
+AT = 0.9995  # s, between two cycles: a report of the next cycle follows the fault
+AT_ONCE, SLOWLY = 3.0, 6.0  # s that are evaluated for sudden faults, and for faults that get worse
 LOADS = ("held", "weight", "imposed", "limb", "spring")
 
 
 @dataclass(frozen=True)
 class Wrong:
-    """What is wrong: a fault of the plant at `AT`, or what is not as the file says from the enable on.
+    """A fault of the plant at `AT`, or a difference between plant and file from the enable on.
 
-    `stiffness`, `lever`: of the plant, as shares of the file's; `straightens`: the sheath does, and its angle is told;
-    `after`: s that are looked at.
+    `stiffness`, `lever`: of the plant, as shares of the file's; `straightens`: the sheath straightens and the angle is
+    commanded; `after`: s that are evaluated.
     """
 
     fault: str = ""
@@ -70,7 +70,7 @@ class Wrong:
         return sensors != "motor" or not self.fault.startswith("encoder")
 
 
-FAULTS = {  # by what a person calls it
+FAULTS = {  # by their names in the table
     "nothing": Wrong("clear"),
     "motor turns the wrong way": Wrong("reversed_sign"),
     "motor gives twice": Wrong("torque_gain value=2.0"),

@@ -1,4 +1,4 @@
-"""Blind benchmark of the diagnosis on logs with hidden effects, beside naive strategies on the same logs.
+"""Measure the diagnosis on logs with hidden effects, next to naive strategies on the same logs.
 
 Usage: tools/run bench/diagnose [--quick] [--short] [--families single:30 none:400 ...] [--names EFFECT ...] [--jobs 2]
                             [--seed 0] [--out FILE.jsonl] [--list] | --speed

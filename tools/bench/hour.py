@@ -1,4 +1,4 @@
-"""Memory and time of `tsa diagnose` on one hour at 1 kHz, as a table (CSV) and as the daemon's own log (MCAP).
+"""Measure memory and time of `tsa diagnose` on one hour at 1 kHz, as a table (CSV) and as the daemon's own log (MCAP).
 
 Usage: tools/run bench/hour [--seconds 3600] [--seed 0] [--kinds csv mcap]
 

@@ -1,15 +1,14 @@
-"""Known effects hidden in measured logs: from which size on does the diagnosis find them there?
+"""Measure from which size on the diagnosis identifies known effects that are hidden in measured logs.
 
-Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--out FILE.jsonl] [--list]
+Usage: tools/run bench/measured [--sets emps bam] [--effects NAME ...] [--sizes 0.5 1 2 4 8] [--rows FILE] [--list]
 
-Each set is diagnosed as it is; then again with one effect added to its measured torque, as the drive would show it, by
-the formulas of `hidden_effects`, at a size in multiples of the floor that the untouched logs have. "found": the name
-comes in addition to what the untouched logs say, and no other name does; "in a group": it stands among others; "wrong":
-another name without it; "refused": the logs were found insufficient. A parameter that the untouched logs have already
-is no addition: those effects are left out. One half of a set (of its logs, or of its one log's time) is diagnosed with
-the model that the diagnosis of the other half has written: nothing may be added. Rows are kept in --out (default: the
-file that the manual's table is written from), and not made again. The data are looked for in the folder named by
-TSA_DATA, else in ../shared/data; without them there is one line and nothing to do.
+Each set is diagnosed unchanged, and again with one effect added to its measured torque by the formulas of
+`hidden_effects`, at a size in multiples of the noise floor of the unchanged logs. "found": the diagnosis adds this
+cause and no other; "in a group": with alternatives; "wrong": another cause without it; "refused": the logs are
+insufficient. Effects that the unchanged logs have already are left out. One half of a set (of its logs, or of the time
+of its one log) is diagnosed with the model that the diagnosis of the other half has written: nothing may be added. Rows
+are kept in --rows (default: the file of the manual's table), and not run again. The data are searched in the folder
+named by TSA_DATA, else in ../shared/data; without them the command prints one line.
 """
 
 from __future__ import annotations
@@ -37,19 +36,19 @@ FILE = command.ROOT / "tools" / "manual" / "measured.jsonl"
 
 
 def names_of(report: Row) -> set[str]:
-    """Every name that a report holds possible."""
+    """Return every cause and alternative of a report."""
     return {name for cause in report["causes"] for name in (cause["effect"], *cause["alternatives"])}
 
 
 def claims_of(report: Row) -> list[set[str]]:
-    """Each claim as the set of the names that it leaves open."""
+    """Return the names of each cause and its alternatives."""
     return [{cause["effect"], *cause["alternatives"]} for cause in report["causes"]]
 
 
 def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
-    """Diagnose one set with an effect hidden in it (`untouched`: what it says without), or as it is (None).
+    """Diagnose one set with an effect hidden in it (`untouched`: the report without it), or unchanged (None).
 
-    Without a report where these logs cannot have the effect at this size.
+    The row has no report if these logs cannot have the effect at this size.
     """
     pattern, file = SETS[folder.name]
     logs, model = load_logs(sorted(folder.glob(pattern))), load_model(folder / file)
@@ -63,7 +62,7 @@ def trial(folder: Path, effect: str, size: float, untouched: Row | None) -> Row:
 
 
 def halves(folder: Path) -> Row:
-    """What the second half of a set adds to the model that the diagnosis of the first has written."""
+    """Return the causes that the second half of a set adds to the model written for the first half."""
     pattern, model = SETS[folder.name]
     logs = load_logs(sorted(folder.glob(pattern)))
     if len(logs) > 1:
@@ -87,7 +86,7 @@ def _kept(report: Row) -> Row:
 
 
 def answer(row: Row, untouched: Row) -> str:
-    """What came in addition to what the untouched logs say."""
+    """Return how the diagnosis differs from that of the unchanged logs."""
     if row["report"]["verdict"] == "insufficient":
         return "refused"
     before = names_of(untouched["report"])
@@ -101,9 +100,9 @@ def answer(row: Row, untouched: Row) -> str:
 
 
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows: an effect of a set a line, its limit and the answer by size; then what half against half adds.
+    """Return head and lines: each effect of a set with its detection limit and the answer by size; then the halves.
 
-    Last what was found of those above their limit, and of how many below it nothing was said.
+    The last lines count the answers above and below the detection limits.
     """
     by = {(row["set"], row["effect"], row["size"]): row for row in rows if "report" in row}
     sizes = sorted({row["size"] for row in rows if row["effect"] in HIDDEN})
@@ -139,15 +138,15 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
 
 
 def main() -> int:
-    """Run what is asked and not known yet, and print the table."""
+    """Run the missing rows and print the table."""
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--sets", nargs="+", choices=tuple(SETS), default=list(SETS))
     parser.add_argument("--effects", nargs="+", choices=sorted(HIDDEN), default=sorted(HIDDEN))
     parser.add_argument("--sizes", nargs="+", type=float, default=[0.5, 1.0, 2.0, 4.0, 8.0])
-    parser.add_argument("--out", type=Path, default=FILE)
-    parser.add_argument("--list", action="store_true", help="only print the table of what is in --out")
+    command.share(parser, "rows", rows=FILE)
+    parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
     asked = parser.parse_args()
-    results = Results(asked.out, lambda row: (row["set"], row["effect"], row["size"]))
+    results = Results(asked.rows, lambda row: (row["set"], row["effect"], row["size"]))
     data = None if asked.list else command.measured_data(__name__)
     if data is None and not asked.list:
         return 0
@@ -163,5 +162,5 @@ def main() -> int:
             for size in asked.sizes:
                 if (name, effect, size) not in results:
                     results.add(trial(folder, effect, size, untouched))
-    command.print_table(*table(read_rows(asked.out)))
+    command.print_table(*table(read_rows(asked.rows)))
     return 0

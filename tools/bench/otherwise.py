@@ -1,6 +1,6 @@
-"""The diagnosis on measured drives of others, beside what people do otherwise: held-out errors and processor time.
+"""Compare the diagnosis with regressions on measured drives of others: held-out errors and processor time.
 
-Usage: tools/run bench/otherwise [--sets emps epos bam davinci] [--out FILE.jsonl] [--list]
+Usage: tools/run bench/otherwise [--sets emps epos bam davinci] [--rows FILE] [--list]
 
 One split for all, stated before the run: of emps every third of twelve stretches is held out, with gaps of 0.3 s; of
 epos every third log by name (speeds, each way); of bam the trials with the higher gain (kp400*); of davinci, its trials
@@ -8,7 +8,7 @@ at 0.3 Hz, the one with 50 % of the load. Fitted on the rest: the model as given
 diagnose`); least squares by hand on inertia, friction, drag and offset, and the same with the published causes; boosted
 trees, a small network, and a sparse regression over products of the signals (tools/bench/regressions.py), which see
 angle, velocity, its sign, acceleration and the temperature where there is one; of davinci the motor torque as well.
-Errors: RMS over all held-out samples. Rows are kept in --out (default: the file that the manual's table is written
+Errors: RMS over all held-out samples. Rows are kept in --rows (default: the file that the manual's table is written
 from); a set that stands there is not run again. The data are looked for in the folder named by TSA_DATA, else in
 ../shared/data. Needs scikit-learn (extra dev).
 """
@@ -63,7 +63,7 @@ SETS: Mapping[str, Trial] = {
 
 
 def masks(data: Split) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """What is fitted on and what is held out, at the logs' own rate, over all logs."""
+    """Return masks of the fitted and the held-out samples at the rate of the logs, over all logs."""
     fit, held = (np.zeros(sum(len(run.full_target) for run in data.frame.runs), dtype=np.bool_) for _ in range(2))
     start = 0
     for run, part in zip(data.frame.runs, data.frame.slices, strict=True):
@@ -74,7 +74,7 @@ def masks(data: Split) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
 
 
 def signals_of(s: Signals, plain: bool) -> Array:
-    """What a regression without causes sees, (n, k)."""
+    """Return the signals for a regression without causes, (n, k)."""
     omega, angle = s.omega_j, s.q_m if plain or s.q_j is None else s.q_j
     columns = [omega, np.sign(omega), s.acceleration]
     for column in (angle, None if plain else s.tau_m, s.temperature):
@@ -111,7 +111,7 @@ def with_published(name: str, s: Signals) -> list[Array]:
 
 
 def trial(folder: Path, name: str) -> list[Row]:
-    """All methods on one set, one row each."""
+    """Run all methods on one set and return a row for each."""
     of = SETS[name]
     model = load_model(folder / of.model)
     logs = load_logs(sorted(folder.glob(of.logs)))
@@ -151,7 +151,7 @@ def trial(folder: Path, name: str) -> list[Row]:
 
 
 def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Head and rows, a method a line: held-out error in N*m and seconds of processor time, and what was named."""
+    """Return head and lines: held-out error and processor time of each method, then the identified causes."""
     sets = [name for name in SETS if any(row["set"] == name for row in rows)]
     by = {(row["set"], row["method"]): row for row in rows}
     units = {"emps": "N"}
@@ -175,13 +175,13 @@ def table(rows: Sequence[Row]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
 
 
 def main() -> int:
-    """Run what is not known yet, and print the table."""
+    """Run the missing sets and print the table."""
     parser = command.parser(__name__, __doc__)
     parser.add_argument("--sets", nargs="+", choices=tuple(SETS), default=list(SETS))
-    parser.add_argument("--out", type=Path, default=FILE)
-    parser.add_argument("--list", action="store_true", help="only print the table of what is in --out")
+    command.share(parser, "rows", rows=FILE)
+    parser.add_argument("--list", action="store_true", help="only print the table of what is in --rows")
     asked = parser.parse_args()
-    results = Results(asked.out, lambda row: (row["set"], row["method"]))
+    results = Results(asked.rows, lambda row: (row["set"], row["method"]))
     if not asked.list:
         data = command.measured_data(__name__)
         if data is None:
@@ -190,6 +190,6 @@ def main() -> int:
             if (name, METHODS[-1]) not in results:
                 for row in trial(data.parent / name, name):
                     results.add(row)
-    head, lines = table(read_rows(asked.out))
+    head, lines = table(read_rows(asked.rows))
     command.print_table(head, lines)
     return 0

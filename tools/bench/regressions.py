@@ -1,4 +1,4 @@
-"""What people do without a diagnosis: regressions from a log's signals to its torque, each with no knowledge of causes.
+"""Regressions from the signals of a log to its torque, without knowledge of causes.
 
 All take columns (n, k) and a torque (n,) in N*m of the samples that may be learned from, and predict it for others.
 None was chosen for a set: the settings are the libraries' own, or stand here with their reason.

@@ -1,4 +1,4 @@
-"""Random rigs with the effects of real ones: tuned by `tsa tune` alone, then evaluated on other runs.
+"""Tune random rigs with the effects of real ones by `tsa tune`, and evaluate the controllers on other runs.
 
 Usage: tools/run bench/rigs [--rigs 6] [--seed N] [--first 0] [--results FILE] [--keep FOLDER] [--json]
 A rig is drawn by seed and number: friction angle 0.05 to 1.2, a random curvature profile, motor inertia, delay, noise,

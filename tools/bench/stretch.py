@@ -1,4 +1,4 @@
-"""Joint torque from the tendons' stretch on rigs drawn at random: stiffness and shape identified first, then verified.
+"""Identify stiffness and shape of random rigs, and verify the joint torque from the tendon elongation.
 
 Usage: tools/run bench/stretch [--rigs 30] [--first 0] [--seed 1] [--without-sensor] [--results FILE] [--json]
 Each rig differs from its nominal file by up to 20 % in friction, pretension and stiffness, bends anywhere up to

@@ -1,4 +1,4 @@
-"""Throws nonsense at everything that listens: no crash, no torque, no leak.
+"""Send invalid input to loop, plant, bring-up, socket and files, and look for crashes, torque and leaks.
 
 Usage: tools/run campaign/fuzz [PART...] [--frames 1000000] [--seed 1] [--json]
        tools/run campaign/fuzz --coverage [TARGET...] [--minutes 24] [--save] [--seed 1] [--json]

@@ -1,4 +1,4 @@
-"""Does the controller ever sustain a motion? Five campaigns of the real loop on distributed tendons, in virtual time.
+"""Look for motion that the controller sustains: five campaigns of the real loop on distributed tendons.
 
 Usage: tools/run campaign/runaway scan      less friction than the file's from the start, one nudge
        tools/run campaign/runaway changes   friction, pretension, bending or the motor change while the loop runs

@@ -1,4 +1,4 @@
-"""A picture of `tsa dashboard` beside a running demo, taken by a headless Chromium.
+"""Take a picture of `tsa dashboard` next to a running demo, with a headless Chromium.
 
 Usage: tools/run figures/dashboard [--out .readme/dashboard.png] [--seconds 8]
 

@@ -1,9 +1,9 @@
-"""The README's moving picture: a joint that lifts a weight, from runs of the loop without and with compensation.
+"""Draw the moving picture of the README: a joint that lifts a weight, without and with compensation.
 
 Usage: tools/run figures/moving [--out .readme/moving.gif] [--seconds 6] [--rate 12] [--from FOLDER]
 
 Runs `tsa demo --virtual --load weight` (or takes the folder that one left, --from) and draws what its logs say: the
-joint by its encoder, the torque that is wanted and the torque that the joint's sensor says.
+joint by its encoder, the desired torque and the torque of the joint sensor.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ ARM = 2.6  # length of the arm in the drawing, in radii of the joint's pulley
 
 
 def run(folder: Path, seconds: float) -> None:
-    """The demo, in virtual time."""
+    """Run the demo in virtual time."""
     line = tsa("demo", "--virtual", "--load", "weight", "--seconds", f"{seconds + MARGIN:g}", "--out", str(folder))
     subprocess.run(line, check=True, capture_output=True)
 
 
 def course(folder: Path, seconds: float) -> Columns:
-    """What a run measured; `t` from 0. Raises UsageError where there is no log."""
+    """Return the measured columns of a run, with `t` from 0; raises UsageError without a log."""
     logs = sorted(folder.glob("*.mcap"))
     if not logs:
         raise UsageError(f"{folder}: no log in it; give a folder that `tsa demo --out` left")
@@ -64,7 +64,7 @@ class Panel:
         (self._arm,) = drawing.plot([], [], color=look.NEUTRAL, lw=3.0, solid_capstyle="round")
         (self._weight,) = drawing.plot([], [], "s", color=colour, ms=11)
         chart.set(xlim=(0.0, seconds), ylabel="joint torque (N·m)", title=words)
-        (self._wanted,) = chart.plot([], [], color=look.GUIDE, label="wanted")
+        (self._wanted,) = chart.plot([], [], color=look.GUIDE, label="desired")
         (self._delivered,) = chart.plot([], [], color=colour, label="delivered")
         chart.legend(loc="upper right", ncols=2)
 
@@ -73,7 +73,7 @@ class Panel:
         return float(max(np.abs(self._columns[name]).max() for name in ("tau_j_des", "tau_j")))
 
     def show(self, t: float) -> list[Artist]:
-        """As it was at `t` s."""
+        """Show the state at `t` s."""
         until = int(np.searchsorted(self._columns["t"], t, side="right"))
         angle = float(self._columns["q_j"][max(until - 1, 0)])
         x, y = ARM * math.sin(angle), -ARM * math.cos(angle)

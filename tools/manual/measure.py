@@ -1,4 +1,4 @@
-"""Run what the manual quotes and write it down with date, commit and machine: the one writer of its figures and tables.
+"""Run the commands that the manual quotes, and write its figures and tables with date, commit and machine.
 
 Usage: tools/run manual/measure [NAME ...] [--long] [--runs N] [--list]
        tools/run manual/measure TABLE --printed FILE

@@ -76,8 +76,8 @@ _DRIFT = (
     "end stop"
 )
 _LOOSE = (
-    "a joint that stuck below what is wanted of it is shaken loose, as the friction term turns with the noise, and "
-    "then goes where it is wanted; an encoder that is looked at: tsa doctor, [axis.limits] travel"
+    "a joint that stuck below its desired torque is shaken loose, because the friction term changes sign with the "
+    "noise, and then moves; check the encoder with tsa doctor, set [axis.limits] travel"
 )
 
 HAZARDS: tuple[Hazard, ...] = (

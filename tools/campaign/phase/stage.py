@@ -42,7 +42,7 @@ Traces = dict[str, NDArray[np.float64]]  # of one axis of the plant, by the name
 
 @dataclass(frozen=True)
 class Seen:
-    """What happened, times in s of the plant's clock.
+    """Results of a trial; times in s of the plant's clock.
 
     `axes`: at the plant; `injected`: None when the phase never came; `cleared`: when the cause was taken away; `asked`:
     when torque was asked for last (a start counts as 0).
@@ -96,18 +96,18 @@ class Stage:
             raise
 
     def stop(self) -> None:
-        """As `tsa stop`."""
+        """Request a stop, as `tsa stop`."""
         self.stopped = min(self.stopped, self.wire.now)
         self.loop.stop("the trial is over")
 
     def tune(self, name: str, value: float) -> None:
-        """As `tsa set`, for every axis."""
+        """Set a parameter of every axis, as `tsa set`."""
         for place, tuner in enumerate(self.daemon.tuners):
             number = next(n for n, parameter in enumerate(tuner.parameters) if parameter.name == name)
             self.daemon.mailbox.put(Command(place, number, value))
 
     def begin(self, line: str) -> None:
-        """A fault of the plant, of its first axis."""
+        """Begin a fault of the first axis of the plant."""
         absent = [("torque_sensor", self.draw.sensor), ("encoder", self.draw.encoder)]
         if any(name in line and not present for name, present in absent):
             return  # a fault of a sensor that is not there has no effect
@@ -115,7 +115,7 @@ class Stage:
         self.machine.begin_fault(None, settings, self.wire.now)
 
     def play(self, trial: Trial | None) -> Seen:
-        """Run it; without a trial the rig starts, gives torque for as long, and stops."""
+        """Run the trial; without one, start the rig, apply torque for the same time, and stop."""
         self.machine.start()
         refused = crashed = ""
         script = _Script(self, trial)
@@ -167,7 +167,7 @@ class Stage:
 
 
 class _Script:
-    """The looks of a trial, each a step of a generator that yields between them."""
+    """Steps of a trial: a generator that yields between two looks at the phase."""
 
     def __init__(self, stage: Stage, trial: Trial | None) -> None:
         self._stage = stage
@@ -212,7 +212,7 @@ class _Script:
         stage.stop()
 
     def _reach(self, trial: Trial) -> Iterator[bool]:
-        """Until the phase has come, and to a place within it."""
+        """Wait until the phase has come, and then to a place within it."""
         stage, phase, share = self._stage, trial.phase, trial.draw.share
         if phase == "start":
             yield from self._wait(share * BRING_UP)
@@ -276,6 +276,6 @@ class _Script:
 
 
 def play(trial: Trial, compensation: float | None = None) -> tuple[Seen, float]:
-    """What happened, and s within which the torque must be zero; `compensation` instead of the shipped one."""
+    """Return the results and s within which the torque must be zero; `compensation` replaces the shipped one."""
     stage = Stage(trial.draw, compensation)
     return stage.play(trial), stage.bound

@@ -1,12 +1,13 @@
-"""Whether a trial was safe, judged at the plant alone: torque, joint speed, travel, energy, and the word that latched.
+"""Judge whether a trial was safe, by the plant alone: torque, joint speed, travel and energy, and the latched cause.
 
-A joint that a fault moves is compared with the same joint that meets no fault, and with the same joint whose torque
-goes off at that moment: what a weight does by itself when nobody holds it, no software can prevent. Where tendons or
-sheaths change, with the same fault without compensation, too: what friction no longer holds moves by itself. Where a
-fault lets the joint go for a moment, with the same joint without it and a tenth less friction: it may have stuck by a
-hair. Where a recovery was asked for, with as long of a first start of the same rig without any fault: set-points count
-from the enable on, and a recovery wants what a start wants. What moves while the motor has no torque at all is its
-wearer's or its weight's.
+A joint that moves too far after a fault is compared with reference runs; each excuses the motion that it has as well:
+
+- the same joint without the fault, and with the torque off from that moment on. No software can hold a falling weight.
+- the same fault without compensation, if tendons or sheaths change. The joint moves if friction no longer holds it.
+- the joint without the fault and with a tenth less friction, if the fault releases it for a moment. It may have stuck.
+- a first startup of the same length, if a recovery was requested. The set-point starts at each enable.
+
+Motion without any torque of the motor comes from the wearer or the weight, and is safe.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ Excess = tuple[float, float, float]  # rad/s, rad, J
 
 @dataclass(frozen=True)
 class Motion:
-    """What the joints did from some time on: rad/s, rad, J that the tendons gave within the worst window."""
+    """Motion of the joints from some time on: rad/s, rad, and J from the tendons within the worst window."""
 
     speed: float
     low: float
@@ -79,7 +80,7 @@ def motion(axes: Sequence[Traces], since: float, until: float = math.inf) -> Mot
 
 
 class Judge:
-    """One trial's."""
+    """Judge one trial."""
 
     def __init__(self, trial: Trial, seen: Seen, bound: float) -> None:
         self._trial = trial
@@ -89,7 +90,7 @@ class Judge:
         self._since = 0.0 if seen.injected is None else seen.injected
 
     def verdict(self) -> Verdict:
-        """All of it."""
+        """Return the verdict."""
         seen = self._seen
         wrong = []
         if seen.crashed:
@@ -121,7 +122,7 @@ class Judge:
         return self._rows[-1] - self._since + 1e-3 if self._rows else 0.0
 
     def _torque(self) -> list[str]:
-        """What is wrong with when there was torque."""
+        """Return the errors in the times at which there was torque."""
         seen, trial, rows = self._seen, self._trial, self._rows
         asked_since = seen.asked >= self._since  # somebody asked for torque after the fault, or by it: it may come back
         wrong = []
@@ -149,7 +150,7 @@ class Judge:
         return wrong
 
     def _motion(self) -> tuple[Excess, list[str]]:
-        """What the joints did beyond what they do without the fault, and what of it is too much."""
+        """Return the motion of the joints in excess of the reference runs, and the parts of it that exceed a limit."""
         if self._trial.draw.load in MOVED or self._seen.injected is None:
             return (0.0, 0.0, 0.0), []
         here = motion(self._seen.axes, self._since)
@@ -185,7 +186,7 @@ class Judge:
         return excess, [f"{value:.2f} {unit} beyond, borne are {most:g}" for value, most, unit in said if value > most]
 
     def _wanted(self) -> Motion:
-        """What a first start without a fault does in as long as this trial's recovery was enabled."""
+        """Return the motion of a startup without a fault, for as long as this trial was enabled after its recovery."""
         began = first_enabled(self._seen.axes, self._seen.asked)
         length = max((float(each["clock"][-1]) for each in self._seen.axes if each["clock"].size), default=0.0) - began
         twin, _ = play(dataclasses.replace(self._trial, names=(), phase="enabling"))
@@ -200,7 +201,7 @@ def first_enabled(axes: Sequence[Traces], since: float) -> float:
 
 
 def _less(excess: Excess, here: Motion, there: Motion) -> Excess:
-    """Of each the lesser: what it was, or what is here beyond what is there."""
+    """Return for each quantity the smaller of the old excess and the excess over another run."""
     beyond = (here.speed - there.speed, max(here.high - there.high, there.low - here.low), here.energy - there.energy)
     return (
         min(excess[0], max(0.0, beyond[0])), min(excess[1], max(0.0, beyond[1])), min(excess[2], max(0.0, beyond[2])),
@@ -212,7 +213,7 @@ def _borne(excess: Excess) -> bool:
 
 
 def _over(hazard: Hazard) -> bool:
-    """Whether it ends by itself."""
+    """Return whether the fault ends by itself."""
     return bool(hazard.act) or any("duration" in line or line.split()[0] in _ONCE for line in hazard.lines)
 
 
@@ -221,6 +222,6 @@ def _named(hazard: Hazard, seen: Seen) -> bool:
 
 
 def judge(trial: Trial) -> Verdict:
-    """Run it and judge it."""
+    """Run a trial and return its verdict."""
     seen, bound = play(trial)
     return Judge(trial, seen, bound).verdict()
