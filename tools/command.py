@@ -141,9 +141,13 @@ def parallel(work: Callable[[Item], Done], items: Sequence[Item], processes: int
 
 
 def read_rows(path: Path | None) -> list[Row]:
-    """Return the rows of a results file, empty without a file. A torn last line of a killed run is ignored."""
+    """Return the rows of a results file, empty without a file. A line that a killed run cut off is ignored."""
     text = path.read_text(encoding="utf-8") if path is not None and path.exists() else ""
-    return [json.loads(line) for line in text.split("\n")[:-1] if line]
+    rows: list[Row] = []
+    for line in text.splitlines():
+        with contextlib.suppress(ValueError):
+            rows.append(json.loads(line))
+    return rows
 
 
 class Results:
@@ -158,8 +162,6 @@ class Results:
         for row in read_rows(path):
             if counts(row):
                 self._rows[key(row)] = row
-        if path is not None and path.exists() and not (text := path.read_text(encoding="utf-8")).endswith("\n"):
-            path.write_text(text[: text.rfind("\n") + 1], encoding="utf-8")  # a line that an interruption cut off
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._rows
@@ -171,8 +173,10 @@ class Results:
         """Keep a row."""
         self._rows[self._key(row)] = row
         if self._path is not None:
-            with self._path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(row) + "\n")
+            with self._path.open("a+b") as file:
+                if file.tell() and not self._path.read_bytes().endswith(b"\n"):  # a line that an interruption cut off
+                    file.write(b"\n")
+                file.write(json.dumps(row).encode() + b"\n")
 
 
 def run_rows(

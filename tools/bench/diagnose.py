@@ -20,7 +20,6 @@ import tomllib
 import traceback
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +65,10 @@ def ask(logs: list[HiddenLog], model: str) -> tuple[Row, float]:
 
 def one(job: Job) -> Row:
     """Draw a case, diagnose it and its experiment, mark both; naive strategies on the same logs."""
-    hidden = case(*job)
+    try:
+        hidden = case(*job)
+    except (RuntimeError, ValueError) as problem:  # no such case can be drawn: printed, and not counted
+        return {"undrawn": str(problem)}
     family, name, seed, short = job
     truth = hidden.truth
     result: Row = {
@@ -127,19 +129,17 @@ def key(row: Row) -> Job:
     return row["family"], row["name"], row["seed"], row["short"]
 
 
-def run(queue: list[Job], workers: int, results: Results, version: str) -> None:
+def run(queue: list[Job], processes: int, results: Results, version: str) -> None:
     """Work through the queue; each result is on disk before the next is waited for."""
     started = time.perf_counter()
-    with ProcessPoolExecutor(workers) as pool:
-        waiting = {pool.submit(one, job): job for job in queue}
-        for done, future in enumerate(as_completed(waiting), 1):
-            try:
-                results.add({**future.result(), "version": version})
-            except (RuntimeError, ValueError) as problem:  # no such case can be drawn: said, and not counted
-                print(problem, file=sys.stderr)
-            if sys.stderr.isatty() or done % 20 == 0:
-                left = (time.perf_counter() - started) / done * (len(queue) - done)
-                print(f"{done}/{len(queue)}, {left / 60:.0f} min left", file=sys.stderr)
+    for done, row in enumerate(command.parallel(one, queue, processes), 1):
+        if "undrawn" in row:
+            print(row["undrawn"], file=sys.stderr)
+        else:
+            results.add({**row, "version": version})
+        if sys.stderr.isatty() or done % 20 == 0:
+            left = (time.perf_counter() - started) / done * (len(queue) - done)
+            print(f"{done}/{len(queue)}, {left / 60:.0f} min left", file=sys.stderr)
 
 
 def timing(seed: int) -> list[float]:
