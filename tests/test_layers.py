@@ -56,7 +56,7 @@ ROOMS: dict[str, str] = {
     # offline: from logs to parameters and causes, without bus and loop
     "identify": "errors version settings outputs system signals log model observer",
     # the machine that answers: independent of everything that computes
-    "plant": "errors settings log.waypoints model.parameters model.catalogue bus.wire",
+    "plant": "errors settings log.waypoints model.parameters model.routing model.catalogue bus.wire",
     # both of them in one process, in time of their own
     "virtual": "errors outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant",
     # for people

@@ -30,7 +30,7 @@ ensure_venv() { # [EXTRA]
     local venv=$root/.venv log=$root/.cache/install.log python stamp extra=${1:-} size=570
     stamp="$root $(cksum <"$root/pyproject.toml")"
     if [[ $extra ]]; then
-        stamp+=" $extra" size=780
+        stamp+=" $extra" size=810
     fi
     mkdir -p "$root/.cache"
     exec 9>"$root/.cache/install.lock"

@@ -38,8 +38,9 @@ class Tendons:
     def pull(self, u: float, v: float, pretension: float = T_P0) -> NDArray[np.float64]:
         """T1, T2, T3, T4 after the ends have moved there."""
         f = np.zeros(13)
-        total = prepare_chains(self.p[0], pretension, 2.6, self.x, self.x, self.chains)
-        assert chain_tensions(self.p[0], total, self.chains, u, v, f)
+        both = (pretension, pretension)
+        totals = prepare_chains(self.p[0], both, (2.6, 2.6), (self.x, self.x), self.chains)
+        assert chain_tensions(self.p[0], totals, self.chains, u, v, f)
         self.last_taken, self.used = commit_chains(self.chains)
         self.taken += self.last_taken
         return f[:4]

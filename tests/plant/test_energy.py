@@ -58,8 +58,9 @@ def work_of_cycles(joint: Axis, path: Path2, cycles: int = 3) -> list[float]:
         work = 0.0
         for new_u, new_v in path.tolist():
             if p["distributed"]:
-                total = prepare_chains(p, float(p["pretension"]), float(p["theta"]), x, x, arrays.chains)
-                assert chain_tensions(p, total, arrays.chains, new_u, new_v, f)
+                pretension, theta = float(p["pretension"]), float(p["theta"])
+                totals = prepare_chains(p, (pretension, pretension), (theta, theta), (x, x), arrays.chains)
+                assert chain_tensions(p, totals, arrays.chains, new_u, new_v, f)
                 commit_chains(arrays.chains)
             else:
                 full_tensions(s, p, arrays.slip, arrays.curve, x, x, new_u, new_v, f)

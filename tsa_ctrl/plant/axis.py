@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
+from tsa_ctrl.model.routing import Routing
 from tsa_ctrl.plant.chain import settle
 from tsa_ctrl.plant.chain_layout import build_chain
 from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, wound
@@ -176,13 +177,17 @@ _TIME, _TORQUE, _MOTOR_SPEED, _MOTOR_ANGLE, _JOINT_ANGLE, _JOINT_SPEED, _JOINT_T
 )  # fmt: skip
 
 
+_Q, _OMEGA, _DELIVERED, _OUTSIDE = (
+    (STATE.names or ()).index(name) for name in ("q_j", "omega_j", "tau_j", "tau_outside")
+)
 _TRUTH = operator.itemgetter(*((STATE.names or ()).index(name) for name, _ in COLUMNS[7:]))
 
 
 class Axis:
     """Mechanics of one axis in its own time, s since the plant's start."""
 
-    def __init__(self, settings: AxisSettings, physics: PhysicsSettings) -> None:
+    def __init__(self, settings: AxisSettings, physics: PhysicsSettings, *, on_limb: bool = False) -> None:
+        """Put the axis at rest; `on_limb`: its joint is one of a mechanism that moves it by `carry`."""
         self.settings = settings
         self.name = settings.name
         self.readings = Readings()
@@ -207,6 +212,10 @@ class Axis:
         self._start_at_once = physics.start == "power_on"
         curve = np.ascontiguousarray(np.array(_profile(settings), dtype=np.float64).T)
         _set(self.parameters, centre=_centre(curve, self.parameters[0]))
+        if on_limb:
+            _set(self.parameters, load=Load.LIMB)
+        self.routing = model.routing
+        joints, gains, starts, points = _routes(model.routing, self.name)
         steps = steps_of(settings.effects)
         self._arrays = Arrays(
             ring=np.zeros((2, DELAY_SAMPLES)),
@@ -219,10 +228,16 @@ class Axis:
             formula=steps,
             memory=memory_of(steps),
             hand=hand_table(settings.joint),
+            joints=joints,
+            gains=gains,
+            starts=starts,
+            points=points,
         )
         self.time = 0.0  # s since the plant's start
+        prescribed = not on_limb and joint.load in ("imposed", "held")
+        self.travel = (float(motion.angle.min()), float(motion.angle.max())) if prescribed else None  # rad
         self._started = self._start_at_once
-        self._rest(motion.angle[0] if joint.load == "imposed" else joint.initial_angle)
+        self._rest(motion.angle[0] if prescribed else joint.initial_angle)
 
     def _build_chains(self, curve: NDArray[np.float64]) -> NDArray[np.float64]:
         """Both tendons element by element; a single element that nobody asks where the full model is chosen."""
@@ -258,6 +273,7 @@ class Axis:
             q_m=on_pulley / float(p["r_m"]),
             q_m_seen=on_pulley / float(p["r_m"]),
             started=0.0 if self._start_at_once else -1.0,
+            limb_angle=angle,
             theta=float(p["theta"]),
             temperature=25.0,
             t1=float(p["pretension"]),
@@ -277,6 +293,35 @@ class Axis:
             self.state["started"] = self.state["t"]
         advance(self.state, self.parameters, self._arrays, command.torque, command.enabled, command.max_speed, until)
         self._read()
+
+    def see(self, angles: Mapping[str, float], speeds: Mapping[str, float]) -> None:
+        """Take angles (rad) and speeds (rad/s) by axis of the joints that bend the sheaths, as they are at `time`."""
+        self.state["exchanged"] = self.time
+        if self.routing is not None:
+            joints = self._arrays.joints
+            for place, name in enumerate(self.routing.joints):
+                joints[0, place], joints[1, place] = angles[name], speeds[name]
+
+    def carry(self, angle: float, speed: float, acceleration: float) -> None:
+        """Take the joint's angle and its derivatives at `time` from the limb; until the next ones its speed stays."""
+        record = self.state[0]
+        record["exchanged"] = self.time
+        record["limb_angle"], record["limb_speed"], record["limb_acceleration"] = angle, speed, acceleration
+
+    @property
+    def bending_angle(self) -> float:
+        """Return Theta_0 of both sheaths, rad: all joints at 0."""
+        return float(self.parameters[0]["theta"])
+
+    @property
+    def joint(self) -> tuple[float, float]:
+        """Return angle (rad) and speed (rad/s) of the joint."""
+        return self._values[_Q], self._values[_OMEGA]
+
+    @property
+    def load_torque(self) -> float:
+        """Return what acts on the load, N*m: by the tendons, a hand and a push."""
+        return float(self._values[_DELIVERED] + self._values[_OUTSIDE])
 
     def _read(self) -> None:
         self._values = values = self.state[0].item()
@@ -307,6 +352,24 @@ def _set(record: NDArray[Any], **values: float) -> None:
 
 def _table(points: list[tuple[float, float]]) -> NDArray[np.float64]:
     return np.ascontiguousarray(np.array(points, dtype=np.float64).reshape(-1, 2).T)
+
+
+def _routes(
+    routing: Routing | None, own: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Return the arrays `joints`, `gains`, `starts` and `points` of the mechanics."""
+    names = () if routing is None else routing.joints
+    tendons = () if routing is None else (routing.a, routing.b)
+    joints, gains = np.zeros((3, len(names))), np.zeros((2, len(names)))
+    joints[2] = [float(name == own) for name in names]
+    starts = [0]
+    points: list[tuple[float, float]] = []
+    for tendon, route in enumerate(tendons):
+        gains[tendon] = [route.gains.get(name, 0.0) for name in names]
+        for name in names:
+            points += route.tables.get(name, ())
+            starts.append(len(points))
+    return joints, gains, np.array(starts, dtype=np.int64), _table(points)
 
 
 def _profile(settings: AxisSettings) -> tuple[tuple[float, float], ...]:

@@ -29,6 +29,7 @@ _TOLERANCE = 1e-6  # N, between a trial force and its bound; above the rounding 
 _MIN_TENSION = 0.05  # of the reference tension, bound of tension_dependent_friction
 
 
+Pair = tuple[float, float]  # of tendon a, with T1 and T2, and of tendon b, with T3 and T4
 Slopes = tuple[float, float, float, float]  # of the first and the last place by motor_end, of both by joint_end
 
 
@@ -50,38 +51,39 @@ def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, prete
 
 
 @compiled
-def prepare_chains(p: Any, pretension: float, theta: float, x_a: float, x_b: float, chains: Any) -> float:
-    """Bending, pretension and friction of this sub-step into chains (2, rows, contacts + 1).
+def prepare_chains(p: Any, pretensions: Pair, thetas: Pair, x: Pair, chains: Any) -> Pair:
+    """Bending, pretension and friction of this sub-step, of tendons a and b, into chains (2, rows, contacts + 1).
 
-    Returns the elongation in m that both tendons have when motor and joint stand equal. Bending lengthens the path
-    where it is (3.50), the rest of the pretension is spread along the tendon.
+    Returns the elongation in m of either tendon when motor and joint stand equal. Bending lengthens the path where it
+    is (3.50), the rest of the pretension is spread along the tendon.
     """
-    bend = p.bending_arm * (theta - p.theta)
-    total = pretension * (p.length + p.series_length) / p.stiffness
-    rest = total - bend
+    length = p.length + p.series_length
+    total_a, total_b = pretensions[0] * length / p.stiffness, pretensions[1] * length / p.stiffness
     for tendon in range(2):
         chain = chains[tendon]
         n = chain.shape[1] - 1
-        x = x_a if tendon == 0 else x_b
+        angle = x[0] if tendon == 0 else x[1]
+        bend = p.bending_arm * ((thetas[0] if tendon == 0 else thetas[1]) - p.theta)
+        rest = (total_a if tendon == 0 else total_b) - bend
         for i in range(n + 1):
             chain[_PRELOAD, i] = rest * chain[_LENGTH_SHARE, i] + bend * chain[_BEND_SHARE, i]
         if p.tension_exponent != 0.0:
             for i in range(n):
                 ratio = 0.5 * (chain[_TENSION, i] + chain[_TENSION, i + 1]) / p.reference_tension
                 local = max(ratio, _MIN_TENSION) ** (-p.tension_exponent)
-                chain[_GRIP, i] = math.tanh(0.5 * x * local * chain[_BEND, i])
-        elif x != chain[_GRIP, n]:
-            chain[_GRIP, n] = x
+                chain[_GRIP, i] = math.tanh(0.5 * angle * local * chain[_BEND, i])
+        elif angle != chain[_GRIP, n]:
+            chain[_GRIP, n] = angle
             for i in range(n):
-                chain[_GRIP, i] = math.tanh(0.5 * x * chain[_BEND, i])
-    return float(total)
+                chain[_GRIP, i] = math.tanh(0.5 * angle * chain[_BEND, i])
+    return float(total_a), float(total_b)
 
 
 @compiled
-def chain_tensions(p: Any, total: float, chains: Any, u: float, v: float, f: Any) -> bool:
+def chain_tensions(p: Any, totals: Pair, chains: Any, u: float, v: float, f: Any) -> bool:
     """Fill f[0:4] with T1..T4 and f[4:12] with their derivatives by u and v in turn.
 
-    total: from `prepare_chains`; u, v: displacements in m of motor and joint pulley. Returns whether the set of
+    totals: from `prepare_chains`; u, v: displacements in m of motor and joint pulley. Returns whether the set of
     sticking and sliding contacts was found.
     """
     settled = True
@@ -90,6 +92,7 @@ def chain_tensions(p: Any, total: float, chains: Any, u: float, v: float, f: Any
         chain = chains[tendon]
         place = 2 * tendon
         torn = p.torn_a if tendon == 0 else p.torn_b
+        total = totals[0] if tendon == 0 else totals[1]
         if torn or total + side * (u - v) <= 0.0:
             _slacken(chain, side * u, side * v)
             for i in range(2):

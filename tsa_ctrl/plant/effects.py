@@ -159,10 +159,10 @@ def effect_values(effects: Mapping[str, Mapping[str, Any]], model: TendonSheath)
 
 
 @compiled
-def pretension(s: Any, p: Any, time: float) -> float:
-    """T_p0 at this bending, stiffened and relaxed; time in s since the start."""
+def pretension(p: Any, theta: float, time: float) -> float:
+    """T_p0 of a tendon that is bent by `theta`, stiffened and relaxed; time in s since the start."""
     base = p.pretension * p.pretension_factor
-    tension = max(0.0, base + p.tendon_stiffness * p.bending_arm * (s.theta - p.theta))
+    tension = max(0.0, base + p.tendon_stiffness * p.bending_arm * (theta - p.theta))
     tension *= 1.0 + p.stiffening * tension / p.stiffness
     elapsed = max(0.0, time - p.relaxation_start)
     if p.relaxed != 0.0:

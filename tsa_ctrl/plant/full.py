@@ -87,12 +87,12 @@ def full_tensions(s: Any, p: Any, slip: Any, curve: Any, x_a: float, x_b: float,
     z, z_u, z_v = _direction(s, p, slip, u, v)
     f[12] = z
     stretch = p.stiffness * (u - v)
-    common = s.pretension * (p.length + p.series_length)
     for tendon in range(2):
         side = -1.0 if tendon == 0 else 1.0  # a shortens when b lengthens
         x = x_a if tendon == 0 else x_b
         rho = -side * x
-        force = common + side * stretch
+        pretension = s.pretension_a if tendon == 0 else s.pretension_b
+        force = pretension * (p.length + p.series_length) + side * stretch
         place = 2 * tendon
         torn = p.torn_a if tendon == 0 else p.torn_b
         if force <= 0.0 or torn:

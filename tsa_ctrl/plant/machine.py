@@ -20,6 +20,7 @@ from tsa_ctrl.plant.drive import Drive
 from tsa_ctrl.plant.drive_node import DriveNode
 from tsa_ctrl.plant.fault_kind import Outlet, Target
 from tsa_ctrl.plant.faults import FaultPlan, check_fault
+from tsa_ctrl.plant.mechanism import Mechanism, build_mechanism
 from tsa_ctrl.plant.node import Node, Send
 from tsa_ctrl.plant.sensors import Encoder, TorqueSensor
 from tsa_ctrl.plant.settings import AxisSettings, FaultSettings, PlantSettings
@@ -80,7 +81,7 @@ def _build_axis(
     settings: AxisSettings, plant: PlantSettings, send: Send, clock: Callable[[], float], place: int
 ) -> AxisNodes:
     """One axis with its sensors' nodes; its drive is not yet in a node."""
-    axis = Axis(settings, plant.physics)
+    axis = Axis(settings, plant.physics, on_limb=plant.mechanism.kind == "mujoco")
 
     def noise(number: int) -> random.Random:
         return random.Random(plant.physics.seed * 1000 + place * 10 + number)
@@ -114,6 +115,7 @@ class Machine:
         self.clock = clock
         self.counts = Counts()
         self.axes = build_axes(plant, bus.send, clock)
+        self.mechanism: Mechanism = build_mechanism(plant, [unit.axis for unit in self.axes])
         self.nodes = tuple({id(node): node for unit in self.axes for node in unit.nodes}.values())
         self._outlets = tuple({id(out): out for unit in self.axes for out in unit.outlets.values()}.values())
         self.faults = FaultPlan()
@@ -125,8 +127,8 @@ class Machine:
         self._epoch = clock()
         self._routes: dict[int, tuple[Node, ...]] = {}
         self._next_tick = self._epoch
+        self.mechanism.advance(1e-9)  # compiles, or loads what was compiled before
         for unit in self.axes:
-            unit.axis.advance(1e-9)  # compiles, or loads what was compiled before
             unit.drive.before_change = self._bring_up(unit.axis)
         for node in self.nodes:
             node.reroute = self._reroute
@@ -274,11 +276,10 @@ class Machine:
         if behind > _LONGEST_GAP:
             self.counts.skipped += behind
             self._epoch += behind
-        for unit in self.axes:
-            unit.axis.advance(now - self._epoch)
+        self.mechanism.advance(now - self._epoch)
 
     def _bring_up(self, axis: Axis) -> Callable[[float], None]:
-        return lambda now: axis.advance(min(now - self._epoch, axis.time + _LONGEST_GAP))
+        return lambda now: self.mechanism.bring_up(axis, min(now - self._epoch, axis.time + _LONGEST_GAP))
 
     def _reroute(self) -> None:
         routes: dict[int, list[Node]] = {}

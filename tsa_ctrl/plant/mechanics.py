@@ -167,7 +167,7 @@ def sense(s: Any, p: Any, ring: Any, h: float) -> None:
     s.omega_lagged += (s.omega_j - s.omega_lagged) * gain
 
 
-_IMPOSED, _SPRING, _WEIGHT = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT)
+_IMPOSED, _SPRING, _WEIGHT, _LIMB = int(Load.IMPOSED), int(Load.SPRING), int(Load.WEIGHT), int(Load.LIMB)
 _ITERATIONS = 150
 _CLOSED = 1e-14  # rad between the bounds of the motor's angle
 _TOLERANCE = 1e-8  # N*m; above the rounding error of an angle times the stiffest spring
@@ -186,6 +186,10 @@ class Arrays(NamedTuple):
     formula: NDArray[np.float64]  # (4, n): operations and numbers of the plant file's formula
     memory: NDArray[np.float64]  # (n, 4): state of the formula
     hand: NDArray[np.float64]  # (4, n): times in s, N*m/rad, N*m*s/rad, rad
+    joints: NDArray[np.float64]  # (3, n): of joints that bend the sheaths: angle, speed, 1 for this axis' own
+    gains: NDArray[np.float64]  # (2, n): rad/rad by tendon and joint
+    starts: NDArray[np.int64]  # (2 n + 1,): where the table of each tendon and joint begins in `points`
+    points: NDArray[np.float64]  # (2, m): rad of the joint and rad of wrap angle, of all tables
 
 
 @compiled
@@ -226,13 +230,39 @@ def _load_torque(s: Any, p: Any, q: float, omega: float) -> tuple[float, float]:
 
 
 @compiled
-def _environment(s: Any, p: Any, arrays: Arrays, time: float, q_j: float) -> tuple[float, float]:
-    """Set temperature, bending and pretension at `time` (s since the start) and the friction angles of both tendons."""
+def _routed(arrays: Arrays, tendon: int, ahead: float, q_j: float) -> float:
+    """Return rad of wrap angle that the joints add, `ahead` s after their angles were exchanged.
+
+    Other joints go on at the speed that they had; this axis' own has the angle q_j.
+    """
+    added = 0.0
+    n = arrays.joints.shape[1]
+    for j in range(n):
+        q = q_j if arrays.joints[2, j] != 0.0 else arrays.joints[0, j] + arrays.joints[1, j] * ahead
+        added += arrays.gains[tendon, j] * q
+        first, last = arrays.starts[tendon * n + j], arrays.starts[tendon * n + j + 1]
+        if last > first:
+            added += table_value(arrays.points[:, first:last], q, 0.0)
+    return added
+
+
+@compiled
+def _environment(s: Any, p: Any, arrays: Arrays, time: float, ahead: float, q_j: float) -> tuple[float, float]:
+    """Set temperature, bending and pretension at `time` (s since the start) and the friction angles of both tendons.
+
+    `ahead`: s since the angles of the other joints were exchanged.
+    """
     s.temperature = table_value(arrays.temperature, time, 25.0)
-    s.theta = p.theta * p.theta_factor * table_value(arrays.bending, time, 1.0) + p.bending_per_angle * q_j
-    s.pretension = pretension(s, p, max(0.0, time))
-    x = friction_coefficient(s, p) * max(0.0, s.theta)
-    x_a, x_b = x * (1.0 + 0.5 * p.asymmetry), x * (1.0 - 0.5 * p.asymmetry)
+    common = p.theta * p.theta_factor * table_value(arrays.bending, time, 1.0) + p.bending_per_angle * q_j
+    s.theta_a = common + _routed(arrays, 0, ahead, q_j)
+    s.theta_b = common + _routed(arrays, 1, ahead, q_j)
+    s.theta = 0.5 * (s.theta_a + s.theta_b)
+    s.pretension_a = pretension(p, s.theta_a, max(0.0, time))
+    s.pretension_b = pretension(p, s.theta_b, max(0.0, time))
+    s.pretension = 0.5 * (s.pretension_a + s.pretension_b)
+    mu = friction_coefficient(s, p)
+    x_a = mu * max(0.0, s.theta_a) * (1.0 + 0.5 * p.asymmetry)
+    x_b = mu * max(0.0, s.theta_b) * (1.0 - 0.5 * p.asymmetry)
     if not p.distributed:  # there each contact has its own tension
         x_a, x_b = x_a * tension_factor(p, s.t1), x_b * tension_factor(p, s.t3)
     return x_a, x_b
@@ -269,7 +299,7 @@ def _residuals(s: Any, p: Any, q_m: float, q_j: float, h: float, f: Any, r: Any)
     r[0] = inertia * (moved - h * s.omega_m) + damping * moved
     r[0] += p.r_m * (f[2] - f[0]) + p.motor_coulomb * z_m - s.tau_m
     r[2] = inertia + damping + p.r_m * p.r_m * (f[8] - f[4]) + slope_m
-    if p.load == _IMPOSED:
+    if p.load == _IMPOSED or p.load == _LIMB:
         r[1] = r[3] = r[4] = 0.0
         r[5] = 1.0
         return
@@ -294,14 +324,17 @@ def _solve(
     s: Any, p: Any, arrays: Arrays, x_a: float, x_b: float, q_m: float, q_j: float, h: float, f: Any
 ) -> tuple[float, float]:
     """Return the angles of motor and joint at the end of the sub-step, from first guesses; f gets the tensions."""
-    total = prepare_chains(p, s.pretension, s.theta, x_a, x_b, arrays.chains) if p.distributed else 0.0
+    totals = (0.0, 0.0)
+    if p.distributed:
+        pretensions, thetas = (s.pretension_a, s.pretension_b), (s.theta_a, s.theta_b)
+        totals = prepare_chains(p, pretensions, thetas, (x_a, x_b), arrays.chains)
     r = np.zeros(6)
     low, high = -np.inf, np.inf
     for iteration in range(_ITERATIONS):
         s.iterations += 1
         u, v = p.r_m * q_m, wound(p, q_j)
         if p.distributed:
-            settled = chain_tensions(p, total, arrays.chains, u, v, f)
+            settled = chain_tensions(p, totals, arrays.chains, u, v, f)
         else:
             settled = full_tensions(s, p, arrays.slip, arrays.curve, x_a, x_b, u, v, f)
         _residuals(s, p, q_m, q_j, h, f, r)
@@ -331,13 +364,17 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     if p.formula_at_motor:
         s.taken = formula(s, arrays.formula, arrays.memory, s.tau_m, s.z, since_start, h)
         s.tau_m -= s.taken
+    ahead = time - s.exchanged
     imposed = p.load == _IMPOSED
+    carried = p.load == _LIMB
     q_j = s.q_j + h * s.omega_j
     if imposed:
         q_j, s.omega_j, s.acceleration_j = imposed_motion(p, arrays.motion, since_start)
     else:
         hand(s, p, arrays.hand, since_start)
-    x_a, x_b = _environment(s, p, arrays, since_start, q_j)
+    if carried:
+        q_j, s.omega_j, s.acceleration_j = s.limb_angle + ahead * s.limb_speed, s.limb_speed, s.limb_acceleration
+    x_a, x_b = _environment(s, p, arrays, since_start, ahead, q_j)
     f = np.zeros(13)  # T1 T2 T3 T4, their derivatives by motor and joint displacement, z
     q_m, q_j = _solve(s, p, arrays, x_a, x_b, s.q_m + h * s.omega_m, q_j, h, f)
 
@@ -352,10 +389,11 @@ def _step(s: Any, p: Any, arrays: Arrays, command: float, enabled: bool, max_spe
     s.omega_m = (q_m - s.q_m) / h
     s.q_m = q_m
     if not imposed:
-        omega = (q_j - s.q_j) / h
-        s.acceleration_j = (omega - s.omega_j) / h
-        s.omega_j = omega
-        s.tau_outside = p.push - s.hand_stiffness * (q_j - s.hand_angle) - s.hand_damping * (omega - s.hand_speed)
+        if not carried:
+            omega = (q_j - s.q_j) / h
+            s.acceleration_j = (omega - s.omega_j) / h
+            s.omega_j = omega
+        s.tau_outside = p.push - s.hand_stiffness * (q_j - s.hand_angle) - s.hand_damping * (s.omega_j - s.hand_speed)
     s.z_j = min(1.0, max(-1.0, s.z_j + (q_j - s.q_j) / MICRO))
     s.q_j = q_j
     s.tau_tendon = arm(p, q_j)[0] * (s.t4 - s.t2)

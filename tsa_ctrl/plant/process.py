@@ -21,6 +21,7 @@ from tsa_ctrl.plant.axis import Axis, Recorder
 from tsa_ctrl.plant.eds import eds, file_names
 from tsa_ctrl.plant.faults import CHANGES, FAULTS, check_fault, parse_fault
 from tsa_ctrl.plant.machine import Machine, build_axes
+from tsa_ctrl.plant.mechanism import build_mechanism
 from tsa_ctrl.plant.node import Node
 from tsa_ctrl.plant.settings import BusSettings, PlantSettings, load_plant
 
@@ -143,8 +144,9 @@ ANSWER_TIME = 0.1  # s; a node of ours answers within ms, a device of others wit
 def check(path: str | Path) -> PlantSettings:
     """Read everything that a run would read, move nothing; raises UsageError."""
     plant = load_plant(path)
+    on_limb = plant.mechanism.kind == "mujoco"
+    build_mechanism(plant, [Axis(settings, plant.physics, on_limb=on_limb) for settings in plant.axis], str(path))
     for settings in plant.axis:
-        Axis(settings, plant.physics)
         for fault in settings.fault:
             check_fault(fault, f"{path}: axis '{settings.name}'")
     return plant

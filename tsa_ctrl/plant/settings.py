@@ -21,6 +21,7 @@ Factor = Annotated[float, Meta(ge=0.0, le=10.0)]
 Sign = Literal[1, -1]
 Word = Annotated[int, Meta(ge=0, le=0xFFFFFFFF)]
 Counts = Annotated[int, Meta(ge=1, le=1 << 31)]
+LEG = Path(__file__).parent / "leg.xml"  # MJCF of a leg: hip, knee and ankle above the ground
 HandRow = tuple[NonNegative, NonNegative, NonNegative, float]  # s, N*m/rad, N*m*s/rad, rad
 
 
@@ -172,6 +173,13 @@ class FaultSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     value: float | None = None  # depends on the fault
 
 
+class MechanismSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """[mechanism]: what connects the joints."""
+
+    kind: Literal["joints", "mujoco"] = "joints"  # nothing but the sheaths; or a limb of several joints
+    model: str | None = None  # MJCF of the limb, relative to this file; default: the leg that comes with the program
+
+
 class AxisSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
     """One drive, joint and pair of tendon-sheaths."""
 
@@ -198,6 +206,7 @@ class PlantSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
 
     bus: BusSettings = BusSettings()
     physics: PhysicsSettings = PhysicsSettings()
+    mechanism: MechanismSettings = MechanismSettings()
     axis: Annotated[list[AxisSettings], Meta(min_length=1, max_length=16)]
 
 
@@ -205,16 +214,37 @@ def load_plant(path: str | Path) -> PlantSettings:
     """Read and check `plant.toml`; nodes without an id get 1 + i, 32 + i and 64 + i. Raises UsageError."""
     path = Path(path)
     plant = settings.load(path, PlantSettings)
-    axes = [_completed(axis, place, path) for place, axis in enumerate(plant.axis)]
+    axes = [_completed(axis, place, path, plant.mechanism.kind == "mujoco") for place, axis in enumerate(plant.axis)]
     _check_unique(axes, path)
-    return msgspec.structs.replace(plant, axis=axes)
+    return msgspec.structs.replace(plant, axis=axes, mechanism=_placed(plant, path))
 
 
-def _completed(axis: AxisSettings, place: int, path: Path) -> AxisSettings:
+def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
+    """Return the mechanism with the place of its model; raises UsageError for what has no meaning beside it."""
+    mechanism = plant.mechanism
+    if mechanism.kind == "joints":
+        if mechanism.model is not None:
+            raise UsageError(f'{path}: [mechanism] kind "joints" with a model; take model out, or set kind = "mujoco"')
+        return mechanism
+    for axis in plant.axis:
+        start = JointSettings(initial_angle=axis.joint.initial_angle, hand=axis.joint.hand)
+        start = msgspec.structs.replace(start, hand_repeat=axis.joint.hand_repeat)
+        for table, given, kept in (("joint", axis.joint, start), ("motion", axis.motion, MotionSettings())):
+            if given != kept:
+                raise UsageError(
+                    f"{path}: axis '{axis.name}': [axis.{table}] describes a joint of its own, and [mechanism] "
+                    'kind "mujoco" a limb; allowed are initial_angle, hand and hand_repeat of [axis.joint]; '
+                    "take the rest out"
+                )
+    model = LEG if mechanism.model is None else path.parent / mechanism.model
+    return msgspec.structs.replace(mechanism, model=str(model))
+
+
+def _completed(axis: AxisSettings, place: int, path: Path, on_limb: bool) -> AxisSettings:
     where = f"{path}: axis '{axis.name}'"
     if axis.motion.kind == "file" and axis.motion.file is None and axis.joint.load == "imposed":
         raise UsageError(f'{where}: [axis.motion] kind = "file" without file; give a CSV with columns t, q_j')
-    _check_tables(axis, where)
+    _check_tables(axis, where, on_limb)
     return msgspec.structs.replace(
         axis,
         actuator=str(path.parent / axis.actuator),
@@ -230,7 +260,7 @@ def _numbered(node: N, node_id: int) -> N:
     return node if node.node_id is not None else msgspec.structs.replace(node, node_id=node_id)
 
 
-def _check_tables(axis: AxisSettings, where: str) -> None:
+def _check_tables(axis: AxisSettings, where: str, on_limb: bool) -> None:
     for name in ("bending", "temperature"):
         table = getattr(axis.environment, name)
         if any(a[0] >= b[0] for a, b in itertools.pairwise(table)):
@@ -238,7 +268,7 @@ def _check_tables(axis: AxisSettings, where: str) -> None:
     joint = axis.joint
     if any(a[0] >= b[0] for a, b in itertools.pairwise(joint.hand)):
         raise UsageError(f"{where}: [axis.joint] hand: times must rise; sort the table")
-    if joint.hand and joint.load in ("imposed", "held"):
+    if joint.hand and joint.load in ("imposed", "held") and not on_limb:
         raise UsageError(
             f'{where}: [axis.joint] hand with load "{joint.load}", whose joint no hand can move; take hand out, or '
             "choose a load that moves: free, spring, weight, limb, wearer"

@@ -16,6 +16,7 @@ class Load(IntEnum):
     FREE = 1
     SPRING = 2
     WEIGHT = 3
+    LIMB = 4  # several joints that move together: their angles come from the mechanism
 
 
 NATURAL_ELEMENTS = 10  # of the build-up of friction by the tendons' elasticity
@@ -105,9 +106,17 @@ STATE = np.dtype(
         ("q_m_seen", _F),  # rad, with what lies between the motor's encoder and the tendons
         ("play_side", _F),  # of joint_play, -1 to 1
         ("omega_lagged", _F),
-        ("theta", _F),
+        ("theta", _F),  # mean of both tendons
+        ("theta_a", _F),
+        ("theta_b", _F),
         ("temperature", _F),
-        ("pretension", _F),
+        ("pretension", _F),  # mean of both tendons
+        ("pretension_a", _F),
+        ("pretension_b", _F),
+        ("exchanged", _F),  # s, when the angles of other joints, and of the limb, were those that are known
+        ("limb_angle", _F),
+        ("limb_speed", _F),
+        ("limb_acceleration", _F),
         ("speed_limited", _I),
         ("started", _F),  # s, when the motion began; negative: not yet
         ("ring_head", _I),
