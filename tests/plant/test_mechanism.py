@@ -206,7 +206,11 @@ def test_one_joint_of_a_limb_moves_as_the_joint_of_one_axis(tmp_path: Path, load
 
 @pytest.mark.slow
 def test_a_leg_swings_and_stands_and_does_so_again_bit_by_bit(tmp_path: Path) -> None:
-    """Its joints stay within their limits (a stop gives by less than 0.05 rad), and no equation is left unsolved."""
+    """Its joints stay within their limits, and no equation is left unsolved.
+
+    A stop is a spring with critical damping and a time constant of 50 ms: a joint that reaches it at the speed v goes
+    on by v 50 ms / e at most.
+    """
     pytest.importorskip("mujoco", reason="the extra 'limb' is not installed")
     path = files(tmp_path, LEG, {"kind": "mujoco"}, "[routing]\njoints = { hip = 0.8 }\n")
     torques = {"hip": 1.2, "knee": 1.0, "ankle": 0.5}
@@ -215,7 +219,8 @@ def test_a_leg_swings_and_stands_and_does_so_again_bit_by_bit(tmp_path: Path) ->
     for name, (low, high) in {"hip": (-0.6, 1.2), "knee": (0.0, 1.6), "ankle": (-0.6, 0.5)}.items():
         angle = first[name]["q_j"]
         assert np.isfinite(angle).all()
-        assert low - 0.05 < angle.min() < angle.max() < high + 0.05
+        give = np.abs(first[name]["omega_j"]).max() * 0.05 / math.e
+        assert low - give < angle.min() < angle.max() < high + give
         assert first[name]["unsolved"][-1] == 0
     assert np.ptp(first["hip"]["q_j"]) > 0.3
     assert first["knee"]["theta"] == pytest.approx(THETA + 0.8 * first["hip"]["q_j"], abs=1e-4)
@@ -248,7 +253,7 @@ def test_a_hand_on_the_limb_moves_it(tmp_path: Path) -> None:
         (
             {"kind": "mujoco"},
             {"name": "elbow"},
-            r"no joint 'elbow'.* are rail, hip, knee, ankle; give axes",
+            r"no joint 'elbow'.* are cart, rail, hip, knee, ankle; give",
         ),
         ({"kind": "mujoco"}, {"name": "rail"}, r"joint 'rail' is no hinge; an axis turns a joint"),
         (
