@@ -23,6 +23,7 @@ def test_a_lie_is_found_though_the_truth_is_told_now_and_then(tmp_path: Path, wr
     result = play(tmp_path, "held", CONSTANT, 1.6, axis=strict, faults=flaps)
     found = next(event for event in result.summary.events if event.fault)
     contradictions = (
+        Cause.POLARITY,
         Cause.TORQUE_ERROR,
         Cause.FROZEN,
         Cause.VELOCITY,

@@ -13,6 +13,7 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Hypothesis
 from tsa_ctrl.identify.diagnosis.parameters.refit import Refit, effect_quantities
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.effects.search import Coordinate, Variant
+from tsa_ctrl.outputs import json_types
 
 
 def _quantity(effect: str, name: str, value: float, deviation: float, **others: float) -> Quantity:
@@ -50,4 +51,4 @@ def test_an_interval_that_leaves_nothing_out_is_none(
 ) -> None:
     found = _quantity(effect, name, value, deviation, **others)
     assert (found.low, found.high) == (-math.inf, math.inf)
-    assert found.to_dict()["low"] is None
+    assert json_types(found)["low"] is None

@@ -28,6 +28,7 @@ from tsa_ctrl.identify.diagnosis.selection.step import LATE_REVERSALS, backward_
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model
 
+ROUNDING = 1e-9  # of the gain: the loss that rounding leaves of a cause without any; 4e-15 was seen
 MOST_STRUCTURE = 0.95  # of the mean square: some of what is left is noise
 # Of what a cause changes of the torque where it was learned, in mean square: held-out logs in which it changes less
 # say little of it (at the middle one of five loads recalibration does what friction that grows with the load does), and
@@ -71,7 +72,7 @@ class HeldOut:
         """Number of a cause without which nothing is lost on data that no fit has seen; None where there is none."""
         if len(self.lost) == 1:
             return None if self.extended < self.recalibrated else 0
-        return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= 0.0 else None
+        return int(np.argmin(self.lost)) if self.lost and min(self.lost) <= ROUNDING else None
 
 
 def held_out(problem: Problem, base: Fit, found: Fit, split: Split, structure_share: float) -> HeldOut:
