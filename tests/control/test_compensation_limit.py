@@ -240,3 +240,34 @@ def test_a_credit_that_ends_beside_a_proven_friction_is_no_event() -> None:
     move(chosen, 100.0)
     assert 0.9 <= chosen.share <= 0.95
     assert chosen.count == 0
+
+
+@pytest.mark.parametrize(
+    ("trusted", "proven", "given"),
+    [(True, 0.0, 0.4), (False, 0.0, 0.1), (False, 0.59, 0.1), (False, 0.61, 0.4)],
+    ids=["trusted", "unproven", "too-little", "confirmed"],
+)
+def test_a_file_that_is_not_of_this_joint_has_the_smaller_credit_until_the_friction_confirms_it(
+    trusted: bool, proven: float, given: float
+) -> None:
+    """The uncertainty of the file allows 60 % of its friction; from there on the proven friction confirms it."""
+    proof = Proof()
+    chosen = CompensationLimit(Bound(1.0, 0.6), cast(ProvenFriction, proof), 0.4, GEARING, PERIOD, 0.1)
+    chosen.trusted = trusted
+    chosen.reset()
+    proof.low, proof.reads = proven * FRICTION, proven > 0.0
+    chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 1.0)
+    proof.low, proof.reads = 0.0, False  # the sensor fails: from here on nothing is proven
+    assert 0.9 * given < move(chosen, 2.0) < 1.05 * given
+    assert chosen.credit.withdrawn
+
+
+def test_a_confirmed_file_is_doubted_again_after_the_next_bring_up() -> None:
+    """The nodes may be those of another joint then."""
+    proof = Proof()
+    chosen = CompensationLimit(Bound(1.0, 0.6), cast(ProvenFriction, proof), 0.4, GEARING, PERIOD, 0.1)
+    proof.low, proof.reads = FRICTION, True
+    chosen.update(FRICTION, 0.0, 1.0, 0.0, 0.0, 1.0)
+    assert chosen.credit.capacity == 0.4
+    chosen.trusted = False
+    assert chosen.credit.capacity == 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import pytest
 
 from tests.virtual.joints import GAIT, play, sine
 from tsa_ctrl.control.compensation_limit import CompensationLimit
+from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Fault
 
@@ -59,6 +62,18 @@ def test_lost_friction_moves_no_joint(
     reasons = result.axes[0].to_dict()["limit_reasons"]
     assert reasons.get("PASSIVITY", 0) + reasons.get("UNPROVEN", 0) > 500
     assert not result.axes[0].faults
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["weight", "free", "limb"])
+def test_another_joints_model_gives_a_nudged_joint_half_the_smaller_credit_at_most(tmp_path: Path, load: str) -> None:
+    """The file has twice the friction; with the credit of a trusted file the joints get 139 to 142 mJ."""
+    other = replace(NOMINAL, friction_coefficient=2.0 * NOMINAL.friction_coefficient)
+    save_model(other.with_effects({"elongation_coupling": {"curvature_profile": "uniform"}}), tmp_path / "other.toml")
+    nudge = Fault("push value=0.4 duration=0.1", AT)
+    axis = {"model": "other.toml", "torque_sensor": None}
+    result = play(tmp_path, load, STANDS, AT + 2.5, compensation=0.95, axis=axis, faults=[nudge])
+    assert added(result) <= 50e-3
 
 
 @pytest.mark.slow

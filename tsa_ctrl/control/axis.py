@@ -134,7 +134,6 @@ class ControlAxis:
         self.joint_torque = joint_torque
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
         self.most_age = most_age
-        self.trusted = False  # a tuning of this joint wrote the model file; each bring-up decides, before any enable
         self.request = Request.DISABLE
         self.ramp = 1.0
         self.terms = Terms()
@@ -163,6 +162,15 @@ class ControlAxis:
     def reason(self) -> Reason:
         """Return why this cycle's torque is not the desired one; the strongest cause counts."""
         return self.terms.reason or self.guard.reason or self.compensation_limit.reason
+
+    @property
+    def trusted(self) -> bool:
+        """Return True if a tuning of this joint wrote the model file; each bring-up decides, before any enable."""
+        return self.compensation_limit.trusted
+
+    @trusted.setter
+    def trusted(self, value: bool) -> None:
+        self.compensation_limit.trusted = value
 
     @property
     def at_rest(self) -> bool:

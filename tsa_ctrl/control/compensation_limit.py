@@ -7,7 +7,9 @@ the friction torque that the sensors prove at this moment (`observer.proven_fric
     dE/dt = (low - term) |omega_J|                  E <= capacity,  k = min(1, E / (KNEE capacity))
 
 h is the friction torque of the model in use, c the desired share. The credit pays for the work of the term while the
-friction is not proven. It is at most its capacity, for any friction, load and set-point. Only motion spends it, so a
+friction is not proven. It is at most its capacity, for any friction, load and set-point. A file that no tuning of this
+joint wrote may belong to any other joint. Its capacity is therefore that of class "worn", until the proven friction
+reaches the least friction that the file's own uncertainty allows. Only motion spends it, so a
 locked joint keeps its full compensation. A joint torque sensor measures that work: the joint receives at most the
 sensor's excess over the set-point. Where friction is proven, low is close to high, and the credit has no effect.
 
@@ -54,6 +56,18 @@ class EnergyCredit:
         self._capacity = capacity
         self._period = period
         self.reset()
+
+    @property
+    def capacity(self) -> float:
+        return self._capacity
+
+    @capacity.setter
+    def capacity(self, value: float) -> None:
+        """Change the capacity (J); what was spent stays spent."""
+        more = value - self._capacity
+        self._capacity = value
+        self._size = max(value, self._size + more)
+        self._left = min(self._size, max(0.0, self._left + more))
 
     def reset(self) -> None:
         """Fill the credit: a new enable."""
@@ -126,8 +140,16 @@ class EnergyCredit:
 class CompensationLimit:
     """Limit the law's share of the model's friction term; `count`: number of reports, `words`: the last report."""
 
-    def __init__(self, bound: Bound, proven: ProvenFriction, capacity: float, gearing: float, period: float) -> None:
-        """Start at the bound of the files.
+    def __init__(
+        self,
+        bound: Bound,
+        proven: ProvenFriction,
+        capacity: float,
+        gearing: float,
+        period: float,
+        untrusted_capacity: float | None = None,
+    ) -> None:
+        """Start at the bound of the files, with a model file that is not trusted.
 
         Args:
             bound: of the model file and the wrap angle's range.
@@ -135,10 +157,14 @@ class CompensationLimit:
             capacity: J of the credit.
             gearing: r_J/r_M.
             period: s.
+            untrusted_capacity: J of the credit for a file that is neither trusted nor confirmed; default `capacity`.
         """
         self.bound = bound
         self.proven = proven
-        self.credit = EnergyCredit(capacity, period)
+        self._capacity = capacity
+        self._untrusted_capacity = capacity if untrusted_capacity is None else untrusted_capacity
+        self._trusted = self._confirmed = False
+        self.credit = EnergyCredit(self._untrusted_capacity, period)
         self.ceiling = bound.seen if proven.usable else bound.unseen
         self._gearing = gearing
         self._period = period
@@ -153,6 +179,17 @@ class CompensationLimit:
         self._noted = False
         self._less = self._unread = 0.0  # rad, s
         self.share = self._desired = self.ceiling
+
+    @property
+    def trusted(self) -> bool:
+        """Return True if a tuning of this joint wrote the model file."""
+        return self._trusted
+
+    @trusted.setter
+    def trusted(self, value: bool) -> None:
+        """State for the nodes that a bring-up found whether the file is theirs; nothing is confirmed on them yet."""
+        self._trusted, self._confirmed = value, False
+        self.credit.capacity = self._capacity if value else self._untrusted_capacity
 
     def update(
         self,
@@ -176,6 +213,9 @@ class CompensationLimit:
         """
         proven, credit = self.proven, self.credit
         low, high = proven.low, proven.high
+        if proven.reads and not self._confirmed and low >= self.bound.unseen * half_loop:
+            self._confirmed = True
+            self.credit.capacity = self._capacity
         along = term if omega_j >= 0.0 else -term
         asked = not -STANDS < rate < STANDS
         if proven.reads:

@@ -68,7 +68,8 @@ class LoopPhase(Enum):
 
 
 # J that a friction term may feed into the joint before a sensor confirms the friction. Worn: a tenth of the energy that
-# a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench.
+# a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench. A file that is not of this
+# joint may be of one that is worn, so until the friction confirms it, it has the credit of that class.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the motor's ringing that remains after averaging is slower
 STATES = tuple(PowerState)
@@ -145,6 +146,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     UNPROVEN_ENERGY[file.safety.use_class],
                     model.joint_pulley_radius / model.motor_pulley_radius,
                     period,
+                    UNPROVEN_ENERGY["worn"],
                 ),
                 has_torque_sensor=has_torque_sensor(settings),
             )

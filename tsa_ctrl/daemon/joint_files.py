@@ -2,8 +2,8 @@
 
 A file of another joint is rejected before anything is written to a node. A file is trusted if a tuning of this very
 joint wrote it: the serial numbers of drive and encoder match, and the numbers were measured. A file that is not trusted
-is reported at startup. Until motion confirms the friction of any file, the energy credit of
-`control.compensation_limit` bounds what its compensation can do.
+is reported at startup, and has the smaller energy credit of `control.compensation_limit` until motion confirms its
+friction.
 """
 
 from __future__ import annotations
