@@ -18,7 +18,7 @@ from tsa_ctrl.bus.drive.budget import Load
 from tsa_ctrl.bus.drive.layout import check_node_ids
 from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
-from tsa_ctrl.bus.drive.torque_path import drive_scale
+from tsa_ctrl.bus.drive.torque_path import PER_MILLE, drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.control.bending import BendingSettings
 from tsa_ctrl.control.by_tension import why_not as no_tension
@@ -28,11 +28,17 @@ from tsa_ctrl.control.estimator import EstimatorSettings
 from tsa_ctrl.control.law import LawSettings
 from tsa_ctrl.control.plan import Limits, Plan, plan_of, reversal_speed
 from tsa_ctrl.control.recursive import why_not as beside
-from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings
+from tsa_ctrl.control.setpoint import SetPoint, SetPointSettings, largest
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.actuator_file import ActuatorFile
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
-from tsa_ctrl.model.plausible import check_against_motor, check_consistent
+from tsa_ctrl.model.plausible import (
+    check_against_command,
+    check_against_motor,
+    check_consistent,
+    check_motion,
+    check_set_point,
+)
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.model.stretch import why_not
 from tsa_ctrl.safety.limiter import LimiterSettings
@@ -173,6 +179,7 @@ def load_configuration(path: str | Path) -> Configuration:
     for axis, model in zip(file.axes, models, strict=True):
         _check_axis(f"{path}: axis '{axis.name}'", axis, model, file)
         SetPoint(axis.setpoint, 1.0 / file.controller.rate, folder)
+        check_set_point(model, largest(axis.setpoint, folder), axis.limits.torque, f"{path}: axis '{axis.name}'")
     try:
         load = budget.check(file.bus, file.axes, file.controller.rate)
     except UsageError as error:
@@ -261,7 +268,20 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
         )
     most = max(PEAK * drive.rated_torque * drive.gear_ratio, axis.limits.torque)
     check_consistent(model)
-    check_against_motor(model, abs(sliding(model).motor_half_loop), most, axis.law.motor_inertia, where)
+    half_loop, rated = abs(sliding(model).motor_half_loop), drive.rated_torque * drive.gear_ratio
+    check_against_motor(model, half_loop, most, axis.law.motor_inertia, where)
+    check_against_command(model, half_loop, rated / PER_MILLE, axis.law.compensation > 0.0, where)
+    limits, r_j = axis.limits, model.joint_pulley_radius
+    check_motion(
+        model,
+        limits.travel,
+        {
+            "joint_speed": (limits.joint_speed, r_j),
+            "over_speed": (limits.over_speed, r_j),
+            "motor_over_speed": (limits.motor_over_speed, model.motor_pulley_radius),
+        },
+        where,
+    )
     serial.check_all(axis.serial, where, {"tau_j"} if axis.torque_sensor is not None else set())
     estimator, bending, measured = axis.estimator, axis.bending, {sensor.quantity for sensor in axis.serial}
     if estimator.kind == "sensor" and axis.torque_sensor is None and "tau_j" not in measured:

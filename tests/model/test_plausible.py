@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomlkit
@@ -80,7 +81,7 @@ def test_gram_force_is_found_with_the_motor_at_every_pretension(tmp_path: Path, 
 
 @pytest.mark.parametrize("tension", [2.0, 45.0, 150.0])
 def test_the_same_in_newtons_is_loaded(tmp_path: Path, tension: float) -> None:
-    path, _ = write(tmp_path)
+    path, _ = write(tmp_path, controller(setpoint={"amplitude": 0.02 * tension}))  # a tendon goes slack at 0.05
     document = tomlkit.parse((tmp_path / "actuator.toml").read_text(encoding="utf-8"))
     document["pretension"] = {"value": tension}
     (tmp_path / "actuator.toml").write_text(tomlkit.dumps(document), encoding="utf-8")
@@ -104,3 +105,55 @@ def test_a_calibration_beyond_the_greatest_friction_coefficient_moves_the_angle_
     found = straight.recalibrated(friction_angle=0.6)
     assert found.friction_angle == pytest.approx(0.6)
     assert model_from(tomllib.loads(dump_model(found)), "found.toml") == dataclasses.replace(found, source="found.toml")
+
+
+@pytest.mark.parametrize(
+    ("actuator", "axis", "words"),
+    [
+        ({"actuator": {"joint_pulley_radius": 0.25}}, {}, "is 12.5; allowed is 0.1 to 10.*gear_ratio"),
+        ({"pretension": {"value": 0.045}}, {}, "slack at 0.0018 N.m .*10 steps .* pretension of 0.25 N"),
+        ({"sheath": {"friction_coefficient": 0.0}}, {}, "is 0; allowed is 0.01 to 0.8.*compensation = 0"),
+        ({"sheath": {"friction_coefficient": 0.001}}, {}, "is 0.001; allowed is 0.01"),
+        ({"sheath": {"bending_angle": 0.0}}, {}, "is 0 N.m at the motor; allowed is one step .* 0.001 N.m"),
+        ({"pretension": {"value": 4.5}}, {}, "reaches 0.5 N.m .* slack at 0.225 N.m.*kgf"),
+        ({}, {"setpoint": {"amplitude": 500.0}}, "reaches 500 N.m .* allows 3.125 N.m"),
+        ({}, {"setpoint": {"offset": -2.7}}, "reaches 3.2 N.m .* allows 3.125 N.m"),
+        ({}, {"limits": {"travel": [-120.0, 120.0]}}, "within 18.8 rad .*0.01745"),
+        ({}, {"limits": {"travel": [0.0, 90.0]}}, "within 18.8 rad"),
+        ({"tendon": {"unstrained_length": 0.1}}, {"limits": {"travel": [-3.0, 3.0]}}, "a width of 4 rad"),
+        ({}, {"limits": {"joint_speed": 573.0, "over_speed": 688.0}}, "joint_speed 573 rad/s .* 14.3 m/s.* 200 rad/s"),
+        ({}, {"limits": {"motor_over_speed": 900.0}}, "motor_over_speed 900 rad/s .* 18 m/s"),
+    ],
+)
+def test_a_number_that_contradicts_the_rest_of_the_files_is_rejected(
+    tmp_path: Path, actuator: dict[str, Any], axis: dict[str, Any], words: str
+) -> None:
+    path, _ = write(tmp_path, controller(**axis))
+    file = tmp_path / "actuator.toml"
+    file.write_text(tomlkit.dumps(merged(tomlkit.parse(file.read_text(encoding="utf-8")).unwrap(), actuator)))
+    with pytest.raises(UsageError, match=words) as error:
+        load_configuration(path)
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_without_friction_is_loaded_for_a_rig_that_compensates_none(tmp_path: Path) -> None:
+    path, _ = write(tmp_path, controller(law={"compensation": 0.0}, estimator={"kind": "fixed"}))
+    file = tmp_path / "actuator.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace("friction_coefficient = 0.10", "friction_coefficient = 0"))
+    assert load_configuration(path).models[0].friction_angle == 0.0
+
+
+@pytest.mark.parametrize(("phase", "loads"), [(0.0, False), (3.14159265, True)], ids=["in-phase", "opposite"])
+def test_the_largest_value_of_a_sum_counts_not_the_sum_of_its_amplitudes(
+    tmp_path: Path, phase: float, loads: bool
+) -> None:
+    parts = [{"amplitude": 2.0, "frequency": 1.0}, {"amplitude": 1.5, "frequency": 1.0, "phase": phase}]
+    setpoint = {"kind": "multi_sine", "amplitude": None, "frequency": None, "components": parts}
+    path, _ = write(tmp_path, controller(setpoint=setpoint))
+    file = tmp_path / "actuator.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace("value = 45.0", "value = 90.0"))
+    if loads:
+        load_configuration(path)
+    else:
+        with pytest.raises(UsageError, match=r"reaches 3\.5 N.m .* allows 3.125"):
+            load_configuration(path)

@@ -23,6 +23,8 @@ Torque = Annotated[float, Meta(ge=-MOST_TORQUE, le=MOST_TORQUE)]  # N*m
 Frequency = Annotated[float, Meta(gt=0.0, le=200.0)]  # Hz
 Seconds = Annotated[float, Meta(gt=0.0, le=86_400.0)]
 Source = Callable[[float], float]
+# A sum of sines: s that are sampled, 40 samples per period of the fastest sine (0.3 % of it), and some 20 ms of work.
+_SAMPLED, _MOST_SAMPLES = 60.0, 20_000
 
 
 class Component(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -183,6 +185,32 @@ def waveform(settings: SetPointSettings, folder: str | Path = ".") -> Source:
         times, values = read_file(Path(folder) / settings.file)
         return _played(times, values, offset, settings.loop)
     raise UsageError(f'setpoint: kind "{settings.kind}" has no waveform; its values come over the local socket')
+
+
+def largest(settings: SetPointSettings, folder: str | Path = ".") -> float:
+    """Return the largest size that the set-point can reach, N*m; 0 for a socket, whose values are clamped one by one.
+
+    A sum of sines is sampled for a minute, because it rarely reaches the sum of its amplitudes.
+
+    Raises:
+        UsageError: a file cannot be played.
+    """
+    offset = settings.offset
+    match settings.kind:
+        case "socket":
+            return 0.0
+        case "constant":
+            return abs(offset)
+        case "step":
+            return max(abs(offset), abs(offset + settings.amplitude))
+        case "sine" | "chirp":
+            return abs(offset) + abs(settings.amplitude)
+        case "multi_sine":
+            source, fastest = waveform(settings, folder), max(c.frequency for c in settings.components)
+            steps = min(int(_SAMPLED * 40.0 * fastest), _MOST_SAMPLES)
+            return max(abs(source(0.025 * step / fastest)) for step in range(steps + 1))
+    _, values = read_file(Path(folder) / settings.file)
+    return max(abs(offset + value) for value in values)
 
 
 def _chirp(offset: float, amplitude: float, first: float, last: float, duration: float) -> Source:

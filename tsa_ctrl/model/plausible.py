@@ -9,14 +9,21 @@ A wrong unit is wrong by a factor of 10 to 1000. The limits below are limits of 
     h < the motor's torque      else the motor cannot move the tendons, and nothing can be controlled
     tau / K                     twist of the motor against its tendons
     sqrt(K/J) / 2 pi            ringing of the motor on its tendons
+    r_J / r_M                   of two pulleys that share tendons
+    2 T_p0 r_M                  torque at which a tendon goes slack: steps of the drive's torque, and the set-point
+    h                           friction torque to compensate: a step of the drive's torque
+    travel r_J                  tendon that the joint winds: no more than there is
+    omega r                     speed of the tendons in their sheaths
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Protocol
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.actuator_file import TURNS
 
 MODULUS = (0.3e9, 1000e9)  # Pa; a soft polymer has 0.5 GPa, the stiffest carbon fibre 900 GPa
 STRENGTH = 3e9  # Pa, of the strongest steel wire; a tendon's fibres are stronger, and fill its diameter in part
@@ -25,6 +32,10 @@ SPRING_TRAVEL = 0.2  # 1, of the tendon's length, that pretension may lengthen t
 MOST_FRICTION_ANGLE = 3.0  # 1; exp(3) = 20: a twentieth of the tension arrives
 TWIST = 2.0 * math.pi  # rad of the motor pulley against its tendons at full torque
 RINGING = (2.0, 5000.0)  # Hz, of the motor on its tendons; slower than 2 Hz no torque loop could follow gait
+RATIO = 10.0  # 1, r_J/r_M or r_M/r_J: the tendon bends once around both pulleys, so a larger step takes a gear
+STEPS = 10.0  # steps of the drive's torque command; with fewer before a tendon goes slack no torque can be followed
+LEAST_FRICTION = 0.01  # 1; a polymer liner with lubricant has 0.03, only a film of oil at speed has less than this
+TENDON_SPEED = 5.0  # m/s in a sheath; polymer liners are rated for 2 m/s at most, and wear within minutes above
 
 
 class Tendons(Protocol):
@@ -34,6 +45,8 @@ class Tendons(Protocol):
     def source(self) -> str: ...
     @property
     def motor_pulley_radius(self) -> float: ...
+    @property
+    def joint_pulley_radius(self) -> float: ...
     @property
     def axial_stiffness(self) -> float: ...
     @property
@@ -61,6 +74,13 @@ def check_consistent(model: Tendons) -> None:
         UsageError: two of them contradict each other, with both values, the range and the likely unit mistake.
     """
     where, tension = model.source or "model", model.pretension
+    ratio = model.joint_pulley_radius / model.motor_pulley_radius
+    if not 1.0 / RATIO <= ratio <= RATIO:
+        raise UsageError(
+            f"{where}: [actuator] joint_pulley_radius {model.joint_pulley_radius:g} m over motor_pulley_radius "
+            f"{model.motor_pulley_radius:g} m is {ratio:.3g}; allowed is {1.0 / RATIO:g} to {RATIO:g}: give both radii "
+            "in m, and a gear of the motor as [axis.drive] gear_ratio"
+        )
     area = math.pi * model.diameter**2 / 4.0
     modulus, stress, strain = model.axial_stiffness / area, tension / area, tension / model.axial_stiffness
     given = f"[tendon] axial_stiffness {model.axial_stiffness:g} N and diameter {model.diameter:g} m"
@@ -137,3 +157,98 @@ def check_against_motor(model: Tendons, half_loop: float, torque: float, inertia
             f"would ring at {ringing:.3g} Hz; allowed is {RINGING[0]:g} to {RINGING[1]:g} Hz: give the inertia in "
             "kg*m^2 (g*cm^2 times 1e-7) and axial_stiffness in N"
         )
+
+
+def check_against_command(model: Tendons, half_loop: float, step: float, compensated: bool, where: str) -> None:
+    """Compare a model with the resolution of the drive's torque command.
+
+    Args:
+        model: the tendons and their sheaths.
+        half_loop: N*m at the motor, friction torque of the model.
+        step: N*m at the motor, one step of the torque command.
+        compensated: True if the law compensates the friction.
+        where: place of the configuration, for the message.
+
+    Raises:
+        UsageError: pretension or friction is smaller than the drive can command.
+    """
+    slack = 2.0 * model.pretension * model.motor_pulley_radius
+    if slack < STEPS * step:
+        least = STEPS * step / (2.0 * model.motor_pulley_radius)
+        raise UsageError(
+            f"{where}: {model.source}: with the pretension of {model.pretension:g} N a tendon goes slack at "
+            f"{slack:.3g} N*m of the motor; allowed is {STEPS:g} steps of the drive's torque command of {step:.3g} N*m "
+            f"at least: give a pretension of {least:.3g} N or more, in N (kN times 1000), and rated_torque in N*m"
+        )
+    if not compensated:
+        return
+    if model.friction_coefficient < LEAST_FRICTION:
+        raise UsageError(
+            f"{where}: {model.source}: [sheath] friction_coefficient is {model.friction_coefficient:g}; allowed is "
+            f"{LEAST_FRICTION:g} to 0.8 (lubricated polymer to dry steel) for a friction that is compensated: measure "
+            "it, or write [axis.law] compensation = 0"
+        )
+    if half_loop < step:
+        raise UsageError(
+            f"{where}: {model.source}: the friction torque by friction_coefficient, bending_angle and pretension is "
+            f"{half_loop:.3g} N*m at the motor; allowed is one step of the drive's torque command of {step:.3g} N*m at "
+            "least: give the angle in rad and the pretension in N, or write [axis.law] compensation = 0"
+        )
+
+
+def check_set_point(model: Tendons, largest: float, torque: float, where: str) -> None:
+    """Compare the set-point with the torque that motor and tendons can deliver without friction.
+
+    Args:
+        model: the tendons and their sheaths.
+        largest: N*m at the joint, largest size of the set-point.
+        torque: N*m at the motor, its limit.
+        where: place of the configuration, for the message.
+
+    Raises:
+        UsageError: the set-point exceeds that torque.
+    """
+    most = torque * model.joint_pulley_radius / model.motor_pulley_radius
+    if largest > most * (1.0 + 1e-9):
+        raise UsageError(
+            f"{where}: the set-point reaches {largest:.4g} N*m at the joint; limits.torque {torque:g} N*m times "
+            f"r_J/r_M allows {most:.4g} N*m: lower the set-point (in N*m), or raise limits.torque"
+        )
+    slack = 2.0 * model.pretension * model.joint_pulley_radius
+    if largest > slack * (1.0 + 1e-9):
+        raise UsageError(
+            f"{where}: the set-point reaches {largest:.4g} N*m at the joint; with the pretension of "
+            f"{model.pretension:g} N ({model.source}) a tendon goes slack at {slack:.4g} N*m: lower the set-point, or "
+            "give the pretension in N (kgf times 9.81)"
+        )
+
+
+def check_motion(
+    model: Tendons, travel: tuple[float, float] | None, speeds: Mapping[str, tuple[float, float]], where: str
+) -> None:
+    """Compare the limits of the motion with the tendons.
+
+    Args:
+        model: the tendons and their sheaths.
+        travel: rad of the joint; None without a limit.
+        speeds: by key of [axis.limits]: rad/s, and the radius of the pulley that turns so fast, m.
+        where: place of the configuration, for the message.
+
+    Raises:
+        UsageError: the travel winds more tendon than there is, or a tendon would run faster than any in a sheath.
+    """
+    if travel is not None:
+        most = model.unstrained_length / model.joint_pulley_radius
+        if travel[1] - travel[0] > most or max(-travel[0], travel[1]) > TURNS:
+            raise UsageError(
+                f"{where}: limits.travel {list(travel)} rad; allowed are ends within {TURNS:.3g} rad (three turns) and "
+                f"a width of {most:.3g} rad, which winds the whole tendon onto the joint's pulley: degrees times "
+                "0.01745"
+            )
+    for key, (speed, radius) in speeds.items():
+        if speed * radius > TENDON_SPEED:
+            raise UsageError(
+                f"{where}: limits.{key} {speed:g} rad/s moves the tendons by {speed * radius:.3g} m/s; allowed is "
+                f"{TENDON_SPEED:g} m/s, which is {TENDON_SPEED / radius:.3g} rad/s: degrees times 0.01745, rpm times "
+                "0.1047"
+            )
