@@ -84,7 +84,7 @@ def test_class_bench_requires_nothing(tmp_path: Path) -> None:
             'require_watchdog = false: class "worn" allows only the shipped value',
         ),
         ({"limits": {"travel": [-1.0, 1.5]}, "file": {"safety": {"travel": [-90.0, 90.0]}}}, ""),
-        ({"limits": {"travel": [-90.0, 90.0]}, "file": {"safety": {"travel": None}}}, "travel 90 rad"),
+        ({"limits": {"travel": [-15.0, 15.0]}, "file": {"safety": {"travel": None}}}, "travel 15 rad"),
         ({"limits": {"torque": 100.0}, "drive": {"max_torque": 100.0}}, "torque 100 N*m (shipped is 40)"),
         ({"file": {"safety": {"wearer_speed": 15.0}}}, "joint_speed 18.75 rad/s (shipped is 8.75)"),
         ({"file": {"realtime": {"allow_without": True}}}, "allow_without = true"),
@@ -226,8 +226,8 @@ def test_the_example_has_no_loose_bound() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"limits": {"joint_speed": 900.0, "over_speed": 1000.0}}, "over_speed 1000 rad/s (shipped is 12)"),
-        ({"limits": {"travel": [-90.0, 45.0]}}, "travel 90 rad (shipped is 6.283)"),
+        ({"limits": {"joint_speed": 150.0, "over_speed": 180.0}}, "over_speed 180 rad/s (shipped is 12)"),
+        ({"limits": {"travel": [-9.0, 4.5]}}, "travel 9 rad (shipped is 6.283)"),
         ({"limits": {"torque": 100.0}, "drive": {"max_torque": 100.0}}, "torque 100 N*m (shipped is 40)"),
         ({"drive": {"host_timeout": 10.0}}, "host_timeout 10 s (shipped is 0.1)"),
         ({"torque_sensor": {"heartbeat_timeout": 10.0}}, "[axis.torque_sensor] heartbeat_timeout 10 s"),

@@ -54,6 +54,7 @@ class EnergyCredit:
     def __init__(self, capacity: float, period: float) -> None:
         """`capacity` in J, `period` in s."""
         self._capacity = capacity
+        self._size = self._left = capacity
         self._period = period
         self.reset()
 
