@@ -14,6 +14,7 @@ from tests.daemon.machine import Machine
 from tsa_ctrl.control.axis import BENT, ControlAxis
 from tsa_ctrl.control.estimator import Sample
 from tsa_ctrl.safety.causes import Cause, Fault, Finding
+from tsa_ctrl.safety.guard import Observed
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.supervisor import Phase, Request
 
@@ -203,7 +204,7 @@ def test_every_part_learns_from_the_cycle(axis: ControlAxis, monkeypatch: pytest
             pytest.approx(expected, rel=1e-12),
         ),
         ("estimator", Sample(1.0, 0.42, 1.5, 0.31, 0.34, True, 0.41, 0.32, 21.0, 22.0)),
-        ("guard", 0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0, True),
+        ("guard", Observed(0.34, 0.43, 0.0, 0.0, 0.0, pytest.approx(at_joint), 0.44, 0.0, 0.0, True)),
     ]
     assert axis.terms.theta == 1.5
     assert axis.supervisor.fault is None

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tsa_ctrl.safety.guard import FALL, FORGIVEN, HOLD, RECOVERY, RETURNED, Guard
+from tsa_ctrl.safety.guard import FALL, FORGIVEN, HOLD, RECOVERY, RETURNED, Guard, Observed
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.passivity import PassivitySettings
 
@@ -30,7 +30,7 @@ class Rig:
             term = guard.share * HALF_LOOP
             arrives = term - self.share * HALF_LOOP if tau_j is None else tau_j
             added = term + buzz * math.sin(2.0 * math.pi * 80.0 * self.cycles * PERIOD)
-            guard.update(arrives, 0.0, 0.0, speed, term, HALF_LOOP, added, 0.0)
+            guard.update(Observed(tau_j=arrives, omega_j=speed, term=term, half_loop=HALF_LOOP, added=added))
         return guard
 
 
@@ -87,7 +87,7 @@ def test_what_drove_the_joint_is_turned_round_for_a_moment() -> None:
 def test_a_loop_of_200_hz_has_no_time_for_that() -> None:
     guard = Guard(PassivitySettings(), 5e-3)
     while not guard.count:
-        guard.update(0.35, 0.0, 0.0, 1.0, HALF_LOOP, HALF_LOOP, 0.5, 0.0)
+        guard.update(Observed(tau_j=0.35, omega_j=1.0, term=HALF_LOOP, half_loop=HALF_LOOP, added=0.5))
     assert guard.share == 0.0
 
 
@@ -231,7 +231,7 @@ def test_a_sensor_is_what_is_taken_for_granted() -> None:
     guards = [Guard(PassivitySettings(), PERIOD), Guard(PassivitySettings(), PERIOD, False)]
     for guard in guards:
         while not guard.count:
-            guard.update(0.05, 0.0, 0.0, 1.0, HALF_LOOP, HALF_LOOP, 0.0, 0.0)
+            guard.update(Observed(tau_j=0.05, omega_j=1.0, term=HALF_LOOP, half_loop=HALF_LOOP))
     assert guards[0].words == guards[1].words
 
 

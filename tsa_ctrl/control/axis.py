@@ -19,7 +19,7 @@ from tsa_ctrl.model.sliding import sliding_by, transmitted_by
 from tsa_ctrl.observer.joint_torque import JointTorque
 from tsa_ctrl.observer.stretch import StretchState
 from tsa_ctrl.safety.causes import Cause, Finding
-from tsa_ctrl.safety.guard import Guard
+from tsa_ctrl.safety.guard import Guard, Observed
 from tsa_ctrl.safety.limiter import Limiter, Reason
 from tsa_ctrl.safety.plausibility import Plausibility
 from tsa_ctrl.safety.sense import Sense
@@ -92,6 +92,34 @@ class Terms:
     sensor_age: float = 0.0  # s, of the torque sensor on the bus; 0 without one
 
 
+@dataclass(frozen=True)
+class Safeguards:
+    """The parts of an axis that may take its torque away, or part of it."""
+
+    supervisor: Supervisor
+    limiter: Limiter
+    sense: Sense
+    guard: Guard
+    plausibility: Plausibility
+    joint_torque: JointTorque
+    compensation_limit: CompensationLimit
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times of an axis, s.
+
+    Attributes:
+        period: of the loop.
+        most_age: of measurements that may still drive the motor.
+        stop_time: from full torque to 0.
+    """
+
+    period: float
+    most_age: float
+    stop_time: float
+
+
 class ControlAxis:
     """The parts of one axis and its clock, which starts at every enable."""
 
@@ -99,46 +127,39 @@ class ControlAxis:
         self,
         io: BusAxis,
         model: TendonSheath,
-        supervisor: Supervisor,
         set_point: SetPoint,
         bending: Bending,
         estimator: Estimator,
         law: Law,
-        limiter: Limiter,
-        sense: Sense,
-        guard: Guard,
-        plausibility: Plausibility,
-        joint_torque: JointTorque,
-        period: float,
-        most_age: float,
-        stop_time: float,
-        compensation_limit: CompensationLimit,
+        safeguards: Safeguards,
+        timing: Timing,
         has_torque_sensor: bool,
     ) -> None:
-        """`most_age`: s, of measurements that may still drive the motor; `stop_time`: s, from full torque to 0."""
+        """Connect the parts; `has_torque_sensor`: of the joint, on the bus or on a serial line."""
         self.name = io.name
         self.io = io
         self.image: Image = io.image
         self.instruments = Instruments(io.image)
         self.model = model
-        self.supervisor = supervisor
+        self.supervisor = safeguards.supervisor
         self.set_point = set_point
         self.direction = law.direction
         self.bending = bending
         self.estimator = estimator
         self.law = law
-        self.limiter = limiter
-        self.guard = guard
-        self.compensation_limit = compensation_limit
-        self.plausibility = plausibility
-        self.joint_torque = joint_torque
+        self.limiter = safeguards.limiter
+        self.sense = safeguards.sense
+        self.guard = safeguards.guard
+        self.compensation_limit = safeguards.compensation_limit
+        self.plausibility = safeguards.plausibility
+        self.joint_torque = safeguards.joint_torque
         self._unheard = Unheard(io.hearing, str(io.image.nodes[0]))
-        self.most_age = most_age
+        self.most_age = timing.most_age
         self.request = Request.DISABLE
         self.ramp = 1.0
         self.terms = Terms()
-        self._period = period
-        self._stop_time = stop_time
+        self._period = timing.period
+        self._stop_time = timing.stop_time
         self._register: Callable[[], tuple[float, float] | None] = lambda: None
         self._ramp_from: float | None = None  # s, when the ramp to 0 began
         self._stopping = False
@@ -146,8 +167,7 @@ class ControlAxis:
         self._has_encoder = io.nodes.encoder is not None
         self._ratio = model.motor_pulley_radius / model.joint_pulley_radius
         self._gearing = 1.0 / self._ratio
-        self.sense = sense
-        limiter.ceiling = self.sense.ceiling
+        self.limiter.ceiling = self.sense.ceiling
         self._used = (model.friction_angle, model.pretension)
         self._nominal = self._used
         self._sliding = sliding_by(model)
@@ -156,7 +176,8 @@ class ControlAxis:
         self._transmitted = transmitted_by(model)
         self._has_torque_sensor = has_torque_sensor
         self._sample = Sample(0.0, 0.0, math.nan, math.nan, math.nan, False)
-        law.bound = compensation_limit.share
+        self._observed = Observed()
+        law.bound = self.compensation_limit.share
 
     @property
     def reason(self) -> Reason:
@@ -344,18 +365,13 @@ class ControlAxis:
         law, terms, guard, image, gearing = self.law, self.terms, self.guard, self.image, self._gearing
         velocity = law.velocity
         swing = law.swing(image.omega_m) if law.turn.turning else 0.0
-        guard.update(
-            self._delivered(),
-            self.ramp * terms.tau_j_des,
-            self.set_point.rate,
-            velocity,
-            gearing * law.friction_term,
-            gearing * law.half_loop,
-            terms.tau_m_cmd - law.ideal,
-            law.ideal,
-            swing,
-            self.direction.follows,
-        )
+        seen = self._observed
+        seen.tau_j, seen.omega_j = self._delivered(), velocity
+        seen.wanted, seen.rate = self.ramp * terms.tau_j_des, self.set_point.rate
+        seen.term, seen.half_loop = gearing * law.friction_term, gearing * law.half_loop
+        seen.added, seen.ideal = terms.tau_m_cmd - law.ideal, law.ideal
+        seen.swing, seen.turns = swing, self.direction.follows
+        guard.update(seen)
         law.damping.share = guard.damping
         limit, moving = self.compensation_limit, velocity if abs(velocity) > self.direction.zone else 0.0
         law.bound = limit.update(

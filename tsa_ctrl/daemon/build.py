@@ -11,7 +11,7 @@ import msgspec
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
-from tsa_ctrl.control.axis import ControlAxis
+from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending
 from tsa_ctrl.control.bound import Bound, bound_of
 from tsa_ctrl.control.by_stretch import ByStretch
@@ -96,15 +96,22 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
         configuration.estimators,
         strict=True,
     ):
-        law = law_of(settings, model, plan, period)
         joint_torque = joint_torque_of(settings, model, plan.inertia, period)
+        supervisor = Supervisor(
+            supervision, profile.reports_following, profile.mode_shows == "enabled", file.controller.rate
+        )
+        limit = CompensationLimit(
+            bound_for(settings, model, joint_torque, why_fixed),
+            proven_friction_of(settings, model, joint_torque, plan.inertia, period),
+            UNPROVEN_ENERGY[file.safety.use_class],
+            model.joint_pulley_radius / model.motor_pulley_radius,
+            period,
+            UNPROVEN_ENERGY["worn"],
+        )
         axes.append(
             ControlAxis(
                 io=io,
                 model=model,
-                supervisor=Supervisor(
-                    supervision, profile.reports_following, profile.mode_shows == "enabled", file.controller.rate
-                ),
                 set_point=SetPoint(
                     settings.setpoint,
                     period,
@@ -116,38 +123,9 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                 ),
                 bending=Bending(settings.bending, model.bending_angle),
                 estimator=estimator_of(settings, model, joint_torque, period),
-                law=law,
-                limiter=Limiter(settings.limits, period),
-                sense=sense_of(settings, model, period),
-                guard=Guard(
-                    settings.passivity,
-                    period,
-                    by_stretch=not has_torque_sensor(settings),
-                    compliance=joint_compliance(model),
-                ),
-                plausibility=Plausibility(
-                    settings.plausibility,
-                    settings.limits.torque,
-                    settings.drive.rated_torque * settings.drive.gear_ratio,
-                    (model.motor_pulley_radius, model.joint_pulley_radius),
-                    settings.encoder is not None,
-                    give_of(settings, model, plan.inertia),
-                    period,
-                    counts_of(settings, model.joint_pulley_radius / model.motor_pulley_radius),
-                    settings.drive.velocity_source == "drive",
-                ),
-                joint_torque=joint_torque,
-                period=period,
-                most_age=most_age,
-                stop_time=file.controller.stop_time,
-                compensation_limit=CompensationLimit(
-                    bound_for(settings, model, joint_torque, why_fixed),
-                    proven_friction_of(settings, model, joint_torque, plan.inertia, period),
-                    UNPROVEN_ENERGY[file.safety.use_class],
-                    model.joint_pulley_radius / model.motor_pulley_radius,
-                    period,
-                    UNPROVEN_ENERGY["worn"],
-                ),
+                law=law_of(settings, model, plan, period),
+                safeguards=safeguards_of(settings, model, supervisor, joint_torque, limit, plan.inertia, period),
+                timing=Timing(period, most_age, file.controller.stop_time),
                 has_torque_sensor=has_torque_sensor(settings),
             )
         )
@@ -158,6 +136,43 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
         if settings.bending.source == "sensor":
             axis.bending.measure(_measured_bending(axis))
     return tuple(axes)
+
+
+def safeguards_of(
+    settings: AxisSettings,
+    model: TendonSheath,
+    supervisor: Supervisor,
+    joint_torque: JointTorque,
+    limit: CompensationLimit,
+    inertia: float,
+    period: float,
+) -> Safeguards:
+    """Return the parts of one axis that may take its torque away; `inertia`: of the motor, kg*m^2, `period` in s."""
+    r_m, r_j = model.motor_pulley_radius, model.joint_pulley_radius
+    return Safeguards(
+        supervisor=supervisor,
+        limiter=Limiter(settings.limits, period),
+        sense=sense_of(settings, model, period),
+        guard=Guard(
+            settings.passivity,
+            period,
+            by_stretch=not has_torque_sensor(settings),
+            compliance=joint_compliance(model),
+        ),
+        plausibility=Plausibility(
+            settings.plausibility,
+            settings.limits.torque,
+            settings.drive.rated_torque * settings.drive.gear_ratio,
+            (r_m, r_j),
+            settings.encoder is not None,
+            give_of(settings, model, inertia),
+            period,
+            counts_of(settings, r_j / r_m),
+            settings.drive.velocity_source == "drive",
+        ),
+        joint_torque=joint_torque,
+        compensation_limit=limit,
+    )
 
 
 def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: float) -> Law:

@@ -14,6 +14,7 @@ then derived from the measured friction. If the motor oscillated, it is `LEFT`. 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from tsa_ctrl.safety.limiter import Reason
 from tsa_ctrl.safety.passivity import SENSOR, STRETCH, Passivity, PassivitySettings
@@ -102,6 +103,35 @@ LEFT = 0.5  # share of the compensation once latched for an oscillation
 CLEAR = 0.9  # of the model's friction torque: if the measured one is larger, friction is not the cause
 
 
+@dataclass(slots=True)
+class Observed:
+    """The measurements and torques of one cycle that the guard checks; an axis reuses the same object.
+
+    Attributes:
+        tau_j: delivered torque at the joint, N*m; nan where it is not known.
+        wanted: set-point, N*m at the joint.
+        rate: slope of the set-point, N*m/s.
+        omega_j: joint velocity, rad/s.
+        term: friction term as sent, N*m at the joint.
+        half_loop: friction torque of the model, N*m at the joint.
+        added: torque that the law added to the set-point's part, N*m at the motor.
+        ideal: the set-point's part, N*m at the motor.
+        swing: kinetic energy of the motor relative to the joint while the term reverses, J; 0 if not known.
+        turns: True while the term reverses with the joint's motion.
+    """
+
+    tau_j: float = math.nan
+    wanted: float = 0.0
+    rate: float = 0.0
+    omega_j: float = 0.0
+    term: float = 0.0
+    half_loop: float = 0.0
+    added: float = 0.0
+    ideal: float = 0.0
+    swing: float = 0.0
+    turns: bool = False
+
+
 class Guard:
     """Withdraw compensation and damping when they feed energy into the motion.
 
@@ -178,40 +208,17 @@ class Guard:
         """Return the energy that the compensation has added recently, J."""
         return self._passivity.energy
 
-    def update(
-        self,
-        tau_j: float,
-        wanted: float,
-        rate: float,
-        omega_j: float,
-        term: float,
-        half_loop: float,
-        added: float,
-        ideal: float,
-        swing: float = 0.0,
-        turns: bool = False,
-    ) -> None:
-        """Check a cycle with torque.
-
-        Args:
-            tau_j: delivered torque at the joint, N*m; nan where it is not known.
-            wanted: set-point, N*m at the joint.
-            rate: slope of the set-point, N*m/s.
-            omega_j: joint velocity, rad/s.
-            term: friction term as sent, N*m at the joint.
-            half_loop: friction torque of the model, N*m at the joint.
-            added: torque that the law added to the set-point's part, N*m at the motor.
-            ideal: the set-point's part, N*m at the motor.
-            swing: kinetic energy of the motor relative to the joint while the term reverses, J; 0 if not known.
-            turns: True while the term reverses with the joint's motion.
-        """
+    def update(self, seen: Observed) -> None:
+        """Check a cycle with torque."""
         if self._unwinding:
             self._unwinding -= 1
         if self._falling > 0.0:
             self._falling = max(0.0, self._falling - self._period / FALL)
-        if self._passivity.update(tau_j, wanted, rate, omega_j, term, half_loop, swing):
+        if self._passivity.update(
+            seen.tau_j, seen.wanted, seen.rate, seen.omega_j, seen.term, seen.half_loop, seen.swing
+        ):
             self._energy()
-        if self._buzz.update(added, ideal, turns):
+        if self._buzz.update(seen.added, seen.ideal, seen.turns):
             self._buzzes()
         if self._back_off < 1.0:
             self._recover()
