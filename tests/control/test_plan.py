@@ -59,7 +59,7 @@ def test_the_limits_of_the_drive_make_it_longer() -> None:
     assert heavy.turn > 8e-3
 
 
-@pytest.mark.parametrize(("inertia", "longer"), [(3e-5, False), (1e-4, False), (3.2e-4, True)])
+@pytest.mark.parametrize(("inertia", "longer"), [(3e-5, False), (1e-4, True), (3.2e-4, True)])
 def test_at_the_joint_the_torque_of_a_heavy_motor_does_not_rise_faster_than_the_limiter_lets_it(
     inertia: float, longer: bool
 ) -> None:

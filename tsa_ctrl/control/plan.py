@@ -136,8 +136,8 @@ MOST_TURN = 0.2  # s; no limit of speed may require more
 SPEED_SHARE = 0.6  # of the speed limit: the joint moves as well, and an estimate may find 1.6 times the friction
 # Share of the limiter's rate that a reversal may use: bends up to the middle of the sheath, and all bends at the joint.
 # With bends at the joint the friction reverses at once, so a short reversal matters more. The limiter bounds only
-# growing torques and cuts a step or two: the error of a prescribed gait is 40 mN*m with 1.6, and 51 mN*m with 0.8.
-RATE_SHARE, RATE_SHARE_AT_JOINT = 0.8, 1.6
+# growing torques and cuts a step or two. Prescribed gait, friction angle 0.8: 145 mN*m with 2.4 or 3.2, 164 with 1.6.
+RATE_SHARE, RATE_SHARE_AT_JOINT = 0.8, 2.4
 # Slope of the inertia's torque in a reversal, over that rate. That torque has both signs; only its growth is bounded.
 # A motor of 3.2e-4 kg*m^2 with bends at the joint, reversed in 5.5 ms at five times the rate, keeps oscillating after
 # the cut: 43 mN*m, against 34 mN*m at three times the rate (7 ms). The slope of a lighter motor is far smaller.
