@@ -33,7 +33,7 @@ START = 120.0  # s until the daemon runs
 EVERY = 5.0  # s between two samples
 WARM_UP = 0.25  # share of the run that does not count for the slope
 ALLOWED = 256.0  # KiB/min; the index of the log that its writer keeps takes 82
-ALLOWED_IN_ALL = 1024.0  # KiB: less than this over the run is no growth that a short run could tell
+ALLOWED_IN_ALL = 1024.0  # KiB over the run: a short run cannot distinguish less from no growth
 NAMES = {"plant": "plant", "run": "daemon", "tsa_ctrl.log.writer": "log writer", "tsa_ctrl.ipc.server": "socket server"}
 KEYS = ("process", "samples", "first_kib", "last_kib", "kib_per_min", "descriptors_first", "descriptors_last")
 

@@ -83,7 +83,7 @@ def errors() -> str:
 
 
 def profiles() -> str:
-    """Return the shipped drive profiles, their sources, and what these do not say."""
+    """Return the shipped drive profiles, their sources, and the data that these lack."""
     rows = []
     for path in sorted((CONFIG / "drives").glob("*.toml")):
         profile = load_profile(path.stem, CONFIG)

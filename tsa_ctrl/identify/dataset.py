@@ -134,11 +134,17 @@ class Dataset:
 def load_log(path: str | Path, strict: bool = False, cutoff: float | None = None) -> Dataset:
     """Read a log (CSV, CSV.gz, Parquet or the daemon's MCAP; `run.mcap:AXIS` names one of several axes).
 
-    Needs t, tau_m and one velocity or angle; `Dataset.require` asks for what a model needs beyond that. Late rows, lost
-    samples, doubled stamps and holes are repaired and listed in `notes`; of pieces between holes this is the longest.
-    `strict` mends no more than jitter of 20 % of the period; `cutoff` in Hz is that of the smoother that derives
-    velocities and accelerations, default what the data demand. Raises UsageError that names file, column and row for a
-    missing column, a nan, a time that runs back, an empty or damaged file, or a unit that cannot be right.
+    The log needs t, tau_m and one velocity or angle; `Dataset.require` checks the other columns of a model. Late rows,
+    lost samples, duplicate times and holes are repaired and listed in `notes`. Only the longest piece is read.
+
+    Args:
+        path: file, with the axis if there are several.
+        strict: repair at most jitter of 20 % of the period.
+        cutoff: Hz, of the smoother that derives velocities and accelerations; default: chosen from the data.
+
+    Raises:
+        UsageError: a column is missing, a value is nan, the time runs backwards, the file is empty or damaged, or a
+            unit cannot be right; the message names file, column and row.
     """
     return _longest(_datasets(read_table(path, INPUTS), Path(path).name, sha256_of(path), strict, cutoff))
 
@@ -158,7 +164,7 @@ def matches(name: str, pattern: str) -> bool:
 
 
 def held_out_logs(names: Sequence[str], pattern: str | None) -> set[str]:
-    """Return the logs that are held out: those of the pattern, else every third by name of at least FEWEST_LOGS.
+    """Return the logs that match the pattern; without one, every third by name if there are FEWEST_LOGS or more.
 
     Raises:
         UsageError: the pattern matches no log, or every log.

@@ -148,8 +148,9 @@ class LogFile:
         for opcode, content in self._records():
             if opcode == Opcode.FOOTER:
                 self.complete = True
-            elif opcode == Opcode.STATISTICS:  # a chunk whose first byte is damaged is no chunk to the loop
-                self.damaged += abs(_announced(content) - chunks)
+            elif opcode == Opcode.STATISTICS:  # a chunk with a damaged first byte was not counted
+                announced = _announced(content)
+                self.damaged += 1 if announced is None else abs(announced - chunks)
             if opcode != Opcode.CHUNK:
                 continue
             chunks += 1
@@ -264,12 +265,12 @@ def _notes(data: bytes) -> list[Note]:
     return found
 
 
-def _announced(content: bytes) -> int:
-    """Return the number of chunks according to the statistics at the end of a log, or -1 if these are damaged."""
+def _announced(content: bytes) -> int | None:
+    """Return the number of chunks according to the statistics at the end of a log, None if these are damaged."""
     try:
         return int(Statistics.read(_stream(content)).chunk_count)
     except _DAMAGED:
-        return -1
+        return None
 
 
 def _chained(checksum: int, opcode: int, content: bytes) -> int:

@@ -1,8 +1,8 @@
-"""The process that takes records from the ring to the file: `python -m tsa_ctrl.log.writer FD PATH`, header on stdin.
+"""Write records from the ring to the file: `python -m tsa_ctrl.log.writer FD PATH`, with the header on stdin.
 
-It ends when the owner says so or dies (its end of stdin closes), after draining the ring. A disk that is full or gone
-is said through the ring, counted and tried again; the real-time process never waits for it. A writer that hangs or dies
-is replaced by one that goes on in another file with what the ring still holds (`system.process_supervisor`).
+The process drains the ring and ends when its owner closes stdin or dies. If the disk is full or missing, it reports
+this through the ring, counts it and tries again. The real-time process never waits for it. A writer that hangs or dies
+is replaced by another one, which writes the remaining records of the ring to a new file (`system.process_supervisor`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from tsa_ctrl.system.process_supervisor import ignore, supervise
 
 POLL = 0.05  # s between looks at the ring
 CHUNK = 0.5  # s of records in one chunk: what a kill can cost
-SYNCED = 1.0  # s between two waits for the disk: what a power failure can cost, with CHUNK
+SYNCED = 1.0  # s between two fsync calls: a power failure loses the records since the last one
 RETRY = 1.0  # s between attempts after a trouble
 HANGS = 4.0  # s without a sign of life until another one takes over: half of what the ring holds at 1 kHz
 DEAD = "the loop's process ended without a word (killed?); the drives are left to their own watchdogs"

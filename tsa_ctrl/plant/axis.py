@@ -296,11 +296,11 @@ class Axis:
 
     def see(self, angles: Mapping[str, float], speeds: Mapping[str, float]) -> None:
         """Take angles (rad) and speeds (rad/s) by axis of the joints that bend the sheaths, as they are at `time`."""
+        assert self.routing is not None
         self.state["exchanged"] = self.time
-        if self.routing is not None:
-            joints = self._arrays.joints
-            for place, name in enumerate(self.routing.joints):
-                joints[0, place], joints[1, place] = angles[name], speeds[name]
+        joints = self._arrays.joints
+        for place, name in enumerate(self.routing.joints):
+            joints[0, place], joints[1, place] = angles[name], speeds[name]
 
     def carry(self, angle: float, speed: float, acceleration: float) -> None:
         """Take the joint's angle and its derivatives at `time` from the limb; until the next ones its speed stays."""
@@ -320,7 +320,7 @@ class Axis:
 
     @property
     def load_torque(self) -> float:
-        """Return what acts on the load, N*m: by the tendons, a hand and a push."""
+        """Return the torque on the load, N*m: of the tendons, a hand and a push."""
         return float(self._values[_DELIVERED] + self._values[_OUTSIDE])
 
     def _read(self) -> None:

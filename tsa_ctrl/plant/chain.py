@@ -52,10 +52,10 @@ def settle(chain: NDArray[np.float64], motor_end: float, joint_end: float, prete
 
 @compiled
 def prepare_chains(p: Any, pretensions: Pair, thetas: Pair, x: Pair, chains: Any) -> Pair:
-    """Bending, pretension and friction of this sub-step, of tendons a and b, into chains (2, rows, contacts + 1).
+    """Write bending, pretension and friction of this sub-step of both tendons to chains (2, rows, contacts + 1).
 
-    Returns the elongation in m of either tendon when motor and joint stand equal. Bending lengthens the path where it
-    is (3.50), the rest of the pretension is spread along the tendon.
+    Returns the elongation (m) of tendons a and b at equal angles of motor and joint. A bend lengthens the path at its
+    own place (3.50); the rest of the pretension is distributed along the tendon.
     """
     length = p.length + p.series_length
     total_a, total_b = pretensions[0] * length / p.stiffness, pretensions[1] * length / p.stiffness

@@ -1,7 +1,7 @@
 """A limb of several joints by MuJoCo (extra `limb`): mass matrix, gravity, limits of the joints, contact.
 
-MuJoCo computes the limb, not the tendons: rigid bodies and contact are written by others, so that their errors are not
-ours.
+MuJoCo computes the limb, not the tendons. It is an independent implementation of rigid bodies and contact, so an error
+of this project's single joint is not repeated in it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from tsa_ctrl.errors import UsageError
 
 # Steps of the axes per step of the limb. Between two steps of the limb a tendon, K = 62 N*m/rad at the joint with the
 # demo's actuator, is stretched by an angle that the limb does not know yet: this damps or drives the joint by at most
-# K h. With one step that is what the implicit integration of a single joint has, too (6 mN*m*s/rad); with five it were
-# 31, a third of the damping of a limb. MuJoCo's step of a leg takes 11 us.
+# K h. One step gives 6 mN*m*s/rad, as much as the implicit integration of a single joint. Five steps would give
+# 31 mN*m*s/rad, a third of the damping of a limb. MuJoCo's step of a leg takes 11 us.
 STEPS = 1
 
 

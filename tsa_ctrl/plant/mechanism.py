@@ -1,8 +1,8 @@
-"""What connects the joints of the axes: their sheaths alone, or a limb (MuJoCo) that moves them together.
+"""Connect the joints of the axes: by their sheaths only, or by a limb (MuJoCo) that moves them together.
 
 A joint bends every sheath that crosses it (`[routing]` of the actuator file). The axes are advanced one after another
 in pieces. At the beginning of a piece each axis gets the angles and the speeds of the others; in the sub-steps of the
-piece the others go on at these speeds.
+piece the other joints keep these speeds.
 
 A limb replaces the joints' own loads. It gets the torque that arrives at each of its joints, and gives back how they
 move. Joints of the limb that no axis drives (a rail, a toe) move by the limb alone.
@@ -18,8 +18,8 @@ from tsa_ctrl.plant.axis import Axis
 from tsa_ctrl.plant.limb import Limb
 from tsa_ctrl.plant.settings import PlantSettings
 
-# s between two exchanges of angles where nothing but sheaths connects the joints. What a joint moves otherwise than at
-# constant speed meanwhile is a t^2 / 2: at 50 rad/s^2, a fast gait, 25 urad, which change 2.6 rad by 1e-5.
+# s between two exchanges of angles if only sheaths connect the joints. In this time a joint deviates from constant
+# speed by a t^2 / 2: 25 urad at 50 rad/s^2, a fast gait, which is 1e-5 of a wrap angle of 2.6 rad.
 PIECE = 1e-3
 _LEAST = 1e-9  # s: less is rounding
 
@@ -35,7 +35,7 @@ class Mechanism(Protocol):
 
 
 class Apart:
-    """Axes that have nothing in common, each in time of its own."""
+    """Axes without a connection; each is advanced on its own."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self._axes = axes
@@ -68,10 +68,10 @@ class Bent:
 
 
 class OnLimb:
-    """Axes whose joints are those of a limb.
+    """Axes whose joints belong to a limb.
 
-    The limb stands at multiples of its step. The axes are brought there, and their torques move the limb by one step
-    from where it stood; between two multiples each joint goes on at its speed.
+    The state of the limb is known at multiples of its step. The axes are advanced to the next multiple, and then their
+    torques move the limb by one step. Between two multiples each joint keeps its speed.
     """
 
     def __init__(self, axes: Sequence[Axis], limb: Limb) -> None:
@@ -96,10 +96,13 @@ class OnLimb:
 
 
 def share_angles(axes: Sequence[Axis]) -> None:
-    """Give each axis the angles of the joints that bend its sheaths, as they are now."""
+    """Give each axis the present angles of the joints that bend its sheaths; nothing without a routing."""
+    routed = [axis for axis in axes if axis.routing is not None]
+    if not routed:
+        return
     angles = {axis.name: axis.joint[0] for axis in axes}
     speeds = {axis.name: axis.joint[1] for axis in axes}
-    for axis in axes:
+    for axis in routed:
         axis.see(angles, speeds)
 
 

@@ -220,7 +220,7 @@ def load_plant(path: str | Path) -> PlantSettings:
 
 
 def _placed(plant: PlantSettings, path: Path) -> MechanismSettings:
-    """Return the mechanism with the place of its model; raises UsageError for what has no meaning beside it."""
+    """Return the mechanism with the path of its model; raises UsageError for settings that exclude each other."""
     mechanism = plant.mechanism
     if mechanism.kind == "joints":
         if mechanism.model is not None:

@@ -4,15 +4,15 @@ A word is 8 bytes, aligned, with one writer. It goes through a memoryview cast t
 constant size: one load or store of a 64-bit processor, never half of one. (`struct.pack_into` with "<" or "=" may copy
 byte by byte.)
 
-Of the order of two writes nothing is concluded. Another processor may see them the other way round (ARM does that, x86
-does not), and Python has no barrier against it. So what is longer than a word lies in a place: its number, a check sum
-over number and content, the content. A reader copies the place and believes the copy only when it has the number asked
-for and the sum is right; what it met half-way (torn, not there yet, written over meanwhile) is no value. That holds on
-every machine, as nothing is assumed of it; a wrong copy passes once in 2^32 of such meetings. The sum
-makes storing a record of 25 numbers 0.6 us longer.
+Readers do not rely on the order of two writes. Another processor may see them in the opposite order (ARM does that, x86
+does not), and Python has no memory barrier. Content longer than a word is therefore stored in a place, which holds a
+number, a checksum over number and content, and the content. A reader copies the place and accepts the copy only if its
+number is the requested one and the checksum is correct. A copy made during a write is discarded. This holds on every
+machine, because it assumes nothing about it; an incorrect copy is accepted once in 2^32 such cases. The checksum adds
+0.6 us to the storing of a record of 25 numbers.
 
-Who writes again and again uses two places or more in turn: a writer that is stopped in the middle of a write keeps
-nobody from what was there before.
+A writer that writes repeatedly alternates between two or more places. If it is stopped during a write, readers still
+have the content before it.
 
 The memory has no name (memfd) and is handed to child processes as a descriptor: it ends with its last user, however
 that one ends.

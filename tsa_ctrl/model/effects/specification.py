@@ -1,8 +1,7 @@
-"""What is said of an effect beside its formulas: written once, on its class, and read by everything that knows effects.
+"""Describe an effect, apart from its formulas, once: on its class.
 
-Model files and their messages, the composition, the notes of the live inverse, the diagnosis and the demo take
-from here what they need. The plant and the hidden cases of the tests have their own, so that one can be held
-against the other.
+Model files and their messages, the composition, the notes of the live inverse, the diagnosis and the demo read this
+description. The plant and the hidden cases of the tests do not use it, so that the two can be compared.
 """
 
 from __future__ import annotations
@@ -155,14 +154,18 @@ def _always(_: Scales) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """One effect: its name and stage, its sentence for a person, what it needs, and how it is undone and hidden.
+    """Describe one effect: its name, stage and summary, the signals that it needs, and how it is inverted and hidden.
 
-    `search`: how a fit looks for it; `unresolved` says what a log lacks that leaves no variant, `untestable` why a log
-    with such signals cannot show it at all (empty when it can), and `asks` what to record then. A pair of `twins` is
-    written on one of the two.
-    `columns`: what a log must have; `live_columns`, by the effect's parameters: what the loop must measure, where that
-    is not the same. `feedforward`: what the live inverse cannot do, with {parameter} in it; empty when it is exact.
-    `demo`: sizes that the full circle of `tsa demo` may hide, between a tenth and a third of its rig's half loop.
+    Attributes:
+        search: the way in which a fit searches for it.
+        unresolved: the reason why a log leaves no variant of it.
+        untestable: the reason why a log with certain signals cannot show it; empty if it can.
+        asks: the motion to record in that case.
+        twins: effects that look the same; a pair is written on one of the two only.
+        columns: columns that a log must have.
+        live_columns: signals that the loop must measure, from the effect's parameters, if they differ from `columns`.
+        feedforward: the limit of the live inverse, with {parameter} in the text; empty if the inverse is exact.
+        demo: sizes that the full circle of `tsa demo` may hide, a tenth to a third of the half loop of its rig.
     """
 
     name: str
