@@ -401,3 +401,51 @@ def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(w
     assert not by.direction.follows
     assert by(way, 0.0) == way  # 1 ms after that
     assert not by.direction.follows
+
+
+def at_rest_by(give: float, way: float = 1.0) -> By:
+    """A joint that moved the `way` and has come to rest, under a torque sensor that agreed with the law meanwhile."""
+    by = By(give=give)
+    for _ in range(1000):
+        by(way * 0.25)
+        by.direction.measure(0.0, False)
+    by(0.0)
+    return by
+
+
+def measured(by: By, excess: float, cycles: int = 100, turning: bool = False) -> float:
+    """The direction after some cycles at rest, with the sensor `excess` N*m above the desired torque."""
+    sigma = math.nan
+    for _ in range(cycles):
+        by.direction.measure(excess, turning)
+        sigma = by(0.0, 0.0)
+    return sigma
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_torque_sensor_decides_at_rest_if_all_bends_are_at_the_joint(way: float) -> None:
+    """More torque than desired shows tendons that stick. It counts beyond the uncertainty, in this direction alone."""
+    assert measured(at_rest_by(0.0, way), 0.1 * way) == -way
+    assert measured(at_rest_by(0.0, way), 0.03 * way) == way
+    assert measured(at_rest_by(0.0, way), -0.1 * way) == way
+    assert measured(at_rest_by(0.0, way), math.nan) == way
+
+
+def test_the_torque_sensor_does_not_decide_where_the_elongation_does_or_a_reversal_runs() -> None:
+    assert measured(at_rest_by(TO_M), 0.1) == 1.0
+    assert measured(at_rest_by(0.0), 0.1, turning=True) == 1.0
+
+
+def test_a_sensor_that_was_wrong_while_the_joint_moved_decides_only_beyond_that_error() -> None:
+    by = By(give=0.0)
+    for _ in range(2000):
+        by(0.25)
+        by.direction.measure(0.1, False)
+    assert measured(by, 0.11) == 1.0
+    assert measured(by, 0.2) == -1.0
+
+
+def test_the_joints_motion_overrules_the_torque_sensor() -> None:
+    by = at_rest_by(0.0)
+    measured(by, 0.1)
+    assert by(0.25) == 1.0

@@ -119,6 +119,12 @@ def test_a_limb_and_a_wearer(tmp_path: Path, load: str) -> None:
 
 
 @pytest.mark.slow
+def test_a_wearer_with_all_bends_at_the_joint(tmp_path: Path) -> None:
+    """At most 40 mN*m RMS: the joint torque sensor shows tendons that stick, which motor and encoders cannot."""
+    assert rms(error(sound(play_case(tmp_path, "wearer", curvature="joint_end")))) <= 40.0
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("load", "delay"),
     [

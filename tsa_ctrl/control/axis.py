@@ -276,6 +276,9 @@ class ControlAxis:
             self.release()
             return
         self.law.applied(terms.tau_m_cmd)
+        if self._has_torque_sensor:
+            excess = instruments.tau_j - self.ramp * terms.tau_j_des if image.fresh else math.nan
+            self.direction.measure(excess, law.turn.turning)
         unheard = self._unheard.update(now)
         if unheard is not None:
             self.supervisor.trip(unheard, now)

@@ -15,6 +15,13 @@ separate rule:
   `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time. After
   every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
 
+* The joint torque sensor contradicts, where the elongation carries no information: all bends are at the joint (`give`
+  is below `BLIND` of `reach`), so the elongation is the same in both directions, and a hand's motion below one encoder
+  count decides. Sliding tendons deliver at most the desired torque in their direction, because the friction term does
+  not exceed the friction (`law`). More than that at rest shows that they stick, and that they slide next in the other
+  direction. The sensor counts beyond its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is
+  measured while the joint moves, and after the sensor has changed the direction.
+
 If a joint comes to rest within `LITTLE` of the travel that reverses the tendons, the tendons have not reversed. This
 happens with a trembling hand, or with a sudden stop, whose prediction looks like a reversal. The previous sigma then
 applies again.
@@ -114,6 +121,11 @@ class Motion:
 NOISE = 1.5  # times one count's velocity that the zone is at least: a count and the mechanics' own trembling
 LEAST_ZONE = 0.002  # rad/s, that may be set while running
 LITTLE = 0.05  # of the way in which the tendons slide all along: a joint that went no further has turned nothing
+BLIND = 0.05  # of `reach`: a centre of bending closer to the joint than 1/40 of the sheath, which no file states better
+UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at a gait's 10 N*m/s
+MEAN = 0.01  # s: a motor on its tendons rings at 40 Hz and more
+SLOWLY = 0.05  # of the mean's rate, at which the error of sensor and model is averaged: 0.2 s
+SETTLED = 3.0  # times `MEAN` without a reversal, after which the mean counts
 AT_REST = 5e-3  # s of rest after which that is said: a reversal passes the zone in less
 TREMOR = 0.04  # s between two turns of a hand that trembles: 12 Hz is the fastest tremor of people (Deuschl 1998)
 
@@ -158,9 +170,12 @@ class Direction:
         self._play = settings.play
         self._reach = reach
         self._give = reach if give is None else give
+        self._blind = self._give < BLIND * reach
         self._radius = joint_radius
         self._period = period
         self._little = LITTLE * way
+        self._mean = period / MEAN if period < MEAN else 1.0
+        self._settled = max(1, round(SETTLED * MEAN / period))
         self.reset()
 
     @property
@@ -195,6 +210,39 @@ class Direction:
     def forget(self) -> None:
         """Let the next desired torque start from 0; sigma stays."""
         self._edge = math.nan
+        self._doubt = 0.0  # N*m, of sensor and model
+        self._tried = False  # the direction was changed for the sensor, and the effect is not measured yet
+        self._needed = 0.0  # direction whose friction the sensor shows to be missing
+        self._await()
+
+    def measure(self, excess: float, turning: bool) -> None:
+        """Take the difference of the delivered and the desired joint torque of this cycle.
+
+        Args:
+            excess: N*m, by a sensor of the joint torque; nan without one.
+            turning: True while the friction term reverses.
+        """
+        if not self._blind:
+            return
+        if turning or excess != excess:
+            self._await()
+            return
+        self._excess += self._mean * (excess - self._excess) if self._counted else excess
+        self._counted += 1
+        if self._counted < self._settled:
+            return
+        mean = self._excess
+        if self.rest == 0.0:  # the tendons slide
+            self._doubt += SLOWLY * self._mean * (abs(mean) - self._doubt)
+            return
+        if self._tried:
+            self._tried = False
+            self._doubt = max(self._doubt, abs(mean))
+        self._needed = 0.0 if abs(mean) < UNSURE + self._doubt else -1.0 if mean > 0.0 else 1.0
+
+    def _await(self) -> None:
+        self._excess = 0.0
+        self._counted = 0
 
     def update(self, ahead: float, rate: float) -> float:
         """Return sigma for this cycle.
@@ -211,6 +259,8 @@ class Direction:
         self._since += self._period
         if omega > self._zone or omega < -self._zone:
             self.rest = 0.0
+            if self._needed != 0.0 or self._tried:
+                self._needed, self._tried = 0.0, False
             if not abs(motion.angle - self._turned_at) < self._little:
                 self._edge = stretch
             slip = self._radius * omega + self._give * rate
@@ -231,12 +281,19 @@ class Direction:
         if ahead != ahead:
             return self.sigma
         edge = self._edge if self._edge == self._edge else 0.0
-        if stretch > edge + self._play:
+        needed = self._needed
+        if needed * self.sigma < 0.0:
+            self._edge = stretch
+            self._turn(needed)
+            self._tried = True
+        elif stretch > edge + self._play:
             self._edge = stretch - self._play
-            self._turn(1.0)
+            if needed >= 0.0:
+                self._turn(1.0)
         elif stretch < edge - self._play:
             self._edge = stretch + self._play
-            self._turn(-1.0)
+            if needed <= 0.0:
+                self._turn(-1.0)
         else:
             self._edge = edge
         return self.sigma
@@ -244,6 +301,7 @@ class Direction:
     def _turn(self, sigma: float, follows: bool = False) -> None:
         if sigma != self.sigma:
             self._follows, self._since = follows, 0.0
+            self._await()
         self.sigma, self._turned_at = sigma, math.nan
 
     def _little_since_turn(self) -> bool:
