@@ -283,7 +283,7 @@ def test_an_unexpected_failure_costs_one_row(folder: Path, model: Path, tmp_path
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
     """Address of a Dask scheduler with a worker, in a thread: a process of its own takes two seconds to come up."""
-    distributed = pytest.importorskip("distributed", reason="no Dask: pip install 'tsa-ctrl[fleet]'")
+    distributed = pytest.importorskip("distributed", reason="no Dask: pip install '.[fleet]'")
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
     ) as made:

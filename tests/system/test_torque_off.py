@@ -88,7 +88,7 @@ def test_a_gpio_line_is_active_while_torque_is_permitted(monkeypatch: pytest.Mon
 
 def test_without_the_library_a_gpio_output_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torque_off.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"needs the package gpiod; install it: pip install tsa-ctrl\[gpio\]"):
+    with pytest.raises(UsageError, match=r"needs the package gpiod; install it: pip install '.\[gpio\]'"):
         check_output(OutputSettings(gpio="gpiochip0:17"), "[monitor] output")
 
 

@@ -54,3 +54,19 @@ def test_every_direct_dependency_stands_in_the_list_with_a_licence_that_fits() -
     listed = json.loads(licences.FILE.read_text(encoding="utf-8"))
     assert {name for name, row in listed.items() if row["direct"]} == set(licences.runtime())
     assert [name for name, row in listed.items() if not licences.COMPATIBLE.search(row["licence"])] == []
+
+
+def test_the_licence_is_apache_and_travels_with_the_wheel(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+        (about,) = (archive.read(name).decode() for name in names if name.endswith(".dist-info/METADATA"))
+        (text,) = (archive.read(name) for name in names if name.endswith("/licenses/LICENSE"))
+    assert "License-Expression: Apache-2.0" in about
+    assert "The tsa_ctrl authors" in about
+    assert text == (ROOT / "LICENSE").read_bytes()
+
+
+def test_no_hint_installs_a_name_of_an_index() -> None:
+    """The name of this project in an index is nobody's, or somebody else's."""
+    line = ["git", "grep", "-nE", r"pip3? install [^`|]*tsa[-_]ctrl", "--", ":!tests/tools/test_package.py"]
+    assert subprocess.run(line, cwd=ROOT, capture_output=True, text=True).stdout == ""

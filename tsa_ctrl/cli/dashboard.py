@@ -23,7 +23,7 @@ def command(path: str, port: int) -> None:
     """
     missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
     if missing:
-        raise UsageError(f"{', '.join(missing)} not installed; pip install 'tsa-ctrl[dashboard]'")
+        raise UsageError(f"{', '.join(missing)} not installed; pip install '.[dashboard]'")
     from tsa_ctrl.dashboard.server import serve
 
     serve(path, port, lambda address: click.echo(f"dashboard: {address}"))

@@ -27,6 +27,7 @@ TOPICS = {
         "ipc/README.md",
         "a controller on top: set-points over the socket, the lease, permissions",
     ),
+    "design": ("DESIGN.md", "ranked goals, decisions with their reasons, rejected alternatives"),
     "code": ("README.md", "a map of the code, and how to add to it"),
 }
 

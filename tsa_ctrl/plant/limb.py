@@ -85,5 +85,5 @@ def _package() -> ModuleType:
     except ImportError:
         raise UsageError(
             '[mechanism] kind = "mujoco" needs the package mujoco-core, which is not installed; '
-            "pip install 'tsa-ctrl[limb]', or set kind = \"joints\""
+            "pip install '.[limb]', or set kind = \"joints\""
         ) from None

@@ -49,9 +49,7 @@ class MonitorSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
 def check_output(output: OutputSettings, where: str) -> None:
     """Raise UsageError if this computer lacks a package or a program of the output; switch nothing."""
     if output.gpio is not None and importlib.util.find_spec("gpiod") is None:
-        raise UsageError(
-            f'{where}: gpio "{output.gpio}" needs the package gpiod; install it: pip install tsa-ctrl[gpio]'
-        )
+        raise UsageError(f"{where}: gpio \"{output.gpio}\" needs the package gpiod; install it: pip install '.[gpio]'")
     if output.command and shutil.which(output.command[0]) is None:
         raise UsageError(f'{where}: command "{output.command[0]}" is not a program here; correct the path')
 

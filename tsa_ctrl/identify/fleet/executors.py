@@ -56,9 +56,7 @@ def dask(scheduler: str) -> Iterator[Workers]:
     try:
         from distributed import Client
     except ImportError:
-        raise UsageError(
-            "--scheduler: the package distributed is not installed; pip install 'tsa-ctrl[fleet]'"
-        ) from None
+        raise UsageError("--scheduler: the package distributed is not installed; pip install '.[fleet]'") from None
     try:
         client: Any = Client(scheduler, timeout=CONNECT)
     except (OSError, ValueError) as error:
