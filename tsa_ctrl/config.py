@@ -181,6 +181,7 @@ def load_configuration(path: str | Path) -> Configuration:
         SetPoint(axis.setpoint, 1.0 / file.controller.rate, folder)
         check_set_point(model, largest(axis.setpoint, folder), axis.limits.torque, f"{path}: axis '{axis.name}'")
     try:
+        file = msgspec.structs.replace(file, axes=budget.fitted(file.bus, file.axes, file.controller.rate))
         load = budget.check(file.bus, file.axes, file.controller.rate)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
@@ -338,7 +339,7 @@ def plan_for(where: str, axis: AxisSettings, model: TendonSheath, file: Controll
         model,
         period=period,
         transport=period if file.bus.rpdo == "sync" else file.controller.collect * period,
-        late=1.0 / (2.0 * math.pi * drive.velocity_cutoff) if drive.velocity_source == "position" else 0.0,
+        late=1.0 / (2.0 * math.pi * drive.velocity_cutoff) if drive.differentiates else 0.0,
         has_encoder=encoder is not None,
         limits=Limits.of(axis.limits, drive.max_speed, model, encoder is not None),
         delay=law.delay,

@@ -144,6 +144,8 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
                     f"limits.{key} {getattr(limits, key):g} rad/s is above {most:.4g} rad/s, which follows from "
                     "wearer_speed (leave it out, or lower it)"
                 )
+    if axis.drive.pdo == "lean":
+        yield 'the comparison of 0x606C with 0x6064 (remove pdo = "lean", or use one [[bus]] per axis)'
     wanted = [name for name in NODES if name == "drive" or axis.encoder is not None]
     absent = [name for name in wanted if name not in model.origin.nodes]
     if absent:

@@ -12,7 +12,9 @@ from functools import partial
 from tools.command import CONFIG, read_rows
 from tools.manual import hazards, measure
 from tools.package.licences import FILE
+from tsa_ctrl.bus.drive import budget
 from tsa_ctrl.bus.drive.profile import load_profile
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, TorqueSensorSettings
 from tsa_ctrl.cli import VERBS
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.curvature import Profile
@@ -159,10 +161,33 @@ def of_rows(name: str) -> str:
 
 
 DIAGNOSIS = ("diagnose-speed", "ten-minutes-", "hour-", "outside-", "plain-", "pairs-", "base-")  # figures' names
+
+
+def bus_rates() -> str:
+    """Return the highest rates of one to four axes on a bus of 1 Mbit/s, by their nodes and `pdo`."""
+    rows = []
+    for pdo, sensor in (("standard", 0), ("standard", 1), ("lean", 0), ("lean", 1), ("lean", 2)):
+        axes = [
+            AxisNodes(
+                name=f"axis{number}",
+                drive=DriveSettings(node_id=1 + number, pdo=pdo),  # type: ignore[arg-type]
+                encoder=EncoderSettings(node_id=32 + number),
+                torque_sensor=TorqueSensorSettings(node_id=64 + number, every=sensor) if sensor else None,
+            )
+            for number in range(4)
+        ]
+        bus = BusSettings()
+        rates = [int(budget.load(bus, axes[:count], 1.0).highest_rate(bus.max_load)) for count in (1, 2, 3, 4)]
+        nodes = ("drive, encoder", "drive, encoder, torque sensor", "the same, `every = 2`")[sensor]
+        rows.append((nodes, f"`{pdo}`", *(f"{rate} Hz" for rate in rates)))
+    return table(("nodes of each axis", "`pdo`", "1 axis", "2 axes", "3 axes", "4 axes"), rows)
+
+
 SOURCES: Mapping[str, Callable[[], str]] = {
     "catalogue": catalogue,
     "errors": errors,
     "signals": signals,
+    "bus-rates": bus_rates,
     "verbs": verbs,
     "profiles": profiles,
     "quirks": quirks,

@@ -90,6 +90,7 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     torque_sign: Sign = 1
     position_sign: Sign = 1  # of position and velocity
     polarity: Annotated[int, Meta(ge=0, le=255)] | None = None  # 0x607E, written; default: no sign may be turned there
+    pdo: Literal["standard", "lean"] = "standard"  # lean: one TPDO each SYNC, without 0x606C; mode and error every 50th
     velocity_source: Literal["drive", "position"] = "drive"  # 0x606C, or 0x6064 differentiated
     velocity_cutoff: Positive = 100.0  # Hz, of the filter when differentiated
     max_torque: Positive | None = None  # N*m, the drive's own clamp 0x6072; default: rated torque times gear ratio
@@ -98,6 +99,11 @@ class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     rpdo_timeout: Seconds = 0.02  # s without a command, 0x1400:5, where the drive has it
     connection_loss: Literal["fault", "disable_voltage", "quick_stop"] = "fault"  # 0x6007
     require_watchdog: bool = True  # refuse a drive that would go on when this computer dies
+
+    @property
+    def differentiates(self) -> bool:
+        """Return True if the velocity is that of 0x6064, because 0x606C is not received or not used."""
+        return self.pdo == "lean" or self.velocity_source == "position"
 
 
 class EncoderSettings(NodeSettings, frozen=True, kw_only=True):
@@ -113,6 +119,7 @@ class EncoderSettings(NodeSettings, frozen=True, kw_only=True):
 class TorqueSensorSettings(NodeSettings, frozen=True, kw_only=True):
     """A CiA 404 joint torque sensor: for measurement, not for control."""
 
+    every: Annotated[int, Meta(ge=1, le=2)] | None = None  # SYNCs per answer; default: 2 if the bit rate needs it, or 1
     resolution: Positive = 1e-6  # N*m per digit of 0x9130:1
     sign: Sign = 1
     offset: float = 0.0  # N*m, subtracted

@@ -168,7 +168,7 @@ def safeguards_of(
             give_of(settings, model, inertia),
             period,
             counts_of(settings, r_j / r_m),
-            settings.drive.velocity_source == "drive",
+            not settings.drive.differentiates,
         ),
         joint_torque=joint_torque,
         compensation_limit=limit,

@@ -153,7 +153,7 @@ class Watch:
     def _close(self, now: float) -> None:
         """Everything that answered the last SYNC is one sample."""
         image = self._axis.image
-        if not any(inbox.armed for inbox in self._inboxes.values()):
+        if not any(inbox.armed for inbox in self._inboxes.values() if inbox.every == 1):
             self._axis.settle(now, True)
             geared = self._geared * image.q_j
             angle = geared if math.isfinite(geared) else image.q_m

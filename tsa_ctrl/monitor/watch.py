@@ -62,6 +62,7 @@ class WatchedAxis(msgspec.Struct, frozen=True, kw_only=True):
     slot: int = 1
     pdo_node_id: int | None = None
     has_error_code: bool = True  # 0x603F is in the second TPDO
+    lean: bool = False  # 0x6064 is in the first TPDO instead of 0x606C
     encoder_id: int | None = None  # node of the joint encoder
     torque_digit: float  # N*m
     position_digit: float  # rad
@@ -142,7 +143,7 @@ class _Axis:
 
     def __init__(self, watched: WatchedAxis, period: float, act: Callable[..., None]) -> None:
         self.watched, self._period, self._act = watched, period, act
-        layout = pdo.drive_layout(watched.node_id, watched.slot, watched.pdo_node_id)
+        layout = pdo.drive_layout(watched.node_id, watched.slot, watched.pdo_node_id, watched.lean)
         self.layout = layout if watched.has_error_code else layout.without(objects.ERROR_CODE)
         self.motor = _Angle(watched.position_digit, _COUNTER, 0, period)
         self.joint = _Angle(watched.joint_digit, watched.joint_range, watched.joint_zero, period)
@@ -206,6 +207,11 @@ class _Axis:
         self._switch(now)
         self._raw = values[1:]
         self._torque, self._speed = values[1] * self.watched.torque_digit, values[2] * self.watched.velocity_digit
+
+    def take_lean_motion(self, values: tuple[Any, ...], now: float) -> None:
+        """Follow state, torque and position of a drive that does not send 0x606C."""
+        self.take_motion((*values[:2], 0), now)
+        self.motor.take(values[2:], now)
 
     def take_state(self, statusword: int) -> None:
         self._enabled = cia402.decode(statusword) in _ON
@@ -289,8 +295,11 @@ class Monitor:
         for axis in self._axes:
             layout, encoder = axis.layout, axis.watched.encoder_id
             self._hear_pdo(axis, layout.command, layout.node_id, axis.take_command)
-            self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_motion)
-            self._hear_pdo(axis, layout.position, layout.node_id, axis.motor.take)
+            if axis.watched.lean:
+                self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_lean_motion)
+            else:
+                self._hear_pdo(axis, layout.motion, layout.node_id, axis.take_motion)
+                self._hear_pdo(axis, layout.position, layout.node_id, axis.motor.take)
             if encoder is not None:
                 self._hear_pdo(axis, pdo.ENCODER, encoder, axis.joint.take)
             self._hear(cia301.SDO_ANSWER + axis.watched.node_id, axis.take_answer)

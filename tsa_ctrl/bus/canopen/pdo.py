@@ -23,13 +23,15 @@ class Transmission(IntEnum):
 class Pdo:
     """One PDO: `number` from 1, `received` by the node (RPDO) or sent by it (TPDO), and what it carries in order.
 
-    `place` of its identifier in the predefined connection set, 1 to 4; 0: that of its number.
+    `place` of its identifier in the predefined connection set, 1 to 4; 0: that of its number. `every`: SYNCs from one
+    to the next, the transmission type of a TPDO.
     """
 
     number: int
     received: bool
     objects: tuple[Object, ...]
     place: int = 0
+    every: int = 1
 
     @property
     def name(self) -> str:
@@ -69,17 +71,20 @@ class Pdo:
 COMMAND = Pdo(1, True, (objects.CONTROLWORD, objects.TARGET_TORQUE))
 MOTION = Pdo(1, False, (objects.STATUSWORD, objects.TORQUE_ACTUAL, objects.VELOCITY_ACTUAL))
 POSITION = Pdo(2, False, (objects.POSITION_ACTUAL, objects.MODE_DISPLAY, objects.ERROR_CODE))
+# One frame of 8 bytes instead of two every SYNC. The mode and the error code change with the state only, and bits 3 and
+# 12 of 0x6041 report on every SYNC that the drive has a fault or ignores the command.
+LEAN_MOTION = Pdo(1, False, (objects.STATUSWORD, objects.TORQUE_ACTUAL, objects.POSITION_ACTUAL))
+LEAN_STATE = Pdo(2, False, (objects.MODE_DISPLAY, objects.ERROR_CODE), every=50)
 ENCODER = Pdo(1, False, (objects.ENCODER_POSITION,))
 TORQUE_SENSOR = Pdo(1, False, (objects.PROCESS_VALUE,))
-
-DRIVE_PLAN = (COMMAND, MOTION, POSITION)
-ENCODER_PLAN = (ENCODER,)
-TORQUE_SENSOR_PLAN = (TORQUE_SENSOR,)
 
 
 @dataclass(frozen=True)
 class DriveLayout:
-    """The three PDOs of one drive, and the node id that their identifiers are made of."""
+    """The three PDOs of one drive, and the node id that their identifiers are made of.
+
+    `position` of a lean layout carries mode and error code only: the position is in `motion`.
+    """
 
     command: Pdo
     motion: Pdo
@@ -100,15 +105,16 @@ class DriveLayout:
         return replace(self, position=replace(self.position, objects=left))
 
 
-def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None) -> DriveLayout:
+def drive_layout(node_id: int, slot: int = 1, identifiers_of: int | None = None, lean: bool = False) -> DriveLayout:
     """PDOs of the axis in this slot of a device.
 
     A node has identifiers for two axes: the second takes its second RPDO and its third and fourth TPDO. Any axis may
     take those of a node id that nobody has, `identifiers_of`.
     """
+    motion, position = (LEAN_MOTION, LEAN_STATE) if lean else (MOTION, POSITION)
     if slot == 2 and identifiers_of is None:
-        return DriveLayout(COMMAND.of(2, 2), MOTION.of(2, 3), POSITION.of(2, 4), node_id)
-    first = DriveLayout(COMMAND, MOTION, POSITION, node_id if identifiers_of is None else identifiers_of)
+        return DriveLayout(COMMAND.of(2, 2), motion.of(2, 3), position.of(2, 4), node_id)
+    first = DriveLayout(COMMAND, motion, position, node_id if identifiers_of is None else identifiers_of)
     if slot == 1:
         return first
-    return replace(first, command=COMMAND.of(slot, 1), motion=MOTION.of(slot, 1), position=POSITION.of(slot, 2))
+    return replace(first, command=COMMAND.of(slot, 1), motion=motion.of(slot, 1), position=position.of(slot, 2))

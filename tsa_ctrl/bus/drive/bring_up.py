@@ -38,7 +38,7 @@ from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.session import Session, another_master
 from tsa_ctrl.bus.drive.torque_path import check_torque_path, drive_scale
 from tsa_ctrl.bus.drive.writing import further_rpdos, with_consumer, write_all
-from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role
+from tsa_ctrl.bus.settings import AxisNodes, BusSettings, EncoderSettings, Role, TorqueSensorSettings
 from tsa_ctrl.bus.wire.seam import Bus
 from tsa_ctrl.errors import BusError, StoppedError, TsaError, UsageError
 
@@ -219,6 +219,7 @@ def _plan(node: Node, settings: BusSettings, period: float) -> list[Write]:
         return drive_plan(node.axis, node.profile, scale, settings, period)
     if isinstance(node.settings, EncoderSettings):
         return encoder_plan(node.settings, period)
+    assert isinstance(node.settings, TorqueSensorSettings)
     return torque_sensor_plan(node.settings, period)
 
 

@@ -8,10 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
+
+from msgspec.structs import replace
 
 from tsa_ctrl.bus.canopen import pdo
+from tsa_ctrl.bus.drive.layout import layout_of, torque_sensor_pdo
+from tsa_ctrl.bus.drive.plan import is_rate
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
 from tsa_ctrl.errors import UsageError
+
+BITRATES = (125_000, 250_000, 500_000, 800_000, 1_000_000)  # bit/s, of CiA 301
+LOWEST_RATE = 10  # Hz, of [controller] rate
 
 
 def frame_bits(length: int) -> tuple[int, int]:
@@ -26,7 +34,7 @@ class Load:
 
     bitrate: int  # bit/s
     rate: float  # Hz, of SYNC
-    cycle_bits: tuple[int, int]  # without, with worst stuffing
+    cycle_bits: tuple[float, float]  # without, with worst stuffing; of PDOs that come seldom their share
     background: float  # bit/s, worst case
 
     @property
@@ -43,32 +51,89 @@ class Load:
 
 
 def load(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
-    """The load of these axes at `rate` (Hz): SYNC, all PDOs each cycle, all heartbeats."""
-    lengths = [0]
+    """The load of these axes at `rate` (Hz): SYNC, the PDOs as often as they come, all heartbeats."""
+    frames = [(0, 1)]  # bytes, and SYNCs from one to the next
     background = frame_bits(1)[1] / settings.host_heartbeat_period
     counted: set[int] = set()  # nodes that two axes share talk once
     for axis in axes:
-        lengths += [entry.length for entry in pdo.DRIVE_PLAN]
+        layout = layout_of(axis.drive)
+        pdos = [layout.command, layout.motion, layout.position]
         if axis.encoder is not None and axis.encoder.node_id not in counted:
-            lengths += [entry.length for entry in pdo.ENCODER_PLAN]
+            pdos.append(pdo.ENCODER)
         if axis.torque_sensor is not None:
-            lengths += [entry.length for entry in pdo.TORQUE_SENSOR_PLAN]
+            pdos.append(torque_sensor_pdo(axis.torque_sensor))
+        frames += [(each.length, each.every) for each in pdos]
         for _, node in axis.nodes():
             if node.node_id not in counted:
                 counted.add(node.node_id)
                 background += frame_bits(1)[1] / node.heartbeat_period
-    bits = [frame_bits(length) for length in lengths]
-    return Load(settings.bitrate, rate, (sum(b[0] for b in bits), sum(b[1] for b in bits)), background)
+    least, worst = (sum(frame_bits(length)[kind] / every for length, every in frames) for kind in (0, 1))
+    return Load(settings.bitrate, rate, (least, worst), background)
+
+
+def fits(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> bool:
+    """Return True if the bit rate carries `rate` (Hz) with the worst bit stuffing."""
+    return load(settings, axes, rate).worst <= settings.max_load
+
+
+A = TypeVar("A", bound=AxisNodes)
+
+
+def fitted(settings: BusSettings, axes: Sequence[A], rate: float) -> tuple[A, ...]:
+    """Return the axes with the torque sensors' `every`: 2 where the file leaves it open and the bit rate needs it."""
+
+    def answering(every: int) -> tuple[A, ...]:
+        return tuple(
+            axis
+            if axis.torque_sensor is None or axis.torque_sensor.every is not None
+            else replace(axis, torque_sensor=replace(axis.torque_sensor, every=every))
+            for axis in axes
+        )
+
+    return answering(1 if fits(settings, answering(1), rate) else 2)
+
+
+def lean(axes: Sequence[A]) -> tuple[A, ...]:
+    """Return the axes with `pdo = "lean"`."""
+    return tuple(replace(axis, drive=replace(axis.drive, pdo="lean")) for axis in axes)
+
+
+def suggestions(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> list[str]:
+    """Return the changes of the file after which `check` passes; each of them is enough."""
+    found = []
+    shorter, seldom = lean(axes), [_every_second(axis) for axis in axes]
+    if fits(settings, seldom, rate):
+        found.append("every = 2 in [axis.torque_sensor]")
+    elif fits(settings, fitted(settings, shorter, rate), rate):
+        found.append('pdo = "lean" in [axis.drive]')
+    elif fits(settings, lean(seldom), rate):
+        found.append('pdo = "lean" in [axis.drive] and every = 2 in [axis.torque_sensor]')
+    highest = load(settings, axes, rate).highest_rate(settings.max_load)
+    slower = next((lower for lower in range(int(highest), LOWEST_RATE - 1, -1) if is_rate(lower)), None)
+    if slower is not None:
+        found.append(f"rate = {slower} in [controller]")
+    faster = (
+        each for each in BITRATES if each > settings.bitrate and fits(replace(settings, bitrate=each), axes, rate)
+    )
+    bitrate = next(faster, None)
+    if bitrate is not None:
+        found.append(f"bitrate = {bitrate} in [bus] and in every node")
+    return found
+
+
+def _every_second(axis: AxisNodes) -> AxisNodes:
+    return axis if axis.torque_sensor is None else replace(axis, torque_sensor=replace(axis.torque_sensor, every=2))
 
 
 def check(settings: BusSettings, axes: Sequence[AxisNodes], rate: float) -> Load:
     """The load; raises UsageError with the figures when the bit rate cannot carry the rate."""
     result = load(settings, axes, rate)
     if result.worst > settings.max_load:
+        remedies = suggestions(settings, axes, rate) or ["fewer axes on this bus"]
         raise UsageError(
             f"[bus] bitrate {settings.bitrate}: {rate:g} Hz with {len(axes)} axis/axes needs "
             f"{100 * result.least:.0f} to {100 * result.worst:.0f} % of it, allowed is {100 * settings.max_load:.0f} % "
-            f"(max_load); choose a rate of at most {int(result.highest_rate(settings.max_load))} Hz, or a higher "
-            "bitrate"
+            f"(max_load), which is at most {int(result.highest_rate(settings.max_load))} Hz; choose "
+            f"{', or '.join(remedies)}"
         )
     return result

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from tsa_ctrl.bus.canopen import objects
-from tsa_ctrl.bus.canopen.pdo import DriveLayout, drive_layout
+from tsa_ctrl.bus.canopen import objects, pdo
+from tsa_ctrl.bus.canopen.pdo import DriveLayout, Pdo, drive_layout
 from tsa_ctrl.bus.drive.profile import DriveProfile
-from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
+from tsa_ctrl.bus.settings import (
+    AxisNodes,
+    BusSettings,
+    DriveSettings,
+    EncoderSettings,
+    NodeSettings,
+    TorqueSensorSettings,
+)
 from tsa_ctrl.errors import UsageError
 
 _OWN_IDENTIFIERS = 2  # axes of a device for which its own PDO identifiers suffice
@@ -15,10 +23,15 @@ _OWN_IDENTIFIERS = 2  # axes of a device for which its own PDO identifiers suffi
 
 def layout_of(drive: DriveSettings, profile: DriveProfile | None = None) -> DriveLayout:
     """The PDOs of a drive by its place in its device, and by what its profile says that it lacks."""
-    layout = drive_layout(drive.node_id, drive.slot, drive.pdo_node_id)
+    layout = drive_layout(drive.node_id, drive.slot, drive.pdo_node_id, drive.pdo == "lean")
     if profile is None or profile.has(objects.ERROR_CODE):
         return layout
     return layout.without(objects.ERROR_CODE)
+
+
+def torque_sensor_pdo(sensor: TorqueSensorSettings) -> Pdo:
+    """The TPDO of a torque sensor."""
+    return replace(pdo.TORQUE_SENSOR, every=sensor.every or 1)
 
 
 def check_node_ids(settings: BusSettings, axes: Sequence[AxisNodes]) -> None:

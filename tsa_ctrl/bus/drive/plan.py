@@ -10,10 +10,17 @@ from tsa_ctrl.bus.canopen.cia301 import COB_ID_INVALID, EMCY, SYNC
 from tsa_ctrl.bus.canopen.cia402 import TORQUE_PATH, Mode
 from tsa_ctrl.bus.canopen.objects import Object, Type, Write
 from tsa_ctrl.bus.canopen.pdo import Pdo, Transmission
-from tsa_ctrl.bus.drive.layout import layout_of
+from tsa_ctrl.bus.drive.layout import layout_of, torque_sensor_pdo
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.torque_path import PER_MILLE, DriveScale
-from tsa_ctrl.bus.settings import AxisNodes, BusSettings, DriveSettings, EncoderSettings, NodeSettings
+from tsa_ctrl.bus.settings import (
+    AxisNodes,
+    BusSettings,
+    DriveSettings,
+    EncoderSettings,
+    NodeSettings,
+    TorqueSensorSettings,
+)
 from tsa_ctrl.errors import UsageError
 
 _NO_REMOTE = 0x40000000  # bit 30 of a TPDO's COB-ID: no remote frames; drives insist on their own choice
@@ -62,16 +69,12 @@ def drive_plan(
             transmission,
             Write(timer, milliseconds(drive.rpdo_timeout), optional=True, watchdog=True),
         ),
-        *pdo_writes(layout.motion, layout.node_id, Transmission.EVERY_SYNC),
-        *pdo_writes(layout.position, layout.node_id, Transmission.EVERY_SYNC),
+        *pdo_writes(layout.motion, layout.node_id, layout.motion.every),
+        *pdo_writes(layout.position, layout.node_id, layout.position.every),
         *spare_pdos(received=True, first=2, last=profile.rpdo_count, slot=drive.slot),
         *spare_pdos(received=False, first=3, last=profile.tpdo_count, slot=drive.slot),
         # Without it the unit of 0x606C would only be believed: then the profile must say that the drive lacks it.
-        *(
-            []
-            if si_code is None
-            else [Write(objects.VELOCITY_UNIT, si_code, optional=drive.velocity_source != "drive")]
-        ),
+        *([] if si_code is None else [Write(objects.VELOCITY_UNIT, si_code, optional=drive.differentiates)]),
         Write(objects.INTERPOLATION_PERIOD, mantissa, optional=True),
         Write(objects.INTERPOLATION_EXPONENT, exponent, optional=True),
         *([] if drive.polarity is None else [Write(objects.POLARITY, drive.polarity)]),
@@ -157,9 +160,9 @@ def encoder_plan(encoder: EncoderSettings, period: float) -> list[Write]:
     return _sensor_plan(encoder, pdo.ENCODER, period)
 
 
-def torque_sensor_plan(sensor: NodeSettings, period: float) -> list[Write]:
+def torque_sensor_plan(sensor: TorqueSensorSettings, period: float) -> list[Write]:
     """Writes of a torque sensor at a SYNC period in s."""
-    return _sensor_plan(sensor, pdo.TORQUE_SENSOR, period)
+    return _sensor_plan(sensor, torque_sensor_pdo(sensor), period)
 
 
 def _sensor_plan(node: NodeSettings, layout: Pdo, period: float) -> list[Write]:
@@ -167,12 +170,12 @@ def _sensor_plan(node: NodeSettings, layout: Pdo, period: float) -> list[Write]:
         Write(objects.HEARTBEAT_PRODUCER, milliseconds(node.heartbeat_period)),
         *sync_writes(period),
         *emcy_writes(node.node_id),
-        *pdo_writes(layout, node.node_id, Transmission.EVERY_SYNC),
+        *pdo_writes(layout, node.node_id, layout.every),
         *spare_pdos(received=False, first=2, last=4),
     ]
 
 
-def pdo_writes(layout: Pdo, node_id: int, transmission: Transmission, *timers: Write) -> list[Write]:
+def pdo_writes(layout: Pdo, node_id: int, transmission: int, *timers: Write) -> list[Write]:
     """The mapping procedure of CiA 301: disable, count 0, map, count, transmission and timers, enable."""
     cob_id = layout.communication(1, Type.U32, "COB-ID")
     kept = 0 if layout.received else _NO_REMOTE
@@ -202,6 +205,15 @@ def spare_pdos(received: bool, first: int, last: int, slot: int = 1) -> list[Wri
         )
         for number in range(first, last + 1)
     ]
+
+
+def is_rate(rate: float) -> bool:
+    """Return True if a drive can be told the period of this rate in Hz."""
+    try:
+        interpolation_period(1.0 / rate)
+    except UsageError:
+        return False
+    return True
 
 
 def interpolation_period(period: float) -> tuple[int, int]:

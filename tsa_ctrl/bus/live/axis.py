@@ -9,7 +9,7 @@ from typing import Any
 from tsa_ctrl.bus.canopen import cia301, emcy, objects, pdo
 from tsa_ctrl.bus.canopen.cia301 import NmtState
 from tsa_ctrl.bus.canopen.pdo import Pdo
-from tsa_ctrl.bus.drive.layout import layout_of
+from tsa_ctrl.bus.drive.layout import layout_of, torque_sensor_pdo
 from tsa_ctrl.bus.drive.profile import DriveProfile
 from tsa_ctrl.bus.drive.torque_path import DriveScale, drive_scale, encoder_scale
 from tsa_ctrl.bus.live.image import Image, NodeHealth
@@ -83,18 +83,50 @@ class Inbox:
     """One TPDO. A cycle takes its first well-formed frame after the SYNC; the others are counted here.
 
     The rig's loop does the taking itself: `armed` until this cycle's answer has come, `awaited` 0 when a cycle does not
-    wait for it any longer.
+    wait for it any longer. One that comes on every n-th SYNC (`every`) is never waited for: it is taken whenever it
+    comes, but not before its turn, since that is a repetition; `gap` counts the SYNCs since it came last.
     """
 
-    __slots__ = ("armed", "awaited", "health", "length", "store", "unpack")
+    __slots__ = ("armed", "awaited", "every", "gap", "health", "length", "seen", "store", "turn", "unpack")
 
     def __init__(self, layout: Pdo, health: NodeHealth, store: Callable[[tuple[Any, ...]], None]) -> None:
         self.health = health
         self.length = layout.length
         self.unpack = layout.struct.unpack
         self.store = store
+        self.every = layout.every
+        self.turn = self.every - int(
+            self.every > 2
+        )  # SYNCs after which the next is due; the last one may have been late
+        self.begin()
+        if self.every > 1:
+            self.share(self._taken)
+
+    def begin(self) -> None:
+        """Wait for the first answer."""
         self.armed = False
-        self.awaited = 1
+        self.awaited = int(self.every == 1)
+        self.gap = 0
+        self.seen = False  # the first comes at any SYNC: a node counts from its own start
+
+    def _taken(self, values: tuple[Any, ...]) -> None:
+        self.gap = 0
+        self.seen = True
+
+    def count_sync(self) -> None:
+        """Begin a cycle of an answer that does not come on each SYNC."""
+        self.gap += 1
+        self.armed = self.gap >= self.turn or not self.seen
+
+    @property
+    def is_overdue(self) -> bool:
+        """Return True if an answer of every n-th SYNC is missing; one SYNC more is allowed to a busy bus."""
+        return self.every > 1 and self.gap > self.every + 1
+
+    @property
+    def is_missing(self) -> bool:
+        """Return True if this cycle lacks an answer that was due."""
+        return self.armed if self.every == 1 else self.is_overdue
 
     def share(self, store: Callable[[tuple[Any, ...]], None]) -> None:
         """Give what comes to another axis, too: one encoder of two."""
@@ -117,6 +149,10 @@ class Inbox:
         """Count a frame that waited before the SYNC."""
         if len(data) != self.length or not self.armed:
             self.refuse(data)
+            return
+        if self.every > 1:
+            self.armed = False
+            self.store(self.unpack(data))
             return
         self.health.late += 1
         if not self.awaited:
@@ -204,11 +240,14 @@ class Axis:
         health = _health(Role.DRIVE, drive)
         health.told = frozenset(profile.warnings)
         guarded = [health]
-        store_position = self._store_position if profile.has(objects.ERROR_CODE) else self._store_bare_position
-        self.inboxes = [
-            Inbox(layout.motion, health, self._store_motion),
-            Inbox(layout.position, health, store_position),
-        ]
+        self._has_error_code = profile.has(objects.ERROR_CODE)
+        self._is_lean = drive.pdo == "lean"
+        store_motion, store_position = self._store_motion, self._store_position
+        if self._is_lean:
+            store_motion, store_position = self._store_lean_motion, self._store_lean_state
+        elif not self._has_error_code:
+            store_position = self._store_bare_position
+        self.inboxes = [Inbox(layout.motion, health, store_motion), Inbox(layout.position, health, store_position)]
         self._control_inboxes = list(self.inboxes)  # without whose answers the axis is not fresh
         self._watched = [(health, tuple(self.inboxes))]  # the answers of each node
         self.tpdo_ids = list(layout.tpdo_ids)
@@ -231,7 +270,7 @@ class Axis:
         if sensor is not None:
             health = _health(Role.TORQUE_SENSOR, sensor)
             guarded.append(health)
-            self.inboxes.append(Inbox(pdo.TORQUE_SENSOR, health, self._store_torque))
+            self.inboxes.append(Inbox(torque_sensor_pdo(sensor), health, self._store_torque))
             self._watched.append((health, (self.inboxes[-1],)))
             self.tpdo_ids.append(pdo.TORQUE_SENSOR.cob_id(sensor.node_id))
             self._sensor_scale = sensor.sign * sensor.resolution
@@ -243,7 +282,7 @@ class Axis:
         ]
 
         self._motor = PositionTracker(self.scale.position, _COUNTER_RANGE, 0, drive.velocity_cutoff)
-        self._differentiate_motor = drive.velocity_source == "position"
+        self._differentiate_motor = drive.differentiates
         self._joint_count = 0
         self._motor_count = 0
         self._sampled = -math.inf
@@ -297,6 +336,8 @@ class Axis:
         image.silent = image.intruder = image.altered = image.pressed = image.bus_fault = None
         image.fresh = image.joint_fresh = False
         image.misses = image.drops = image.events = 0
+        if self._is_lean:
+            image.mode = image.error_code = 0  # of the time before; torque waits for the next
         self._look_again = -math.inf
         self._motor.reset()
         if self._joint is not None:
@@ -319,6 +360,17 @@ class Axis:
         self._motor_count, image.mode = values
         said = image.nodes[0].emcy
         image.error_code = 0 if said is None else said.code
+
+    def _store_lean_motion(self, values: tuple[Any, ...]) -> None:
+        image = self.image
+        image.statusword, torque, self._motor_count = values
+        image.tau_m = torque * self._torque
+
+    def _store_lean_state(self, values: tuple[Any, ...]) -> None:
+        image = self.image
+        said = image.nodes[0].emcy
+        image.mode = values[0]
+        image.error_code = values[1] if self._has_error_code else 0 if said is None else said.code
 
     def _store_encoder(self, values: tuple[Any, ...]) -> None:
         self._joint_count = values[0]
@@ -375,13 +427,13 @@ class Axis:
         """Charge each node with the answers that did not come; returns fresh, joint_fresh."""
         joint_fresh = self._gaps = True
         for health, inboxes in self._watched:
-            if any(inbox.armed for inbox in inboxes):
+            if any(inbox.is_missing for inbox in inboxes):
                 health.misses += 1
                 health.missed += 1
                 joint_fresh = joint_fresh and health.role is not Role.ENCODER
             else:
                 health.misses = 0
-        return not any(inbox.armed for inbox in self._control_inboxes), joint_fresh
+        return not any(inbox.is_missing for inbox in self._control_inboxes), joint_fresh
 
 
 def _health(role: Role, node: NodeSettings) -> NodeHealth:

@@ -18,6 +18,7 @@ def prove(rig: Rig, period: float, cycles: int = 50) -> None:
     more than once, as two nodes of one id do.
     """
     nodes = [(axis.name, health) for axis in rig.axes for health in axis.image.nodes]
+    cycles += rig.longest_turn  # so that what comes seldom has had its turn
     before = [(health.missed, health.repeated) for _, health in nodes]
     begin = rig.wait(0.0)
     for _ in range(cycles):

@@ -68,7 +68,8 @@ class Rig:
         self.withholds_heartbeat = False  # for a trial of the drives' own watchdogs
         self._clock = clock
         self._settings = settings
-        self._inboxes = tuple(self._answers.values())
+        self._inboxes = tuple(inbox for inbox in self._answers.values() if inbox.every == 1)
+        self._rare = tuple(inbox for inbox in self._answers.values() if inbox.every > 1)
         self._messages: dict[int, Handler] = {}  # by identifier: what may come at any time
         for axis in self.axes:
             for health, guard in zip(axis.image.nodes, axis.guards, strict=True):
@@ -119,6 +120,11 @@ class Rig:
     def commands(self) -> bool:
         """Whether any drive is commanded; see `stand_off`."""
         return any(not axis.stands_off for axis in self.axes)
+
+    @property
+    def longest_turn(self) -> int:
+        """SYNCs in which every node has sent each of its PDOs at least once."""
+        return max((inbox.every + 1 for inbox in self._rare), default=0)
 
     def look_after(self, report: Report, stop: StopBit | None = None) -> None:
         """Read back the objects that the bring-up wrote, from the next `start` on.
@@ -174,8 +180,8 @@ class Rig:
             if cia301.EMCY < can_id <= _HIGHEST_EMCY:
                 self._take_message(can_id, data)
         self.bus.flush()
-        for inbox in self._inboxes:
-            inbox.awaited = 1
+        for inbox in self._answers.values():
+            inbox.begin()
         self._expect()
 
     def wait(self, until: float) -> float:
@@ -214,6 +220,8 @@ class Rig:
         self._emptied = False
         for inbox in self._inboxes:
             inbox.armed = True
+        for inbox in self._rare:
+            inbox.count_sync()
         self._synced = self._clock() if now is None else now
         return self.bus.send(cia301.SYNC, _NO_DATA)
 
@@ -253,6 +261,8 @@ class Rig:
             if rounds > 1 and pending <= 0:
                 self._learn_the_last(last)
         complete = pending <= 0 and self._expected == len(self._inboxes) and not self._flooded_now
+        for inbox in self._rare:
+            complete = complete and not inbox.is_overdue
         if self._flooded_now:
             self.flooded += 1
             self._flooded_now = False
