@@ -127,7 +127,6 @@ def test_a_wrong_mapping_is_one_line_with_what_is_allowed(
         (b"", "is empty"),
         (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR", "is no text"),
         (b"just words\nand more words\n", "no row of numbers|one column only"),
-        (b"1,2\n3,4\n", "no line of names"),
     ],
 )
 def test_what_is_no_table_is_refused_in_words(data: bytes, said: str, tmp_path: Path) -> None:

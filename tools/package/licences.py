@@ -17,16 +17,16 @@ from tools import command
 from tsa_ctrl import settings
 
 FILE = Path(__file__).with_name("licences.json")
-# All of these allow use by a program under any licence. LGPL (python-can) requires a separate library that the user can
-# replace; an import from site-packages fulfils this.
-COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zlib|CC0|HPND")
+# All of these allow use by a program under any licence; any-OSI (apsw) lets the user choose. LGPL (python-can, nptdms)
+# requires a separate library that the user can replace; an import from site-packages fulfils this.
+COMPATIBLE = re.compile(r"MIT|BSD|Apache|PSF|Python Software Foundation|LGPL|Zlib|CC0|HPND|any-OSI")
 
 
 def runtime() -> list[str]:
     """Names of the direct dependencies: those of the package and of its extras for users."""
     project = tomllib.loads((command.ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    lines = [*project["dependencies"], *extras["dashboard"], *extras["fleet"]]
+    lines = [*project["dependencies"], *extras["dashboard"], *extras["fleet"], *extras["formats"]]
     return sorted({_name(line) for line in lines})
 
 

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
+
+if TYPE_CHECKING:
+    from tsa_ctrl.log.foreign.write import Imported
 
 
 @click.group(
@@ -116,7 +121,7 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
 
 
 @command.command("import", epilog="Example: tsa log import measured.txt --column 'tau_m=Strom|A*0.12' --out mine")
-@click.argument("file", type=click.Path(path_type=Path))
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--map", "map_file", type=click.Path(path_type=Path), help="Mapping file, as an import writes it.")
 @click.option(
     "--column",
@@ -126,30 +131,41 @@ def trend(folder: Path, model: Path, picture: Path | None, as_json: bool) -> Non
     help="Where one of our columns comes from; repeatable, above the mapping file.",
 )
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Folder for CSV, mapping, model, picture.")
-@click.option("--yes", is_flag=True, help="Do not ask whether it was understood rightly.")
+@click.option("--yes", is_flag=True, help="Take the proposals for all open questions.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout; asks nothing.")
-def import_(file: Path, map_file: Path | None, given: tuple[str, ...], out: Path, yes: bool, as_json: bool) -> None:
-    """Turn a table of another program, FILE, into a log that every verb reads.
+def import_(
+    files: tuple[Path, ...], map_file: Path | None, given: tuple[str, ...], out: Path, yes: bool, as_json: bool
+) -> None:
+    """Turn tables of other programs into logs that every command reads.
 
-    Separator, decimal sign, encoding, names and units are told from the file; what is not told so, or not rightly, is
-    given by --column or --map. Shows what was understood, then writes the log in SI, the mapping, a model file to
-    fill in, and a picture.
+    FILE is text, .mat, .xlsx, .h5, .npy, .npz, .tdms, .lvm, .parquet, .mcap, a ROS 1 bag or the folder of a ROS 2 bag.
+    Separator, decimal sign, encoding, names and units are determined from the file. All open questions come in one
+    message, each with a proposal. --column, --map and --yes answer them. Writes the log in SI, the mapping, a model
+    file to fill in, and a picture.
     """
     from tsa_ctrl.cli import log_import
 
-    done = log_import.understand(file, map_file, given)
-    if not as_json:
-        log_import.show(done)
     asked = sys.stdin.isatty() and sys.stdout.isatty() and not (yes or as_json or map_file is not None)
+    every, proposals = log_import.understand_all(files, map_file, given, accept=yes or asked)
+    for done in [] if as_json else every:
+        log_import.show(done)
+    if proposals and not as_json:
+        click.echo("proposals, not stated by the files: " + " ".join(f"--column '{text}'" for text in proposals))
     if asked and not click.confirm("is that right?", default=True):
         raise click.ClickException("nothing was written; say it by --column or --map")
-    written = log_import.write(done, out)
+    pairs = [(done, log_import.write(done, out, s)) for done, s in zip(every, log_import.stems(files), strict=True)]
     if as_json:
-        click.echo(json.dumps(log_import.as_dict(done, written), allow_nan=False))
+        rows = [log_import.as_dict(done, written) for done, written in pairs]
+        click.echo(json.dumps(rows[0] if len(rows) == 1 else {"schema": 1, "files": rows}, allow_nan=False))
         return
+    for done, written in pairs:
+        _written(done.columns, written, out)
+
+
+def _written(columns: Mapping[str, object], written: Imported, out: Path) -> None:
     for path in (written.log, written.mapping, written.model, written.picture):
         if path is not None:
             click.echo(f"written: {path}")
-    verb = "diagnose" if "tau_m" in done.columns else "log info"
+    verb = "diagnose" if "tau_m" in columns else "log info"
     more = f" --model {out / 'model.toml'} --out {out / 'diagnosis'}" if verb == "diagnose" else ""
     click.echo(f"next: put your own figures into {out / 'model.toml'}, then: tsa {verb} {written.log}{more}")

@@ -15,7 +15,7 @@ from tsa_ctrl.errors import UsageError
 from tsa_ctrl.log.foreign import mapping
 from tsa_ctrl.log.foreign import write as writing
 from tsa_ctrl.log.foreign.mapping import Mapped
-from tsa_ctrl.log.foreign.text import ForeignTable, read_foreign
+from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, read_foreign
 from tsa_ctrl.log.foreign.write import Imported
 from tsa_ctrl.signals import COLUMNS
 
@@ -27,6 +27,7 @@ class Understood:
     table: ForeignTable
     mapped: list[Mapped]
     columns: dict[str, NDArray[np.float64]]
+    dropped: int  # rows with a NaN, left out: holes of the log
 
     @property
     def left(self) -> list[str]:
@@ -35,31 +36,86 @@ class Understood:
         return [name for name in self.table.names if name not in taken]
 
 
-def understand(path: Path, map_file: Path | None, given: Sequence[str]) -> Understood:
-    """Read and map; raises UsageError naming what is missing and how to say it."""
+def understand_all(
+    paths: Sequence[Path], map_file: Path | None, given: Sequence[str], accept: bool
+) -> tuple[list[Understood], list[str]]:
+    """Read and map all files; return them with the proposals that they rest on.
+
+    Raises: UsageError with all open questions of all files in one message, unless `accept` takes the proposals.
+    """
+    done, open_questions, proposals = [], [], []
+    for path in paths:
+        found, asked = understand(path, map_file, given)
+        done += [] if found is None else [found]
+        fixed = [question for question, proposal in asked if not proposal]
+        proposals += [proposal for _, proposal in asked if proposal and proposal not in proposals]
+        if fixed or (asked and not accept):
+            open_questions.append(f"{path}: {'; '.join(question for question, _ in asked)}")
+    if open_questions:
+        said = " ".join(f"--column '{proposal}'" for proposal in proposals)
+        remedy = f"; --yes takes the proposals {said}" if said else ""
+        raise UsageError("; ".join(open_questions) + remedy)
+    return done, proposals
+
+
+def understand(
+    path: Path, map_file: Path | None, given: Sequence[str]
+) -> tuple[Understood | None, list[tuple[str, str]]]:
+    """Read and map one file by the proposals; return it and the open questions, each with its proposal or ""."""
     file = mapping.MapFile() if map_file is None else mapping.load_map(map_file)
     table = read_foreign(path)
     shape = mapping.shape_of(file, table.shape)
-    if shape != table.shape:
+    if table.shape not in (shape, NO_TEXT):
         table = read_foreign(path, shape)
     said = {**file.column, **dict(mapping.parse_column(text) for text in given)}
     mapped = mapping.resolve(table, said, str(map_file or "--column"))
+    asked: list[tuple[str, str]] = []
     if map_file is None:
-        mapped += mapping.resolve(table, mapping.guess(table, said), str(path))
-    names = {column.name for column in mapped}
-    missing = [name for name in ("t", "tau_m") if name not in names]
-    if missing:
-        columns = ", ".join(f"'{name}'" for name in table.names)
-        raise UsageError(
-            f"{path}: which column is {missing[0]} ({COLUMNS[missing[0]].doc}) is not told by the names {columns}; "
-            f"give --column {missing[0]}=NAME|UNIT"
-        )
-    return Understood(table, mapped, writing.take(table, mapped))
+        for name, settings in mapping.guess(table, said).items():
+            unit = settings.unit
+            if not unit:
+                unit = COLUMNS[name].unit
+                asked.append(
+                    (f"the unit of {name} from '{settings.source}' is not stated", f"{name}={settings.source}|{unit}")
+                )
+            try:
+                mapped += mapping.resolve(
+                    table, {name: mapping.ColumnSettings(source=settings.source, unit=unit)}, name
+                )
+            except UsageError as error:
+                asked.append((str(error), ""))
+    answered = {column.name for column in mapped} | {text.partition(":")[0] for text, fix in asked if not fix}
+    names = ", ".join(f"'{name}'" for name in table.names)
+    for name in ("t", "tau_m"):
+        if name in answered:
+            continue
+        proposal = mapping.propose(table, name, {column.source for column in mapped})
+        remedy = "" if proposal else f"; give --column {name}=NAME|UNIT"
+        asked.append((f"no name among {names} determines {name} ({COLUMNS[name].doc}){remedy}", proposal))
+        if proposal:
+            mapped += mapping.resolve(table, dict([mapping.parse_column(proposal)]), "proposal")
+    if any(not proposal for _, proposal in asked):
+        return None, asked
+    columns = writing.take(table, mapped)
+    empty = {name for name, values in columns.items() if not np.isfinite(values).any() and name != "t"}
+    mapped = [column for column in mapped if column.name not in empty]
+    good = np.logical_and.reduce([np.isfinite(values) for name, values in columns.items() if name not in empty])
+    kept = {name: values[good] for name, values in columns.items() if name not in empty}
+    if not good.any():
+        raise UsageError(f"{path}: no row has a number in each of {', '.join(kept)}; give fewer columns by --map")
+    return Understood(table, mapped, kept, int((~good).sum())), asked
 
 
-def write(done: Understood, out: Path) -> Imported:
-    """Write the log and what goes with it to `out`; raises UsageError."""
-    return writing.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml")
+def stems(paths: Sequence[Path]) -> list[str]:
+    """Return a file name for each path without suffix; with it, then with a number, where names would be equal."""
+    short = [path.name.split(".")[0] for path in paths]
+    whole = [s if short.count(s) == 1 else path.name.replace(".", "_") for s, path in zip(short, paths, strict=True)]
+    return [w if whole.count(w) == 1 else f"{w}_{whole[:i].count(w) + 1}" for i, w in enumerate(whole)]
+
+
+def write(done: Understood, out: Path, stem: str) -> Imported:
+    """Write log, mapping, model and picture to `out`; raises UsageError."""
+    return writing.write(out, done.table, done.mapped, done.columns, SHIPPED / "actuator.toml", stem)
 
 
 def show(done: Understood) -> None:
@@ -71,12 +127,15 @@ def show(done: Understood) -> None:
     shape, console = done.table.shape, Console()
     named = {"\t": "tab", " ": "white space"}.get(shape.separator, f"'{shape.separator}'")
     rows = len(done.columns["t"])
-    console.print(
+    text = (
         f"{done.table.path.name}: {shape.encoding}, fields parted by {named}, decimal sign '{shape.decimal}', names in "
-        f"line {shape.header}, {rows} rows",
-        markup=False,
-        highlight=False,
+        f"line {shape.header}, {rows} rows"
     )
+    if shape == NO_TEXT:
+        text = f"{done.table.path.name}: {len(done.table.names)} columns, {rows} rows"
+    console.print(text, markup=False, highlight=False)
+    if done.dropped:
+        console.print(f"note: {done.dropped} rows without a number in a column are left out: holes", markup=False)
     if done.table.ignored:
         console.print(f"note: {done.table.ignored} lines that are no rows of the table are left out", markup=False)
     view = Table("column", Column("from", overflow="fold"), "unit", "SI per unit", "lowest", "highest", "SI unit")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tsa_ctrl import settings
 from tsa_ctrl.errors import UsageError
-from tsa_ctrl.log.foreign.text import ForeignTable, Shape
+from tsa_ctrl.log.foreign.text import NO_TEXT, ForeignTable, Shape
 from tsa_ctrl.signals import COLUMNS, INPUTS
 
 DATE = "date"  # the unit of a column of dates and times
@@ -77,7 +77,7 @@ class TableSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_
     encoding: str | None = None
     separator: str | None = None  # one character, or " " for any white space
     decimal: str | None = None  # "." or ","
-    header: Annotated[int, Meta(ge=1)] | None = None  # line of the names, counted from 1
+    header: Annotated[int, Meta(ge=0)] | None = None  # line of the names, counted from 1; 0: none
 
 
 class ColumnSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True, rename={"source": "from"}):
@@ -120,7 +120,7 @@ def shape_of(file: MapFile, told: Shape) -> Shape:
         given.encoding or told.encoding,
         given.separator or told.separator,
         given.decimal or told.decimal,
-        given.header or told.header,
+        told.header if given.header is None else given.header,
     )
 
 
@@ -160,7 +160,7 @@ def resolve(table: ForeignTable, given: Mapping[str, ColumnSettings], where: str
 
 
 def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str, ColumnSettings]:
-    """Columns that their names tell, beside those in `taken`; one whose unit is not known is left out."""
+    """Return columns that their names determine, beside those in `taken`; unit "" if the file states none."""
     used = {settings.source for settings in taken.values()}
     found: dict[str, ColumnSettings] = {}
     for source in table.names:
@@ -170,9 +170,25 @@ def guess(table: ForeignTable, taken: Mapping[str, ColumnSettings]) -> dict[str,
         if name is None or name in taken or name in found:
             continue
         unit = DATE if name == "t" and table.is_date(source) else unit_in(source, table, name)
-        if unit is not None:
-            found[name] = ColumnSettings(source=source, unit=unit)
+        if name in ("t", "tau_m") or unit is not None:
+            found[name] = ColumnSettings(source=source, unit=unit or "")
     return found
+
+
+def propose(table: ForeignTable, missing: str, used: Set[str]) -> str:
+    """Return the proposal for a column that no name determines, as --column takes it.
+
+    Time is the first column that increases in every row, the torque the first column that is left. Both in SI.
+    """
+    free = [name for name in table.names if name not in used]
+    for name in free:
+        try:
+            values = table.numbers(name)
+        except UsageError:
+            continue
+        if np.isfinite(values).any() and (missing != "t" or bool(np.all(np.diff(values[np.isfinite(values)]) > 0))):
+            return f"{missing}={name}|{COLUMNS[missing].unit}"
+    return ""
 
 
 def unit_in(source: str, table: ForeignTable, name: str) -> str | None:
@@ -200,7 +216,8 @@ def dump_map(table: ForeignTable, mapped: list[Mapped]) -> str:
     shape = tomlkit.table()
     for key in ("encoding", "separator", "decimal", "header"):
         shape[key] = getattr(table.shape, key)
-    document["table"] = shape
+    if table.shape != NO_TEXT:
+        document["table"] = shape
     columns = tomlkit.table(is_super_table=True)
     for column in mapped:
         entry = tomlkit.table()

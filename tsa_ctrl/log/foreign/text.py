@@ -9,15 +9,17 @@ import math
 import re
 import zlib
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.log.foreign import formats
 
 LARGEST = 1 << 30  # bytes of text; a foreign table is held in memory, and ours is not meant to be exhausted by one
 SEPARATORS = ";\t,|"  # in the order of trust: a comma may be a decimal sign
@@ -27,12 +29,15 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
 
 @dataclass(frozen=True)
 class Shape:
-    """How the text is to be read: `separator` is one character or " " for any white space; `header` counts from 1."""
+    """How to read the text: `separator` is one character or " " for any white space; `header` is from 1, 0: none."""
 
     encoding: str
     separator: str
     decimal: str
     header: int
+
+
+NO_TEXT = Shape("", "", "", 0)  # of a file that a library reads
 
 
 @dataclass(frozen=True)
@@ -45,9 +50,12 @@ class ForeignTable:
     cells: dict[str, list[str]]
     first: int
     ignored: int  # lines below the header that have another number of fields (units, a last torn line)
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # columns of a file that is no text
 
     def numbers(self, name: str) -> NDArray[np.float64]:
         """One column as doubles, empty cells as nan; raises UsageError naming the line of what is no number."""
+        if name in self.arrays:
+            return np.asarray(self.arrays[name], dtype=np.float64)
         decimal = self.shape.decimal
         out = np.empty(len(self.cells[name]))
         for row, cell in enumerate(self.cells[name]):
@@ -66,6 +74,9 @@ class ForeignTable:
 
     def times(self, name: str) -> NDArray[np.float64]:
         """A column of dates and times as seconds from the first; raises UsageError naming the line of what is none."""
+        if name in self.arrays:
+            stamps = self.arrays[name].astype("datetime64[ns]")
+            return np.asarray((stamps - stamps[0]).astype(np.float64) * 1e-9, dtype=np.float64)
         found = []
         for row, cell in enumerate(self.cells[name]):
             try:
@@ -79,6 +90,8 @@ class ForeignTable:
 
     def is_date(self, name: str) -> bool:
         """Return True if the column begins with a date and time."""
+        if name in self.arrays:
+            return bool(self.arrays[name].dtype.kind == "M")
         first = next((cell.strip().strip('"') for cell in self.cells[name] if cell.strip()), "")
         return re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d", first) is not None
 
@@ -88,12 +101,22 @@ _EMPTY = frozenset({"", "nan", "-nan", "na", "n/a", "null", "none", "-", "--", "
 
 def read_foreign(path: Path, shape: Shape | None = None) -> ForeignTable:
     """Read a text table as the file itself suggests, or as `shape` says. Raises UsageError in one line."""
-    text, encoding = _text(path, None if shape is None else shape.encoding)
+    suffix = path.suffix.lower()
+    if suffix in formats.ARRAYS and (suffix or path.is_dir()):
+        arrays = formats.read_with(formats.ARRAYS[suffix], path)
+        return ForeignTable(path, NO_TEXT, tuple(arrays), {}, 1, 0, arrays)
+    if suffix in formats.TEXTS:
+        text, encoding = formats.read_with(formats.TEXTS[suffix], path), "utf-8"
+    else:
+        text, encoding = _text(path, None if shape is None else shape.encoding)
     lines = text.splitlines()
     if not any(line.strip() for line in lines):
         raise UsageError(f"{path}: is empty; give a table with a line of names and rows of numbers")
     told = _told(path, lines, encoding) if shape is None else shape
-    rows = _rows(lines[told.header - 1 :], told.separator)
+    rows = _rows(lines[max(0, told.header - 1) :], told.separator)
+    if told.header == 0:
+        width = Counter(len(row) for row in rows).most_common(1)[0][0]
+        rows.insert(0, [f"column {i}" for i in range(1, width + 1)])
     names = _unique([name.strip().strip('"').strip() for name in rows[0]])
     body: list[list[str]] = []
     ignored, first = 0, told.header + 1
@@ -167,9 +190,7 @@ def _told(path: Path, lines: Sequence[str], encoding: str) -> Shape:
     if numeric is None:
         raise UsageError(f"{path}: no row of numbers in the first {len(some)} lines; give a table of numbers")
     named = [i for i in range(numeric) if len(rows[i]) == width and any(re.search("[^\\W\\d]", c) for c in rows[i])]
-    if not named:
-        raise UsageError(f"{path}: no line of names above line {numeric + 1}; add one, for example t{separator}tau_m")
-    header = named[0] if len(named) < 3 else named[-1]  # a line of units may follow the names
+    header = (named[0] if len(named) < 3 else named[-1]) if named else -1  # a line of units may follow the names
     cells = [cell.strip().strip('"') for row in rows[numeric:] for cell in row]
     commas = sum("," in cell and _is_number(cell) for cell in cells)
     points = sum("." in cell and _is_number(cell) for cell in cells)

@@ -44,14 +44,16 @@ def take(table: ForeignTable, mapped: list[Mapped]) -> dict[str, NDArray[np.floa
     """The columns in SI, time from 0 at the first row; raises UsageError naming the line of what is no number."""
     columns = {column.name: column.values(table) for column in sorted(mapped, key=lambda column: column.name != "t")}
     t = columns["t"]
-    if t.size and np.isfinite(t[0]):
-        columns["t"] = t - t[0]
+    good = np.isfinite(t)
+    if good.any():
+        columns["t"] = t - t[good][0]
     return columns
 
 
-def write(folder: Path, table: ForeignTable, mapped: list[Mapped], columns: Columns, skeleton: Path) -> Imported:
+def write(
+    folder: Path, table: ForeignTable, mapped: list[Mapped], columns: Columns, skeleton: Path, stem: str
+) -> Imported:
     """Write all of it to `folder`; `skeleton` is the commented model file of a tendon-sheath. Raises UsageError."""
-    stem = table.path.name.split(".")[0]
     log, mapping, model = folder / f"{stem}.csv", folder / f"{stem}-map.toml", folder / "model.toml"
     picture = folder / f"{stem}.png"
     try:

@@ -1,0 +1,212 @@
+"""Each format, written by a library of others, becomes the same log."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tsa_ctrl.cli import main
+from tsa_ctrl.log.table import read_table
+
+N = 50
+T = np.arange(N) * 0.01
+TORQUE = np.sin(20.0 * T)
+NAMED = {"time": T, "motor_torque": TORQUE}
+GIVEN = ("t=time|s", "tau_m=motor_torque|N*m")
+
+
+def run(*line: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["log", "import", *line])
+    return int(ended.value.code or 0)
+
+
+def mat5(folder: Path) -> Path:
+    scipy_io: Any = importlib.import_module("scipy.io")
+    scipy_io.savemat(folder / "run.mat", NAMED)
+    return folder / "run.mat"
+
+
+def mat73(folder: Path) -> Path:
+    importlib.import_module("hdf5storage").savemat(str(folder / "run.mat"), NAMED, format="7.3")
+    return folder / "run.mat"
+
+
+def simulink(folder: Path) -> Path:
+    """Structure with time, one signal, as the block To Workspace writes."""
+    scipy_io: Any = importlib.import_module("scipy.io")
+    signals = np.array([(TORQUE, "motor_torque"), (T, "other")], dtype=[("values", object), ("label", object)])
+    scipy_io.savemat(folder / "run.mat", {"out": {"time": T, "signals": signals}})
+    return folder / "run.mat"
+
+
+def dspace(folder: Path) -> Path:
+    """A capture of ControlDesk: X with the time, Y with Name and Data of each signal."""
+    scipy_io: Any = importlib.import_module("scipy.io")
+    kind = [("Name", object), ("Data", object)]
+    x, y = np.array([("time", T), ("t2", T)], dtype=kind), np.array([("motor_torque", TORQUE), ("b", T)], dtype=kind)
+    scipy_io.savemat(folder / "run.mat", {"capture": {"X": x, "Y": y}})
+    return folder / "run.mat"
+
+
+def h5(folder: Path) -> Path:
+    with importlib.import_module("h5py").File(folder / "run.h5", "w") as file:
+        for name, values in NAMED.items():
+            file[f"rig/{name}"] = values
+    return folder / "run.h5"
+
+
+def npz(folder: Path) -> Path:
+    np.savez(folder / "run.npz", time=T, motor_torque=TORQUE)
+    return folder / "run.npz"
+
+
+def npy(folder: Path) -> Path:
+    np.save(folder / "run.npy", np.column_stack([T, TORQUE]))
+    return folder / "run.npy"
+
+
+def xlsx(folder: Path) -> Path:
+    book = importlib.import_module("openpyxl").Workbook()
+    for row in [tuple(NAMED), *zip(T.tolist(), TORQUE.tolist(), strict=True)]:
+        book.active.append(row)
+    book.save(folder / "run.xlsx")
+    return folder / "run.xlsx"
+
+
+def tdms(folder: Path) -> Path:
+    nptdms = importlib.import_module("nptdms")
+    waveform = {"wf_increment": 0.01, "wf_start_offset": 0.0, "wf_samples": N}
+    with nptdms.TdmsWriter(folder / "run.tdms") as writer:
+        writer.write_segment([nptdms.ChannelObject("rig", "motor_torque", TORQUE, properties=waveform)])
+    return folder / "run.tdms"
+
+
+def lvm(folder: Path) -> Path:
+    """As LabVIEW's Write To Measurement File documents its text."""
+    head = "LabVIEW Measurement\t\nSeparator\tTab\n***End_of_Header***\t\n\nChannels\t1\t\t\nSamples\t50\t\t\n"
+    rows = "".join(f"{a!r}\t{b!r}\n" for a, b in zip(T.tolist(), TORQUE.tolist(), strict=True))
+    (folder / "run.lvm").write_text(f"{head}***End_of_Header***\t\t\nX_Value\tmotor_torque\tComment\n{rows}")
+    return folder / "run.lvm"
+
+
+def parquet(folder: Path) -> Path:
+    import duckdb
+
+    rows = duckdb.connect()
+    rows.execute("CREATE TABLE x (time DOUBLE, motor_torque DOUBLE)")
+    rows.executemany("INSERT INTO x VALUES (?, ?)", list(zip(T.tolist(), TORQUE.tolist(), strict=True)))
+    rows.execute(f"COPY x TO '{folder / 'run.parquet'}' (FORMAT parquet)")
+    return folder / "run.parquet"
+
+
+def mcap(folder: Path) -> Path:
+    writing = importlib.import_module("mcap.writer")
+    with (folder / "run.mcap").open("wb") as stream:
+        writer = writing.Writer(stream)
+        writer.start()
+        schema = writer.register_schema("torque", "jsonschema", b"{}")
+        channel = writer.register_channel("/motor_torque", "json", schema)
+        for i in range(N):
+            data = json.dumps({"data": TORQUE[i]}).encode()
+            writer.add_message(channel, round(T[i] * 1e9), data, round(T[i] * 1e9))
+        writer.finish()
+    return folder / "run.mcap"
+
+
+def bag(version: int) -> Callable[[Path], Path]:
+    def write(folder: Path) -> Path:
+        stores = importlib.import_module("rosbags.typesys")
+        if version == 1:
+            store = stores.get_typestore(stores.Stores.ROS1_NOETIC)
+            path, writing = folder / "run.bag", importlib.import_module("rosbags.rosbag1")
+            writer, serialize = writing.Writer(path), store.serialize_ros1
+        else:
+            store = stores.get_typestore(stores.Stores.ROS2_HUMBLE)
+            path, writing = folder / "run", importlib.import_module("rosbags.rosbag2")
+            writer, serialize = writing.Writer(path, version=8), store.serialize_cdr
+        kind = store.types["sensor_msgs/msg/JointState"]
+        header, stamp = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+        with writer:
+            where = writer.add_connection("/motor_torque", kind.__msgtype__, typestore=store)
+            for i in range(N):
+                fields = {"stamp": stamp(0, 0), "frame_id": "", **({"seq": i} if version == 1 else {})}
+                none = np.zeros(0)
+                message = kind(header(**fields), ["knee", "hip"], none, none, np.array([TORQUE[i], 9.0]))
+                writer.write(where, round(T[i] * 1e9), serialize(message, kind.__msgtype__))
+        return path
+
+    return write
+
+
+RECORDED = "t=time [s]|s"
+CASES: list[tuple[str, Callable[[Path], Path], tuple[str, str]]] = [
+    ("mat v5", mat5, GIVEN), ("mat v7.3", mat73, GIVEN),
+    ("simulink", simulink, ("t=out.time|s", "tau_m=motor_torque|N*m")),
+    ("dspace", dspace, GIVEN),
+    ("h5", h5, ("t=rig/time|s", "tau_m=rig/motor_torque|N*m")), ("npz", npz, GIVEN),
+    ("npy", npy, ("t=column 1|s", "tau_m=column 2|N*m")), ("xlsx", xlsx, GIVEN),
+    ("tdms", tdms, (RECORDED, GIVEN[1])), ("lvm", lvm, (RECORDED, GIVEN[1])), ("parquet", parquet, GIVEN),
+    ("mcap", mcap, (RECORDED, "tau_m=motor_torque.data|N*m")),
+    ("ros 1", bag(1), (RECORDED, "tau_m=motor_torque.effort.knee|N*m")),
+    ("ros 2", bag(2), (RECORDED, "tau_m=motor_torque.effort.knee|N*m")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "write", "given"), CASES, ids=[case[0] for case in CASES])
+def test_a_file_of_others_becomes_the_same_log(
+    name: str, write: Callable[[Path], Path], given: tuple[str, str], tmp_path: Path
+) -> None:
+    path = write(tmp_path)
+    assert run(str(path), "--column", given[0], "--column", given[1], "--out", str(tmp_path / "out")) == 0
+    found = read_table(tmp_path / "out/run.csv").columns
+    np.testing.assert_allclose(found["t"], T, atol=1e-9)
+    np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)
+
+
+def test_without_a_header_all_questions_come_at_once_and_yes_takes_the_proposals(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.savetxt(tmp_path / "run.csv", np.column_stack([TORQUE, T]), delimiter=",")
+    line = (str(tmp_path / "run.csv"), "--out", str(tmp_path / "out"))
+    assert run(*line) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "--yes takes the proposals --column 't=column 2|s' --column 'tau_m=column 1|N*m'" in said
+    assert run(*line, "--yes") == 0
+    found = read_table(tmp_path / "out/run.csv").columns
+    np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)
+
+
+def test_files_of_one_stem_are_kept_apart_and_nan_bursts_are_holes(tmp_path: Path) -> None:
+    for name, torque in (("run.npz", 1.0), ("run.txt", 2.0)):
+        values = np.full(N, torque)
+        values[20:25] = np.nan
+        if name.endswith("npz"):
+            np.savez(tmp_path / name, t=T, tau_m=values)
+        else:
+            np.savetxt(tmp_path / name, np.column_stack([T, values]), delimiter=";", header="t;tau_m", comments="")
+    assert run(str(tmp_path / "run.npz"), str(tmp_path / "run.txt"), "--out", str(tmp_path / "out")) == 0
+    for name, torque in (("run_npz", 1.0), ("run_txt", 2.0)):
+        found = read_table(tmp_path / f"out/{name}.csv").columns
+        np.testing.assert_allclose(found["t"], np.delete(T, range(20, 25)), atol=1e-12)
+        np.testing.assert_array_equal(found["tau_m"], np.full(N - 5, torque))
+
+
+def test_a_missing_package_and_a_damaged_file_are_one_line_each(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run.h5").write_bytes(b"no such thing")
+    assert run(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    assert run(str(tmp_path / "run.h5"), "--out", str(tmp_path / "out")) == 2
+    said = capsys.readouterr().err
+    assert "needs the package h5py; pip install '.[formats]'" in said
+    assert said.count("\n") == 1
