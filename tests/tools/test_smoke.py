@@ -29,6 +29,7 @@ LINES = {
     "manual/write --check": "",
 }
 LONG = {
+    "bench/axes --virtual --seconds 1": "2 axes, lean, encoders and torque sensors",
     "bench/calibrate --logs 9 --jobs 1": "share of 95 % intervals",
     "bench/diagnose --short --families none:1 --jobs 1 --out {out}/rows.jsonl": "none",
     "bench/hour --seconds 60 --kinds csv": "MB",
