@@ -145,7 +145,7 @@ def _lacking(configuration: Configuration, axis: AxisSettings, model: TendonShea
                     "wearer_speed (leave it out, or lower it)"
                 )
     if axis.drive.pdo == "lean":
-        yield 'the comparison of 0x606C with 0x6064 (remove pdo = "lean", or use one [[bus]] per axis)'
+        yield 'the comparison of 0x606C with 0x6064 (remove pdo = "lean"; lower the rate if the bit rate then needs it)'
     wanted = [name for name in NODES if name == "drive" or axis.encoder is not None]
     absent = [name for name in wanted if name not in model.origin.nodes]
     if absent:

@@ -132,6 +132,17 @@ def test_what_waits_before_the_next_sync_is_taken_if_it_is_seldom() -> None:
     assert rig.axes[0].image.repeated == 1
 
 
+def test_a_fault_has_the_code_of_its_emergency_before_the_error_code_comes() -> None:
+    rig, bus, nodes = lean_rig()
+    nodes.edit = lambda number, frames: [
+        (0x081, bytes.fromhex("1023010000000000")),
+        (0x181, struct.pack("<Hhi", 0x1218, 0, 0)),
+        *frames[1:],
+    ]
+    cycle(rig, bus)
+    assert rig.axes[0].image.error_code == 0x2310
+
+
 def test_startup_waits_for_the_mode_and_refuses_a_drive_that_never_sends_it() -> None:
     rig, _, nodes = lean_rig()
     prove(rig, 0.001, 50)

@@ -74,6 +74,7 @@ class PositionTracker:
             self.velocity += (1.0 - math.exp(self._w * dt)) * (step * self._scale / dt - self.velocity)
 
 
+_FAULT = 0x0008  # bit 3 of 0x6041
 _COUNTER_RANGE = 1 << 32  # where 0x6064 wraps
 
 Handler = Callable[[bytes], None]
@@ -365,6 +366,8 @@ class Axis:
         image = self.image
         image.statusword, torque, self._motor_count = values
         image.tau_m = torque * self._torque
+        if image.statusword & _FAULT and image.nodes[0].emcy is not None:  # it comes before the next error code
+            image.error_code = image.nodes[0].emcy.code
 
     def _store_lean_state(self, values: tuple[Any, ...]) -> None:
         image = self.image
