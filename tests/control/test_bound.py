@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tsa_ctrl.control.bound import Bound, bending_share, bound_of, interval_share
+from tsa_ctrl.control.compensation_limit import Bound, bending_share, bound_of, interval_share
 from tsa_ctrl.demo.rig import NOMINAL
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model
 

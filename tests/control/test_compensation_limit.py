@@ -8,8 +8,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from tsa_ctrl.control.bound import Bound
-from tsa_ctrl.control.compensation_limit import CompensationLimit, EnergyCredit
+from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, EnergyCredit
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 
 PERIOD = 1e-3

@@ -12,8 +12,7 @@ import tomlkit
 
 from tests.tune import rig as busy
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL, gait
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.simulation import simulate_loop

@@ -10,7 +10,7 @@ from tests.virtual.files import controller, write
 from tests.virtual.test_joint_files import NODES, tuned
 from tsa_ctrl.cli import main
 from tsa_ctrl.config import load_configuration
-from tsa_ctrl.control.bound import bound_of
+from tsa_ctrl.control.compensation_limit import bound_of
 from tsa_ctrl.daemon.joint_files import admitted
 
 INTERVALS = {"half_loop_torque": [0.4, 0.5]}

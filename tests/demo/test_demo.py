@@ -19,9 +19,8 @@ from tsa_ctrl.cli import main
 from tsa_ctrl.cli.demo import LOADS
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo import rig, run
-from tsa_ctrl.demo.motion import PERIOD, from_file, gait, play_for
 from tsa_ctrl.demo.outcome import Course, Outcome
-from tsa_ctrl.demo.rig import VIRTUAL, BusChoice, choose
+from tsa_ctrl.demo.rig import PERIOD, VIRTUAL, BusChoice, choose, from_file, gait, play_for
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.plant.process import check as check_plant

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import play_for
-from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL, play_for
 from tsa_ctrl.demo.run import compare
 
 SECONDS = 6.0

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsa_ctrl.drills.samples import Said, Sample, timing, watchdog
+from tsa_ctrl.drills.listener import Said, Sample, timing, watchdog
 
 ZERO = 0.02
 

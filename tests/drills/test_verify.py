@@ -22,9 +22,9 @@ from tsa_ctrl.cli import main
 from tsa_ctrl.config import Configuration, load_configuration
 from tsa_ctrl.drills import trials
 from tsa_ctrl.drills import verify as verifying
+from tsa_ctrl.drills.listener import Timing, Watchdog
 from tsa_ctrl.drills.loop import under_trial
 from tsa_ctrl.drills.pull import Pull
-from tsa_ctrl.drills.samples import Timing, Watchdog
 from tsa_ctrl.drills.trials import Trial, leave_in_order, listening, run_trial
 from tsa_ctrl.drills.verify import trial_torque, verify
 from tsa_ctrl.errors import BusError, UsageError

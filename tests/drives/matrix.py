@@ -19,8 +19,7 @@ from tsa_ctrl.control.setpoint import SetPointSettings
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.ipc.protocol import Event
-from tsa_ctrl.plant.drive_node import DriveNode
-from tsa_ctrl.plant.machine import AxisNodes, Machine
+from tsa_ctrl.plant.machine import AxisNodes, DriveNode, Machine
 from tsa_ctrl.plant.settings import DriveSettings, FaultSettings, PlantSettings, load_plant
 from tsa_ctrl.safety.causes import REMEDIES
 from tsa_ctrl.safety.release import REST

@@ -22,8 +22,7 @@ from tsa_ctrl.bus.wire.python_can import PythonCan
 from tsa_ctrl.bus.wire.seam import Frame
 from tsa_ctrl.errors import TsaError
 from tsa_ctrl.plant.drive import Drive
-from tsa_ctrl.plant.drive_node import DriveNode
-from tsa_ctrl.plant.machine import Machine
+from tsa_ctrl.plant.machine import DriveNode, Machine
 from tsa_ctrl.plant.settings import load_plant
 from tsa_ctrl.safety.shut_down import shut_down
 from tsa_ctrl.safety.supervisor import Phase, Request, Supervisor

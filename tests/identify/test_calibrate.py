@@ -11,7 +11,7 @@ import pytest
 from tests.blind import tendon_logs
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.calibrate import Calibration, calibrate
-from tsa_ctrl.identify.calibrate.admission import admit
+from tsa_ctrl.identify.calibrate.prepared import admit
 from tsa_ctrl.identify.calibrate.regression import block_labels, lagged, solve
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.parameters import TendonSheath, model_from

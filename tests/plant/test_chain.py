@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from tests.plant.bench import R_J, R_M, T_P0, X, axis
 from tests.plant.test_full import CLOSED_FORMS, RAMP, run
 from tsa_ctrl.plant.axis import CURVATURES
-from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains, settle
-from tsa_ctrl.plant.chain_layout import Row, build_chain
+from tsa_ctrl.plant.chain import Row, build_chain, chain_tensions, commit_chains, prepare_chains, settle
 from tsa_ctrl.plant.state import PARAMETERS
 
 EA, LENGTH = 60e3, 1.2

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from tests.plant.bench import ACTUATOR, R_J, R_M, axis
 from tsa_ctrl.plant.axis import Axis
-from tsa_ctrl.plant.chain import chain_tensions, commit_chains, prepare_chains
-from tsa_ctrl.plant.chain_layout import Row
+from tsa_ctrl.plant.chain import Row, chain_tensions, commit_chains, prepare_chains
 from tsa_ctrl.plant.full import commit_full, full_tensions
 from tsa_ctrl.plant.settings import PhysicsSettings
 

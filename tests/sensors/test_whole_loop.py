@@ -14,9 +14,8 @@ from tsa_ctrl.bus.settings import BusSettings
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.bus.wire.seam import Bus, Frame
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait
 from tsa_ctrl.demo.outcome import course_of
-from tsa_ctrl.demo.rig import BusChoice
+from tsa_ctrl.demo.rig import BusChoice, gait
 from tsa_ctrl.identify.dataset import load_log
 from tsa_ctrl.log.table import read_table
 from tsa_ctrl.system.process_supervisor import daemon, plant

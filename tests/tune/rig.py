@@ -10,8 +10,7 @@ from typing import Any
 import tomlkit
 
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.rig import BusChoice
+from tsa_ctrl.demo.rig import BusChoice, gait
 from tsa_ctrl.model.parameters import TendonSheath
 
 MODEL = "nominal.toml"

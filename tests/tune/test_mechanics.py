@@ -21,9 +21,8 @@ from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.plant.axis import CURVATURES
-from tsa_ctrl.tune.bends import bends, course
 from tsa_ctrl.tune.delay import Delay, command_delay, torque_of
-from tsa_ctrl.tune.estimate import Estimate, Form
+from tsa_ctrl.tune.estimate import Estimate, Form, bends, course
 from tsa_ctrl.tune.excitation import multi_sine
 from tsa_ctrl.tune.mechanics import (
     LawTuning,

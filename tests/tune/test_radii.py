@@ -11,7 +11,7 @@ from tests.model.actuator import ACTUATOR
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.tune.radii import radius_ratio, with_ratio
+from tsa_ctrl.tune.procedure import radius_ratio, with_ratio
 
 PERIOD, SECONDS = 2e-3, 20.0  # s
 MOTOR_COUNTS = 65_536

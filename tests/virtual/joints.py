@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from tests.virtual.files import Tables, merged
 from tsa_ctrl import simulate_loop
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.rig import NOMINAL
+from tsa_ctrl.demo.rig import NOMINAL, gait
 from tsa_ctrl.model.parameters import save_model
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.script import Change, Fault

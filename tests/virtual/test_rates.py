@@ -10,8 +10,7 @@ import pytest
 from tests.conftest import ROOT
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.rig import BusChoice
+from tsa_ctrl.demo.rig import BusChoice, gait
 
 
 @pytest.mark.parametrize("load", ["imposed", "held", "wearer"])

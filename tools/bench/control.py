@@ -35,8 +35,7 @@ from tools.campaign.passive.experiment import true_model
 from tools.command import Results, Row
 from tsa_ctrl.control.plan import LAG
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait, play_for
-from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL, gait, play_for
 from tsa_ctrl.model.curvature import Points
 from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath, save_model

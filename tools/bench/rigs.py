@@ -33,8 +33,7 @@ from rich.table import Table
 from tools import command
 from tools.command import Row
 from tsa_ctrl.demo import rig as demo
-from tsa_ctrl.demo.motion import gait, play_for
-from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL, gait, play_for
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.model.curvature import Points, Profile
 from tsa_ctrl.model.feedforward import Feedforward

@@ -27,7 +27,7 @@ from rich.table import Table
 from tests.virtual.joints import GAIT, sine
 from tests.virtual.rigs import Drawn, draw
 from tools import command
-from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.rig import gait
 from tsa_ctrl.identify.calibrate.stretch import StretchFit, fit_stretch
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.model.curvature import NAMED, Points, Profile, centred

@@ -88,7 +88,7 @@ def command(
     if hidden:
         raise UsageError("demo: --hidden belongs to --full; give both")
     from tsa_ctrl.demo import rig  # the plant, the loop and the pictures: not loaded for a question
-    from tsa_ctrl.demo.motion import from_file, play_for
+    from tsa_ctrl.demo.rig import from_file, play_for
     from tsa_ctrl.demo.run import demo
 
     play = play_for(load) if setpoint is None else from_file(setpoint, rig.MOST_TORQUE)

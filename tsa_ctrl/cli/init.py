@@ -139,7 +139,7 @@ def _changed(line: str, key: str, value: str | None, comment: str) -> str:
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:
-    from tsa_ctrl.demo.motion import gait
+    from tsa_ctrl.demo.rig import gait
     from tsa_ctrl.settings import write_text
 
     for name, text in texts.items():

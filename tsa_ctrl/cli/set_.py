@@ -112,8 +112,7 @@ def _pair(text: str) -> tuple[str, float, float]:
 def _compare(
     client: Client, sets: dict[str, dict[str, float]], blocks: int, block_seconds: float, as_json: bool
 ) -> None:
-    from tsa_ctrl.tune.comparison import alternate
-    from tsa_ctrl.tune.live_blocks import LiveBlocks
+    from tsa_ctrl.tune.comparison import LiveBlocks, alternate
 
     live = LiveBlocks(client, sets, block_seconds)
     live.check()

@@ -13,10 +13,9 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.config import AxisSettings, Configuration
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
 from tsa_ctrl.control.bending import Bending
-from tsa_ctrl.control.bound import Bound, bound_of
 from tsa_ctrl.control.by_stretch import ByStretch
 from tsa_ctrl.control.by_tension import ByTension
-from tsa_ctrl.control.compensation_limit import CompensationLimit
+from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of
 from tsa_ctrl.control.direction import LONGEST, Direction, Motion
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Law
@@ -31,8 +30,7 @@ from tsa_ctrl.model.feedforward import Feedforward
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import joint_compliance, least_stiffness, motor_stiffness, sliding, wound_by_friction
 from tsa_ctrl.model.stretch import compliance_centre
-from tsa_ctrl.observer.by_elongation import ElongationTorque
-from tsa_ctrl.observer.joint_torque import JointTorque, ModelTorque
+from tsa_ctrl.observer.joint_torque import ElongationTorque, JointTorque, ModelTorque
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.observer.stretch import StretchObserver
 from tsa_ctrl.readiness import loose_lines

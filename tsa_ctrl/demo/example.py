@@ -22,7 +22,7 @@ def runs_on(bus: BusChoice) -> Run:
     Plant and daemon run as processes on the bus, or both in this process in virtual time.
     """
     if bus.virtual:
-        from tsa_ctrl.virtual.stage import play  # the loop and the plant in this process
+        from tsa_ctrl.virtual.simulation import play  # the loop and the plant in this process
 
         return play
     return _on_the_bus

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tsa_ctrl.demo.motion import Play
+from tsa_ctrl.demo.rig import Play
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.specification import Draw

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from tsa_ctrl.demo import rig
 from tsa_ctrl.demo.example import runs_on
-from tsa_ctrl.demo.motion import Play
 from tsa_ctrl.demo.outcome import Course, Outcome, course_of
-from tsa_ctrl.demo.rig import BusChoice
+from tsa_ctrl.demo.rig import BusChoice, Play
 
 COMPENSATION = 0.95
 RATE = 1000.0  # Hz

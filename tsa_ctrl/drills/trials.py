@@ -20,9 +20,8 @@ from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.bus.wire.link import open_bus
 from tsa_ctrl.config import Configuration
 from tsa_ctrl.daemon.joint_files import JointFiles
-from tsa_ctrl.drills.listener import ZERO_SHARE
+from tsa_ctrl.drills.listener import ZERO_SHARE, Said, Sample, Timing, Watchdog, timing, watchdog
 from tsa_ctrl.drills.pull import Pull
-from tsa_ctrl.drills.samples import Said, Sample, Timing, Watchdog, timing, watchdog
 from tsa_ctrl.errors import BusError
 from tsa_ctrl.readiness import Nodes
 from tsa_ctrl.safety.shut_down import shut_down

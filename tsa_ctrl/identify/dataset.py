@@ -22,8 +22,7 @@ from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.redundancy import check_columns
 from tsa_ctrl.identify.units import check_rate, check_sizes
 from tsa_ctrl.log.table import Table, read_table, sha256_of
-from tsa_ctrl.log.timestamp_repair import repair_timestamps
-from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps
+from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_stamps, repair_timestamps
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals
 from tsa_ctrl.signals import COLUMNS, INPUTS

@@ -14,8 +14,7 @@ from tsa_ctrl.log.convert import coded
 from tsa_ctrl.log.mcap_file import Note
 from tsa_ctrl.log.reader import LogFile
 from tsa_ctrl.log.table import Table, kind_of, read_table, sha256_of, split_axis
-from tsa_ctrl.log.timestamp_repair import repair_timestamps
-from tsa_ctrl.log.timing import check_increasing, fit_grid
+from tsa_ctrl.log.timing import check_increasing, fit_grid, repair_timestamps
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.signals import COLUMNS
 

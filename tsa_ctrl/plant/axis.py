@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.model.parameters import TendonSheath, load_tendon_sheath
 from tsa_ctrl.model.routing import Routing
-from tsa_ctrl.plant.chain import settle
-from tsa_ctrl.plant.chain_layout import build_chain
+from tsa_ctrl.plant.chain import build_chain, settle
 from tsa_ctrl.plant.effects import MAX_ELEMENTS, Presliding, effect_values, wound
 from tsa_ctrl.plant.formula import memory_of, steps_of
 from tsa_ctrl.plant.mechanics import Arrays, advance

@@ -25,7 +25,6 @@ _KERNELS = (
     "effects.py",
     "formula.py",
     "full.py",
-    "chain_layout.py",
     "chain.py",
     "mechanics.py",
 )

@@ -8,6 +8,7 @@ from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,7 +23,7 @@ from tsa_ctrl.daemon.loop import Loop
 from tsa_ctrl.daemon.monitor_process import REPEAT, Report
 from tsa_ctrl.daemon.monitoring import SecondChannel, watched_of
 from tsa_ctrl.daemon.telemetry import Telemetry
-from tsa_ctrl.errors import UsageError
+from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.log.process import LogHeader
 from tsa_ctrl.log.ring import LogHealth, RingReader, RingWriter
@@ -407,3 +408,23 @@ class Run:
             if (count := unit.axis.values()["unsolved"])
         ]
         return (*silent, *unsolved)
+
+
+# A run in virtual time in place of the processes plant and daemon: the same files in a folder, the same summary.
+
+
+def play(
+    folder: Path, name: str, seconds: float, tick: Callable[[float], None], plant: Path | None = None
+) -> dict[str, Any]:
+    """Run `controller-NAME.toml` in `folder` on `plant` (default: its `plant.toml`); the log is in a folder NAME.
+
+    Returns the summary that `tsa run --json` prints.
+
+    Raises:
+        BusError: the run failed, as in `system.process_supervisor.daemon`.
+    """
+    plant = folder / "plant.toml" if plant is None else plant
+    result = simulate_loop(folder / f"controller-{name}.toml", plant, seconds, out=folder / name, tick=tick)
+    if result.summary.failed:
+        raise BusError(f"the run '{name}' failed: {result.summary.cause}")
+    return result.summary.as_dict()

@@ -17,8 +17,7 @@ from typing import Any
 from tools import command
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait
-from tsa_ctrl.demo.rig import VIRTUAL
+from tsa_ctrl.demo.rig import VIRTUAL, gait
 from tsa_ctrl.ipc.protocol import Event
 from tsa_ctrl.model.curvature import NAMED, Points, Profile, centred
 from tsa_ctrl.model.parameters import TendonSheath, save_model

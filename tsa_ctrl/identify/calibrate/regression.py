@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-from tsa_ctrl.identify.student import LEVEL, half_width
+from tsa_ctrl.identify.quantity import LEVEL, half_width
 
 FloatArray = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tests.identify.diagnosis.parameters.swinging import swinging
 from tests.model.actuator import ACTUATOR
 from tsa_ctrl.identify.diagnosis import Diagnosis, diagnose
-from tsa_ctrl.identify.diagnosis.parameters.time_terms import _likely
+from tsa_ctrl.identify.diagnosis.parameters.terms import _likely
 from tsa_ctrl.identify.diagnosis.report.words import remarks
 
 Array = NDArray[np.float64]

@@ -2,16 +2,106 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.data.split import Split
 from tsa_ctrl.identify.diagnosis.fitting.fit import Fit
-from tsa_ctrl.identify.diagnosis.parameters.formula import Formula, formula_of_what_is_left
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.simulation_error import fit_on_simulation_error
+from tsa_ctrl.identify.diagnosis.parameters.formula import (
+    LEAST_GAIN,
+    Formula,
+    formula_of_what_is_left,
+    with_direction,
+)
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut, held_out
-from tsa_ctrl.identify.diagnosis.parameters.instead import keeps_its_promise, stand_in
 from tsa_ctrl.identify.diagnosis.parameters.transfer import Transfer, local, transfer
-from tsa_ctrl.identify.diagnosis.rivals.groups import Group
+from tsa_ctrl.identify.diagnosis.rivals.elsewhere import Elsewhere
+from tsa_ctrl.identify.diagnosis.rivals.groups import Group, made_up
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection, without_causes
+from tsa_ctrl.identify.diagnosis.selection.step import backward_step
+from tsa_ctrl.model.parameters import Model
+
+# Names that a plain formula does clearly better than: they stand for something that the catalogue lacks.
+#
+# A torque sensor with two gains is fitted by sheaths that differ, a zero that follows the temperature by an offset, a
+# tendon that creeps by a spring, and what the name leaves is told as structure. Where a formula without the name
+# leaves visibly less on data that neither has seen than the name does with all that a formula adds to it, or as little
+# with fewer terms, the name is no claim, and the formula is told alone. An effect of the catalogue is described no
+# better, and by no fewer terms, than by itself.
+
+# Ratio of the mean square residuals of identified cause and formula, from which the formula replaces the cause: half of
+# the RMS. A cause from the catalogue leaves noise, and no formula removes half of that.
+FAR = 4.0
+BLOCKS = 24  # of the held-out samples: as many as the evidence of a cause is taken from
+
+
+def stand_in(
+    problem: Problem, found: Fit, groups: Sequence[Group], split: Split, formula: Formula | None
+) -> int | None:
+    """Number of a cause in whose place a formula does clearly better; None where none is.
+
+    formula: what `found` leaves, told beside it. A cause with alternatives says less, and gives way only to a formula
+    of a single term that does better than each of them; and to one that tells when, which logs of one program share
+    without a law, only if it is `FAR`.
+    """
+    held = with_direction(problem, found, split.held)
+    model = _described(problem, found, formula, split)
+    present, whole = (_squares(problem, model, mask) for mask in (held, split.held))
+    terms = 1 if formula is None else 1 + formula.terms
+    best, least = None, np.inf
+    for index, group in enumerate(groups):
+        described = formula_of_what_is_left(problem, backward_step(problem, found, index), split)
+        if described is None or (group.alternatives and described.terms > 1):
+            continue
+        error = _squares(problem, described.model, held)
+        if error.error >= least or not _does_better(described, error, terms, present):
+            continue
+        if (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
+            continue  # what is late shows in the reversals, whose direction is unknown, and nowhere else
+        others = (rival.fitted for rival in group.alternatives if not made_up(problem, rival.name))
+        twins = (_described(problem, other, None, split) for other in others)
+        if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
+            best, least = index, error.error
+    return best
+
+
+def _does_better(formula: Formula, error: Elsewhere, terms: int, named: Elsewhere) -> bool:
+    """Whether a formula that leaves `error` takes the place of what is told in so many terms and leaves `named`."""
+    as_good = formula.terms < terms and (1.0 - LEAST_GAIN) * error.error <= named.error
+    beats = error.clearly_beats(named) and not formula.tells_when
+    return as_good or beats or FAR * error.error < named.error
+
+
+def keeps_its_promise(
+    problem: Problem, split: Split, named: tuple[Fit, Formula | None], instead: tuple[Fit, Formula | None]
+) -> bool:
+    """Whether what is told in the end, `instead` of a name, leaves no more than causes and formula with the name did.
+
+    What is left without it is looked through anew, and another cause may fall with it.
+    """
+    held = with_direction(problem, named[0], split.held)
+    before, after = (_squares(problem, _described(problem, *told, split), held) for told in (named, instead))
+    return (1.0 - LEAST_GAIN) * after.error <= before.error
+
+
+def _described(problem: Problem, found: Fit, formula: Formula | None, split: Split) -> Model:
+    """The model of what was found, with its formula; without one fitted on the samples that are learned from."""
+    if formula is not None:
+        return formula.model
+    learned = fit_on_simulation_error(problem, found, mask=split.fit)
+    return learned.hypothesis.model(learned.point)
+
+
+def _squares(problem: Problem, model: Model, held: NDArray[np.bool_]) -> Elsewhere:
+    """Squares of the simulation error over the held-out samples, in blocks of time."""
+    left = (problem.frame.target - problem.predicted(model))[held]
+    blocks = np.arange(len(left)) * BLOCKS // max(len(left), 1)
+    return Elsewhere(np.bincount(blocks, left**2, BLOCKS).astype(np.float64))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
-from tsa_ctrl.identify.student import NOISE, half_width
+from tsa_ctrl.identify.quantity import NOISE, half_width
 from tsa_ctrl.model.functions import Array
 
 # Halves of the velocity and quarters of the angle: an error is smooth over the motion, so that cells cut finer stand

@@ -18,8 +18,7 @@ from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
 from tsa_ctrl.identify.diagnosis.fitting.simulation_error import models_reversals, on_simulation_error
 from tsa_ctrl.identify.diagnosis.hypotheses.base import Base
 from tsa_ctrl.identify.diagnosis.parameters.passes import states_of, widened
-from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.identify.student import NOISE, half_width
+from tsa_ctrl.identify.quantity import NOISE, Quantity, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE
 from tsa_ctrl.model.effects.search import Value
 from tsa_ctrl.model.effects.specification import Parameter

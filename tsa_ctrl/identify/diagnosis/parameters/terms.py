@@ -8,13 +8,17 @@ wave with its phase, a zero with the temperature at which it is right.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
-from tsa_ctrl.identify.diagnosis.fitting.problem import Problem
+from tsa_ctrl.identify.diagnosis.fitting.problem import Problem, orthonormal
+from tsa_ctrl.identify.diagnosis.residual.features import direction_and_load
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive, TendonSheath
 
@@ -93,3 +97,89 @@ def terms(problem: Problem, model: Model, predicted: Array) -> list[Term]:
 
 def _wide(text: str, number: float) -> Term:
     return Term((text,), (number,), (number / FURTHER,), (number * FURTHER,))
+
+
+# The terms with the time of the logs that a formula of what is left may have: a step, and a wave.
+#
+# An anchor slips, a tensioner beats, a fan turns on: the torque, the friction or the gain is another from one moment
+# on, or swings by a clock of its own. Of each, one term is asked, at the moment or the frequency at which it takes
+# most. It describes these logs; another log has other moments.
+
+STEP = "(1 + tanh((t - {{0}})/{0:g}))"
+WIDTH = 0.05  # s, of a step: shorter than a reversal, and long enough for its moment to be found by its slope
+MOMENTS = 200  # of a log, at which a step is looked for: of 20 s every tenth of a second, twice the step's width
+END = 0.1  # of a log, at either end: with less on one side of it a step is the fit of one stretch
+WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
+CYCLES = 3.0  # that a wave must have in a log: what turns seldom is no wave, but a drift
+FASTEST = 3.0  # Hz: faster are ripples and ringing, which have terms of their own
+MOST_OF_RATE = (
+    0.4  # of the rate at which a long log is averaged: above a half of it a wave cannot be told from a slower
+)
+FINER = 5  # times that the way between two frequencies is halved: the phase at a log's end is then right to 3 degrees
+PER_LINE = 4  # frequencies tried within the width of a line, so that the best one loses a twentieth at most
+# Of these, by a Fourier transform, which does not know what others take of a wave: five lines with both neighbours
+LIKELY = 40
+
+
+def time_terms(
+    problem: Problem, predicted: Array, fitting: NDArray[np.bool_], residual: Array, others: Array
+) -> list[Term]:
+    """Steps and waves that take most of `residual` (n,) beside `others` (n, k), where fitted; `predicted` (n,) N*m."""
+    frame = problem.frame
+    sigma, load = direction_and_load(frame, predicted)
+    t = frame.stack([run.signals.t for run in frame.runs])
+    basis = orthonormal(others[fitting])
+    left = residual[fitting] - basis @ (basis.T @ residual[fitting])
+
+    def taken(columns: Array) -> float:
+        """Of the sum of squares by these columns, (n, k)."""
+        own = columns[fitting]
+        own = orthonormal(own - basis @ (basis.T @ own))
+        return float(np.sum((own.T @ left) ** 2))
+
+    start = float(frame.runs[0].signals.t[0])
+    seconds = max(float(t[part][-1] - t[part][0]) for part in frame.slices)
+    lowest = CYCLES / seconds
+    fastest = min(FASTEST, MOST_OF_RATE / frame.period)
+    frequencies = np.arange(lowest, fastest, 1.0 / (PER_LINE * seconds)) if lowest < fastest else np.zeros(0)
+    moments = np.concatenate([np.quantile(t[part], np.linspace(END, 1.0 - END, MOMENTS)) for part in frame.slices])
+    moments = np.unique(moments)
+    if len(moments) > MOMENTS:
+        moments = moments[:: len(moments) // MOMENTS]
+    apart = float(np.median(np.diff(moments))) if len(moments) > 1 else WIDTH
+    whole = np.zeros(len(t))
+    whole[fitting] = left
+    out = []
+    for factor, signal in (("", np.ones(len(t))), ("*sigma", sigma), ("*tau", load)):
+        at = max(moments, key=lambda moment: taken((signal * (t > moment))[:, None]))
+        step = STEP.format(WIDTH) + factor
+        out.append(Term((step,), (float(at),), (float(at) - 2.0 * apart,), (float(at) + 2.0 * apart,)))
+        if len(frequencies):
+            likely = _likely(frequencies, whole * signal, t - start, frame.slices, frame.period)
+            best = float(max(likely, key=lambda f: taken(_wave(signal, t - start, f))))
+            for halves in range(1, FINER + 1):
+                apart_now = 0.5**halves / (PER_LINE * seconds)
+                near_by = (best, best - apart_now, best + apart_now)
+                best = max(near_by, key=lambda f: taken(_wave(signal, t - start, f)))
+            parts = tuple(part.format(start) + factor for part in WAVE)
+            near = 0.5 / seconds
+            out.append(Term(parts, (best,), (best - near,), (best + near,)))
+    return out
+
+
+def _likely(frequencies: Array, y: Array, t: Array, slices: Sequence[slice], period: float) -> Array:
+    """Of these frequencies, Hz, those of which a wave takes most of `y` (n,) by the Fourier transform of all logs."""
+    if len(frequencies) <= LIKELY:
+        return frequencies
+    count = next_fast_len(2 * PER_LINE * max(part.stop - part.start for part in slices), real=True)
+    place = np.rint(frequencies * count * period).astype(int)
+    moved = np.zeros(len(place), dtype=complex)
+    for part in slices:
+        moved += np.fft.rfft(y[part], count)[place] * np.exp(-2.0j * np.pi * place / (count * period) * t[part.start])
+    return np.asarray(frequencies[np.sort(np.argsort(-np.abs(moved), kind="stable")[:LIKELY])])
+
+
+def _wave(signal: Array, t: Array, frequency: float) -> Array:
+    """A wave of any phase as a factor of the signal, (n, 2)."""
+    phase = 2.0 * math.pi * frequency * t
+    return np.column_stack([signal * np.sin(phase), signal * np.cos(phase)])

@@ -14,8 +14,7 @@ import numpy as np
 
 from tsa_ctrl.identify.diagnosis.rivals.stretch_fit import BASE, ONCE, Stretch, StretchFit, Term
 from tsa_ctrl.identify.diagnosis.selection.forward import Selection
-from tsa_ctrl.identify.quantity import Quantity
-from tsa_ctrl.identify.student import NOISE, half_width
+from tsa_ctrl.identify.quantity import NOISE, Quantity, half_width
 from tsa_ctrl.model.catalogue import CATALOGUE, PARAMETER_ERROR, of_the_stretch
 from tsa_ctrl.model.effects.search import Scales, Value
 from tsa_ctrl.model.functions import Array
