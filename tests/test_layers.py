@@ -74,7 +74,7 @@ ROOMS: dict[str, str] = {
         "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
         "virtual published doctor bench drills dashboard tune demo"
     ),
-    "__init__": "errors version system ipc.client virtual",
+    "__init__": "errors version system ipc.client identify virtual model",
     "__main__": "system cli",
 }
 

@@ -8,26 +8,42 @@ from tsa_ctrl.version import __version__
 TYPE_CHECKING = False  # as in typing, which takes 5 ms to load: until `tsa` is there Ctrl-C is a traceback
 if TYPE_CHECKING:
     from tsa_ctrl.errors import LeaseLostError
+    from tsa_ctrl.identify.dataset import Dataset
+    from tsa_ctrl.identify.python import calibrate, diagnose, predict
     from tsa_ctrl.ipc.client import Client
+    from tsa_ctrl.model.parameters import load_model
     from tsa_ctrl.virtual.simulation import simulate_loop
 
-__all__ = ["Client", "LeaseLostError", "__version__", "simulate_loop"]
+__all__ = [
+    "Client",
+    "Dataset",
+    "LeaseLostError",
+    "__version__",
+    "calibrate",
+    "diagnose",
+    "load_model",
+    "predict",
+    "simulate_loop",
+]
+
+_MODULES = {
+    "Client": "ipc.client",
+    "Dataset": "identify.dataset",
+    "LeaseLostError": "errors",
+    "calibrate": "identify.python",
+    "diagnose": "identify.python",
+    "load_model": "model.parameters",
+    "predict": "identify.python",
+    "simulate_loop": "virtual.simulation",
+}
 
 choose()
 
 
 def __getattr__(name: str) -> object:
-    """Loaded on first use: the command line must not wait for what it does not need."""
-    if name == "simulate_loop":
-        from tsa_ctrl.virtual.simulation import simulate_loop
+    """Load a public name on first use: the command line must not wait for what it does not need."""
+    if name in _MODULES:
+        import importlib
 
-        return simulate_loop
-    if name == "Client":
-        from tsa_ctrl.ipc.client import Client
-
-        return Client
-    if name == "LeaseLostError":
-        from tsa_ctrl.errors import LeaseLostError
-
-        return LeaseLostError
+        return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -184,6 +184,16 @@ def test_without_a_header_all_questions_come_at_once_and_yes_takes_the_proposals
     np.testing.assert_allclose(found["tau_m"], TORQUE, atol=1e-12)
 
 
+def test_a_stated_shape_is_taken_where_none_can_be_determined(tmp_path: Path) -> None:
+    (tmp_path / "run.txt").write_text(
+        "".join(f"{a}|{b}\n" for a, b in (("t", "x"), (0, 1), (1, 2), (2, 4))) + "words\n" * 300
+    )
+    table = '[table]\nencoding = "utf-8"\nseparator = "|"\ndecimal = "."\nheader = 1\n'
+    columns = '[column.t]\nfrom = "t"\nunit = "s"\n[column.tau_m]\nfrom = "x"\nunit = "N*m"\n'
+    (tmp_path / "map.toml").write_text(table + columns)
+    assert run(str(tmp_path / "run.txt"), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "out")) == 0
+
+
 def test_files_of_one_stem_are_kept_apart_and_nan_bursts_are_holes(tmp_path: Path) -> None:
     for name, torque in (("run.npz", 1.0), ("run.txt", 2.0)):
         values = np.full(N, torque)

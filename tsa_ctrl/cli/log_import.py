@@ -63,7 +63,7 @@ def understand(
 ) -> tuple[Understood | None, list[tuple[str, str]]]:
     """Read and map one file by the proposals; return it and the open questions, each with its proposal or ""."""
     file = mapping.MapFile() if map_file is None else mapping.load_map(map_file)
-    table = read_foreign(path)
+    table = read_foreign(path, mapping.full_shape(file))
     shape = mapping.shape_of(file, table.shape)
     if table.shape not in (shape, NO_TEXT):
         table = read_foreign(path, shape)

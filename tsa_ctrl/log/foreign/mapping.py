@@ -124,6 +124,14 @@ def shape_of(file: MapFile, told: Shape) -> Shape:
     )
 
 
+def full_shape(file: MapFile) -> Shape | None:
+    """Return the shape of the text if the mapping file states all of it: then nothing is determined from the text."""
+    given = file.table
+    if given.encoding and given.separator and given.decimal and given.header is not None:
+        return Shape(given.encoding, given.separator, given.decimal, given.header)
+    return None
+
+
 def load_map(path: Path) -> MapFile:
     """Read a mapping file; raises UsageError."""
     return settings.load(path, MapFile)
