@@ -20,7 +20,7 @@ from typing import Any
 from tools import command
 from tsa_ctrl import simulate_loop
 from tsa_ctrl.demo import rig
-from tsa_ctrl.demo.motion import gait
+from tsa_ctrl.demo.rig import gait
 
 RIGS = {  # axes, pdo, torque sensors
     "1 axis, standard": (1, "standard", True),
