@@ -161,6 +161,11 @@ def load_configuration(path: str | Path) -> Configuration:
     """Read and check a controller file; raises UsageError in one line for anything wrong with it."""
     path = Path(path)
     data = settings.read_toml(path)
+    if isinstance(data.get("bus"), list):
+        raise UsageError(
+            f"{path}: [[bus]]: a daemon drives one bus; write [bus], and give axes of another bus a controller file "
+            "and a daemon of their own, with another [socket] path (a fault there does not stop the axes here)"
+        )
     listed = data.get("axis", [])
     tables = [table for table in listed if isinstance(table, dict)] if isinstance(listed, list) else []
     _check_filled(path, data, tables)

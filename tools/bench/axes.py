@@ -35,6 +35,7 @@ def write(folder: Path, axes: int, pdo: str, torque_sensors: bool, rate: float) 
     """Write the files of one rig; return controller and plant."""
     bus = rig.BusChoice("udp_multicast", "239.255.{}.{}".format(*os.urandom(2)))
     plant, controller = rig.plant(bus, "full"), rig.controller(bus, "axes", rate, "nominal.toml", 0.95)
+    controller["socket"] = {"path": str(folder / "axes.sock")}
     (body,), (axis,) = plant["axis"], controller["axis"]
     plant["axis"] = [body | {"name": f"joint{number}"} for number in range(axes)]
     controller["axis"] = [_axis(axis, number, pdo, torque_sensors) for number in range(axes)]
