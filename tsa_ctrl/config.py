@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,7 +21,7 @@ from tsa_ctrl.bus.drive.plan import check_against_eds, drive_plan
 from tsa_ctrl.bus.drive.profile import DriveProfile, load_profile
 from tsa_ctrl.bus.drive.torque_path import PER_MILLE, drive_scale
 from tsa_ctrl.bus.settings import AxisNodes, BusSettings
-from tsa_ctrl.control.bending import BendingSettings
+from tsa_ctrl.control.bending import BendingSettings, routing_of
 from tsa_ctrl.control.by_tension import why_not as no_tension
 from tsa_ctrl.control.choice import chosen
 from tsa_ctrl.control.direction import DirectionSettings
@@ -225,6 +226,8 @@ def with_estimators(file: ControllerFile, models: tuple[TendonSheath, ...]) -> t
     for axis, model in zip(file.axes, models, strict=True):
         follows = axis.bending.source != "fixed"
         estimator, note = chosen(axis.estimator, model, axis.encoder is not None, follows)
+        if routing_of(axis.bending, model.routing) is not None and axis.estimator.kind in (None, "fixed"):
+            estimator, note = msgspec.structs.replace(estimator, kind="map"), ""  # the model file says how it bends
         axes.append(msgspec.structs.replace(axis, estimator=estimator))
         notes.append(note)
     return msgspec.structs.replace(file, axes=tuple(axes)), tuple(notes)
@@ -301,7 +304,10 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
         _check_stretch(where, axis, model)
     if estimator.kind in ("sensor", "motor", "tension") and estimator.use and (reason := beside(model)):
         raise UsageError(f'{where}: estimator.kind "{estimator.kind}" with use = true: {reason}, or write use = false')
-    if (estimator.kind == "map") != (bending.source != "fixed"):
+    if model.routing is not None:
+        _check_routing(where, axis, model, file)
+    routed = routing_of(bending, model.routing) is not None
+    if (estimator.kind == "map") != (bending.source != "fixed" or routed):
         raise UsageError(
             f'{where}: estimator.kind "{estimator.kind}" with bending.source "{bending.source}"; '
             'kind "map" needs the source "command", "joints" or "sensor", and no other kind uses them'
@@ -323,6 +329,36 @@ def _check_axis(where: str, axis: AxisSettings, model: TendonSheath, file: Contr
     for name in bending.gains:
         if name not in names:
             raise UsageError(f"{where}: bending.gains names axis '{name}'; known are {', '.join(sorted(names))}")
+
+
+def joint_ranges(axes: Iterable[AxisSettings]) -> dict[str, tuple[float, float]]:
+    """Return the travel of each axis that has one, rad by name."""
+    return {axis.name: axis.limits.travel for axis in axes if axis.limits.travel is not None}
+
+
+def _check_routing(where: str, axis: AxisSettings, model: TendonSheath, file: ControllerFile) -> None:
+    """Check the joints that `[routing]` of the model file names, and its wrap angles within their travel."""
+    routing, bending = model.routing, axis.bending
+    assert routing is not None
+    if bending.gains:
+        raise UsageError(
+            f"{where}: both [axis.bending] gains and [routing] of {model.source} say how joints bend the sheath; "
+            "remove [axis.bending] gains and source"
+        )
+    for name in bending.unmeasured:
+        if name not in routing.joints:
+            raise UsageError(
+                f"{where}: bending.unmeasured names joint '{name}'; [routing] of {model.source} has "
+                f"{', '.join(routing.joints)}"
+            )
+    if axis.estimator.kind not in ("map", "fixed"):
+        raise UsageError(
+            f'{where}: estimator.kind "{axis.estimator.kind}" cannot follow the joints of [routing] in {model.source}; '
+            'remove kind, or write "map"'
+        )
+    routing.check_joints([*(other.name for other in file.axes), *bending.unmeasured], f"{where}: {model.source}")
+    ranges = {**joint_ranges(file.axes), **bending.unmeasured}
+    routing.check_travel(model.bending_angle, ranges, f"{where}: {model.source}")
 
 
 def _check_stretch(where: str, axis: AxisSettings, model: TendonSheath) -> None:

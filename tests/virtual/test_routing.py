@@ -12,8 +12,11 @@ import pytest
 import tomlkit
 
 from tests.virtual import joints
+from tests.virtual.files import Tables
 from tsa_ctrl import simulate_loop
-from tsa_ctrl.model.parameters import save_model
+from tsa_ctrl.config import load_configuration
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.model.parameters import load_tendon_sheath, save_model
 from tsa_ctrl.model.routing import Route, Routing
 
 RATE = 500.0  # Hz, two axes with encoders and torque sensors
@@ -22,10 +25,20 @@ SWING = 0.5  # rad, of the hip
 SECONDS = 7.0
 
 
-def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, table: bool = False) -> float:
-    """Return the RMS error of the knee's joint torque, mN*m, while the hip swings at `frequency` Hz (0: it rests).
+def files(
+    folder: Path,
+    load: str,
+    frequency: float,
+    *,
+    follows: bool = True,
+    table: bool = False,
+    bending: Tables | None = None,
+    travel: bool = False,
+) -> tuple[Path, Path]:
+    """Write controller and plant of a knee, while the hip swings at `frequency` Hz (0: it rests).
 
-    `follows`: the law knows the gain; `table`: the plant's sheath is bent by a table over time, not by the hip's angle.
+    `follows`: the law's actuator file has the routing; `table`: the plant's sheath is bent by a table over time, not by
+    the hip's angle; `bending`: [axis.bending] of the knee; `travel`: the hip's is given.
     """
     setpoint = joints.GAIT if load == "imposed" else joints.sine(0.5, 0.5)
     paths = joints.files(folder, load, setpoint)
@@ -39,9 +52,16 @@ def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, tab
         hip[node]["node_id"] = number
     hip["drive"]["serial_number"] = 2
     theta = joints.NOMINAL.bending_angle
+    routing = Routing(*[Route({"hip": GAIN}, {})] * 2)
+    if travel:
+        hip["limits"]["travel"] = [-1.2 * SWING, 1.2 * SWING]
     if follows:
-        first["estimator"] = {"kind": "map"}
-        first["bending"] = {"source": "joints", "offset": theta, "gains": {"hip": GAIN}}
+        first["model"] = "followed.toml"
+        del first["estimator"]
+        followed = dataclasses.replace(load_tendon_sheath(folder / "true.toml"), routing=routing)
+        save_model(followed, folder / "followed.toml")
+    if bending is not None:
+        first["bending"] = bending
     controller["axis"].append(hip)
     (machine,) = plant["axis"]
     motion = {"kind": "sine", "amplitude": SWING, "frequency": frequency, "ramp": 0.001}
@@ -56,11 +76,16 @@ def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, tab
         machine["environment"] = {"bending": np.column_stack([times, bent]).tolist()}
     else:
         machine["actuator"] = "routed.toml"
-        routed = dataclasses.replace(joints.NOMINAL, routing=Routing(*[Route({"hip": GAIN}, {})] * 2))
+        routed = dataclasses.replace(joints.NOMINAL, routing=routing)
         save_model(routed, folder / "routed.toml")
     for path, tables in zip(paths, (controller, plant), strict=True):
         path.write_text(tomlkit.dumps(tables), encoding="utf-8")
-    result = simulate_loop(*paths, SECONDS)
+    return paths
+
+
+def knee(folder: Path, load: str, frequency: float, *, follows: bool = True, table: bool = False) -> float:
+    """Return the RMS error of the knee's joint torque, mN*m, of `files`."""
+    result = simulate_loop(*files(folder, load, frequency, follows=follows, table=table), SECONDS)
     assert not result.summary.failed
     if not follows:
         return joints.rms(joints.error(result, 2.0))
@@ -87,3 +112,50 @@ def test_a_sheath_bent_by_the_hip_is_one_bent_by_a_table_of_its_motion(tmp_path:
     """The plant's hip moves exactly as the table says: 11.0 and 11.2 mN*m."""
     by_hip, by_table = knee(tmp_path, "imposed", 0.4), knee(tmp_path, "imposed", 0.4, table=True)
     assert by_hip == pytest.approx(by_table, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: Path) -> None:
+    """The hip's encoder dies at 3 s: the friction is the least of the hip's travel within 50 ms, an event names it.
+
+    No change of the command in a cycle is above 50 mN*m at the joint (47 measured).
+    """
+    paths = files(tmp_path, "imposed", 0.4, travel=True)
+    result = simulate_loop(*paths, 4.0, faults=["missing_tpdo axis=hip node=encoder@3.0"])
+    log = result.axes[0].log
+    t, theta = log["t"], log["theta"]
+    lowest = joints.NOMINAL.bending_angle - GAIN * 1.2 * SWING
+    assert theta[t > 3.05] == pytest.approx(lowest, abs=0.001)
+    gearing = joints.NOMINAL.joint_pulley_radius / joints.NOMINAL.motor_pulley_radius
+    steps = gearing * np.abs(np.diff(log["tau_m_cmd"]))[(t[1:] > 3.0) & (t[1:] < 3.2)]
+    assert steps.max() <= 0.05
+    assert any("angle of joint hip" in str(event) for event in result.summary.events)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["imposed", "weight"])
+def test_a_hip_without_an_angle_is_named_at_the_start(tmp_path: Path, load: str) -> None:
+    """The error stays below the 544 mN*m that the start prints: 299 mN*m imposed, 258 on a weight."""
+    paths = files(tmp_path, load, 0.4, bending={"unmeasured": {"hip": [-SWING, SWING]}})
+    result = simulate_loop(*paths, 4.0)
+    assert not result.summary.failed
+    assert not result.axes[0].faults
+    assert joints.rms(joints.error(result, 2.0)) < 544.0
+    told = [str(event) for event in result.summary.events if "angle of joint 'hip'" in str(event)]
+    assert len(told) == 1
+    assert "544 mN*m" in told[0]
+
+
+@pytest.mark.parametrize(
+    ("gain", "name", "words"), [(GAIN, "hips", "names joint 'hip'"), (9.0, "hip", "wrap angle of -")]
+)
+def test_a_routing_that_cannot_be_is_one_line(tmp_path: Path, gain: float, name: str, words: str) -> None:
+    """A joint that is no axis, and a gain that makes the wrap angle negative within the hip's travel."""
+    controller, _ = files(tmp_path, "imposed", 0.4, travel=True)
+    text = controller.read_text(encoding="utf-8").replace('name = "hip"', f'name = "{name}"')
+    controller.write_text(text, encoding="utf-8")
+    model = tmp_path / "followed.toml"
+    model.write_text(model.read_text(encoding="utf-8").replace(f"hip = {GAIN}", f"hip = {gain}"), encoding="utf-8")
+    with pytest.raises(UsageError, match=words) as raised:
+        load_configuration(controller)
+    assert "\n" not in str(raised.value)

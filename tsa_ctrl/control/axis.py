@@ -227,6 +227,13 @@ class ControlAxis:
             return image.q_j, image.omega_j
         return image.q_m * self._ratio, image.omega_m * self._ratio
 
+    def predicted_angle(self, ahead: float) -> float:
+        """Return the joint's angle `ahead` s after this cycle, rad; nan while its measurement is missing or too old."""
+        age = self.image.pdo_age
+        if not age <= self.most_age:
+            return math.nan
+        return self.joint()[0] + (age + ahead) * self.law.velocity
+
     def since_enable(self, now: float) -> float:
         """Seconds since torque was permitted; the first call after a release starts the clock."""
         if self._enabled_at is None:
@@ -304,6 +311,7 @@ class ControlAxis:
         sample.sigma, sample.omega_j, sample.theta = terms.sigma, terms.omega_j, theta
         sample.tau_m, sample.tau_j, sample.admit = image.tau_m, instruments.tau_j, image.fresh
         sample.q_j, sample.q_m, sample.t1, sample.t3 = terms.q_j, image.q_m, instruments.t1, instruments.t3
+        sample.fading = self.bending.fading
         self.estimator.update(sample)
         self.adapt()
         self._watch()
@@ -316,6 +324,9 @@ class ControlAxis:
         than its estimate has followed yet (BENT).
         """
         angle, pretension = self._used
+        more = self.bending.most_more
+        if more > 0.0 and isinstance(self.estimator, ConfigurationMap):  # the angle of another joint is missing
+            angle, pretension = self.estimator.parameters(self.terms.theta + more)
         with_motion, against = self._transmitted(self.image.tau_m, angle, pretension)
         middle, either = 0.5 * (with_motion + against), 0.5 * BENT * (with_motion - against)
         return middle + either, middle - either

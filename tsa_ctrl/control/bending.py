@@ -1,18 +1,26 @@
-"""The sheath's bending angle Theta while the loop runs: fixed, commanded, measured, or a linear map of joint angles.
+"""The sheath's wrap angle Theta while the loop runs: fixed, commanded, measured, or by the routing over several joints.
 
-Theta = offset + sum over axes of gain_i q_i        (rad; a sheath that crosses several joints has several gains)
+    Theta = offset + sum over joints of what each adds        (rad; `tsa_ctrl.model.routing`)
+
+A measured angle is predicted by the joint's velocity to the moment when the torque acts. An angle that is missing is
+replaced by the angle within the joint's range at which the sheath is bent least. Friction grows with the wrap angle,
+and so does the pretension, so this is the least friction that the joint allows. The change to it is a fade.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
+from tsa_ctrl.model.routing import Route, Routing, Span
+
 Angle = Annotated[float, Meta(ge=0.0, le=100.0)]  # rad; larger is in degrees
+FADE_OUT = 0.044  # s from a missing angle to the least wrap angle; 50 ms with three missed answers at 500 Hz
+FADE_IN = 1.0  # s back to the measured angle
 
 
 class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, kw_only=True):
@@ -22,6 +30,7 @@ class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
     offset: Angle | None = None  # rad, Theta with all joints at 0; default: the model file's bending_angle
     gains: dict[str, Annotated[float, Meta(ge=-10.0, le=10.0)]] = {}  # rad/rad by axis name
     range: Annotated[float, Meta(ge=0.0, le=0.9)] = 0.0  # 1, either way, by which the sheath may bend otherwise unseen
+    unmeasured: dict[str, tuple[float, float]] = {}  # rad, range of each joint of [routing] that no axis measures
 
     def __post_init__(self) -> None:
         if (self.source == "joints") != bool(self.gains):
@@ -32,32 +41,133 @@ class BendingSettings(msgspec.Struct, forbid_unknown_fields=True, frozen=True, k
         if self.source in ("fixed", "sensor") and self.offset is not None:
             whence = "the model file" if self.source == "fixed" else "its sensor"
             raise ValueError(f'source "{self.source}" takes the angle from {whence}; remove offset, or change source')
+        for name, (low, high) in self.unmeasured.items():
+            if not low < high:
+                raise ValueError(f"unmeasured.{name} = [{low:g}, {high:g}]; give [lowest, highest] rad of the joint")
+
+
+def routing_of(settings: BendingSettings, routing: Routing | None) -> Routing | None:
+    """Return the routing that the law follows; None without one.
+
+    Args:
+        settings: [axis.bending], whose gains are read as a routing.
+        routing: of the model file. A sensor of the wrap angle replaces it.
+    """
+    if settings.gains:
+        route = Route(dict(settings.gains), {})
+        return Routing(route, route)
+    return None if settings.source == "sensor" else routing
+
+
+class _Joint:
+    """One joint that bends the sheath: what it adds to the wrap angle, mean of both tendons."""
+
+    def __init__(
+        self, name: str, routing: Routing, read: Callable[[], float] | None, span: Span | None, period: float
+    ) -> None:
+        self.name = name
+        self.missing = read is None
+        self.fading = False
+        self._routes = (routing.a, routing.b)
+        self._read = read
+        self._span = span
+        self._seen = (math.inf, -math.inf)  # rad, for a joint without a travel
+        self._added = math.nan
+        self._gap = self._step = 0.0
+        self._period = period
+
+    def extremes(self) -> Span:
+        """Return the least and the most that the joint may add, rad.
+
+        Without a travel the angles measured so far count. The fault of that axis takes the torque away soon.
+        """
+        span = self._seen if self._span is None else self._span
+        if span[0] > span[1]:
+            return 0.0, 0.0
+        a, b = (route.extremes_by(self.name, span) for route in self._routes)
+        return 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1])
+
+    def update(self) -> float:
+        """Return rad that the joint adds now; a change between measured and missing is a fade."""
+        angle = math.nan if self._read is None else self._read()
+        missing = not math.isfinite(angle)
+        if missing:
+            added = self.extremes()[0]
+        else:
+            a, b = self._routes
+            added = 0.5 * (a.added_by(self.name, angle) + b.added_by(self.name, angle))
+            low, high = self._seen
+            self._seen = min(low, angle), max(high, angle)
+        if missing is not self.missing and self._added == self._added:
+            self._gap = self._added - added
+            self._step = abs(self._gap) * self._period / (FADE_OUT if missing else FADE_IN)
+            self.fading = True
+        self.missing = missing
+        if self.fading:
+            left = max(0.0, abs(self._gap) - self._step)
+            self.fading = left > 0.0
+            self._gap = math.copysign(left, self._gap)
+            added += self._gap
+        if not missing or self._read is None or self._added == self._added:
+            self._added = added
+        return added
 
 
 class Bending:
     """Theta of one axis' sheaths; `commanded` is what the user says it is (rad)."""
 
-    def __init__(self, settings: BendingSettings, nominal: float) -> None:
-        """`nominal` is the model file's bending angle, rad."""
-        self.settable = settings.source in ("command", "joints")
-        self.fixed = settings.source == "fixed"
+    def __init__(self, settings: BendingSettings, nominal: float, routing: Routing | None = None) -> None:
+        """`nominal`: the model file's bending angle, rad; `routing`: that of `routing_of`."""
+        self.settable = settings.source in ("command", "joints") or routing is not None
+        self.fixed = settings.source == "fixed" and routing is None
         self.commanded = nominal if settings.offset is None else settings.offset
-        self._terms: tuple[tuple[float, Callable[[], float]], ...] = ()
+        self.routing = routing
+        self._joints: tuple[_Joint, ...] = ()
         self._measured: Callable[[], float] | None = None
 
-    def connect(self, terms: tuple[tuple[float, Callable[[], float]], ...]) -> None:
-        """Give the gains and what reads the joint angle of each (rad)."""
-        self._terms = terms
+    def connect(self, angles: Mapping[str, Callable[[], float]], ranges: Mapping[str, Span], period: float) -> None:
+        """Connect the joints of the routing.
+
+        Args:
+            angles: by name, what reads the joint's angle (rad) at the moment when the torque acts; nan if unknown. A
+                joint that is absent is never measured.
+            ranges: rad by name, where the joint can be.
+            period: s.
+        """
+        if self.routing is not None:
+            self._joints = tuple(
+                _Joint(name, self.routing, angles.get(name), ranges.get(name), period) for name in self.routing.joints
+            )
 
     def measure(self, read: Callable[[], float]) -> None:
         """Take the angle (rad) from a sensor; nan while it says nothing."""
         self._measured = read
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Return the names of the joints whose angle is not known now."""
+        return tuple([joint.name for joint in self._joints if joint.missing])
+
+    @property
+    def fading(self) -> bool:
+        """Return True while an angle that was lost or found again is approached."""
+        return any(joint.fading for joint in self._joints)
+
+    @property
+    def most_more(self) -> float:
+        """Return rad by which the sheath may be bent more than `update` returned, because angles are missing."""
+        more = 0.0
+        for joint in self._joints:
+            if joint.missing:
+                low, high = joint.extremes()
+                more += high - low
+        return more
 
     def update(self) -> float:
         """Theta now, rad, never below 0; nan when it is not known: fixed by the model, or a measurement is missing."""
         if self.fixed:
             return math.nan
         theta = self.commanded if self._measured is None else self._measured()
-        for gain, angle in self._terms:
-            theta += gain * angle()
+        for joint in self._joints:
+            theta += joint.update()
         return theta if theta >= 0.0 or theta != theta else 0.0

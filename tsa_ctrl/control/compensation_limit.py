@@ -28,6 +28,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from tsa_ctrl.control.bending import BendingSettings, routing_of
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.observer.proven_friction import ProvenFriction
@@ -97,6 +98,28 @@ def bound_of(
             "friction is less"
         )
     return Bound(seen, unseen, tuple(notes))
+
+
+def unmeasured_notes(settings: BendingSettings, model: TendonSheath) -> tuple[str, ...]:
+    """Return what it costs that the angles of some joints of the routing are never measured, as a note."""
+    routing, unmeasured = routing_of(settings, model.routing), settings.unmeasured
+    if routing is None or not unmeasured:
+        return ()
+    ends = []
+    for end in (0, 1):
+        added = [
+            route.extremes_by(name, span)[end] for route in (routing.a, routing.b) for name, span in unmeasured.items()
+        ]
+        theta = max(0.0, model.bending_angle + 0.5 * sum(added))
+        pretension = max(0.0, model.pretension + model.pretension_slope * (theta - model.bending_angle))
+        ends.append(abs(sliding(model, 1.0, model.friction_coefficient * theta, pretension).half_loop))
+    least, most = ends
+    spans = ", ".join(f"'{name}' ({low:g} to {high:g} rad)" for name, (low, high) in unmeasured.items())
+    return (
+        f"the angle of joint {spans} is not measured: the friction torque of this axis may be {1e3 * least:.0f} to "
+        f"{1e3 * most:.0f} mN*m at the joint. The least is compensated, {100.0 * least / max(most, 1e-12):.0f} % of "
+        f"the most; expect an error of up to {1e3 * (most - least):.0f} mN*m. An encoder at that joint removes it",
+    )
 
 
 def interval_share(model: TendonSheath) -> float | None:

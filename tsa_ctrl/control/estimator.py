@@ -155,6 +155,7 @@ class Sample:
     q_m: float = math.nan  # rad
     t1: float = math.nan  # N, of tendon a at the motor
     t3: float = math.nan  # N, of tendon b
+    fading: bool = False  # the change of theta is already a fade
 
 
 class Estimator(Protocol):
@@ -207,11 +208,13 @@ class ConfigurationMap:
     why = ""
     found = math.nan
 
-    def __init__(self, model: TendonSheath, settings: EstimatorSettings, period: float) -> None:
-        """Prepare the map; `period` in s."""
+    def __init__(
+        self, model: TendonSheath, settings: EstimatorSettings, period: float, most_theta: float | None = None
+    ) -> None:
+        """Prepare the map; `period` in s, `most_theta`: rad, default by the bounds of the settings."""
         self._mu = model.friction_coefficient
         self._theta = model.bending_angle
-        self._most_theta = (1.0 + settings.bounds) * model.bending_angle
+        self._most_theta = (1.0 + settings.bounds) * model.bending_angle if most_theta is None else most_theta
         self._pretension = model.pretension
         self._slope = model.pretension_slope
         self._step = settings.rate * model.bending_angle * period
@@ -234,14 +237,15 @@ class ConfigurationMap:
         self.state = EstimateState.ESTIMATED
         if theta > self._most_theta:
             theta, self.state = self._most_theta, EstimateState.INVALID
-        if abs(theta - last) > JUMP:
+        if abs(theta - last) > JUMP and not seen.fading:
             self._gap += last - theta
         self._last = theta
         self._gap = toward(self._gap, 0.0, self._step)
-        theta += self._gap
-        pretension = self._pretension + self._slope * (theta - self._theta)
-        self.friction_angle = self._mu * theta
-        self.pretension = pretension if pretension > 0.0 else 0.0
+        self.friction_angle, self.pretension = self.parameters(theta + self._gap)
+
+    def parameters(self, theta: float) -> tuple[float, float]:
+        """Return friction angle (1) and pretension (N) at the wrap angle `theta` (rad), by (3.52) and (3.56)."""
+        return self._mu * theta, max(0.0, self._pretension + self._slope * (theta - self._theta))
 
 
 def toward(value: float, target: float, step: float) -> float:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from enum import Enum
+from functools import partial
 
 import msgspec
 
 from tsa_ctrl.bus.canopen.cia402 import PowerState
 from tsa_ctrl.bus.live.rig import Rig
-from tsa_ctrl.config import AxisSettings, Configuration
+from tsa_ctrl.config import AxisSettings, Configuration, joint_ranges
 from tsa_ctrl.control.axis import ControlAxis, Safeguards, Timing
-from tsa_ctrl.control.bending import Bending
+from tsa_ctrl.control.bending import Bending, routing_of
 from tsa_ctrl.control.by_stretch import ByStretch
 from tsa_ctrl.control.by_tension import ByTension
-from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of
+from tsa_ctrl.control.compensation_limit import Bound, CompensationLimit, bound_of, unmeasured_notes
 from tsa_ctrl.control.direction import LONGEST, Direction, Motion
 from tsa_ctrl.control.estimator import Attribution, ConfigurationMap, EstimateState, Estimator, Fixed
 from tsa_ctrl.control.law import Law
@@ -119,7 +120,7 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
                     plan.turn + plan.delay,
                     set_point_limit(settings, model),
                 ),
-                bending=Bending(settings.bending, model.bending_angle),
+                bending=Bending(settings.bending, model.bending_angle, routing_of(settings.bending, model.routing)),
                 estimator=estimator_of(settings, model, joint_torque, period),
                 law=law_of(settings, model, plan, period),
                 safeguards=safeguards_of(settings, model, supervisor, joint_torque, limit, plan.inertia, period),
@@ -128,9 +129,12 @@ def control_axes(configuration: Configuration, rig: Rig) -> tuple[ControlAxis, .
             )
         )
     by_name = {axis.name: axis for axis in axes}
-    for settings, axis in zip(file.axes, axes, strict=True):
-        gains = settings.bending.gains
-        axis.bending.connect(tuple((gain, _joint_angle(by_name[name])) for name, gain in gains.items()))
+    travel = joint_ranges(file.axes)
+    for settings, axis, plan in zip(file.axes, axes, configuration.plans, strict=True):
+        unmeasured, ahead = settings.bending.unmeasured, plan.delay + period  # the estimate acts from the next cycle on
+        angles = {name: partial(other.predicted_angle, ahead) for name, other in by_name.items()}
+        measured = {name: read for name, read in angles.items() if name not in unmeasured}
+        axis.bending.connect(measured, {**travel, **unmeasured}, period)
         if settings.bending.source == "sensor":
             axis.bending.measure(_measured_bending(axis))
     return tuple(axes)
@@ -283,7 +287,7 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
         sees=has_torque_sensor(settings) or joint_torque.stretch is not None,
         compensation=settings.law.compensation,
     )
-    notes = list(bound.notes)
+    notes = [*bound.notes, *unmeasured_notes(settings.bending, model)]
     if why_fixed and not joint_torque.why_not:  # which says the same
         notes.append(why_fixed)
     if settings.oscillation is not None:
@@ -291,10 +295,6 @@ def bound_for(settings: AxisSettings, model: TendonSheath, joint_torque: JointTo
             "[axis.oscillation] has no effect any longer: the guard of [axis.passivity] stands in its place; remove it"
         )
     return Bound(bound.seen, bound.unseen, tuple(notes))
-
-
-def _joint_angle(axis: ControlAxis) -> Callable[[], float]:
-    return lambda: axis.joint()[0]
 
 
 def _measured_bending(axis: ControlAxis) -> Callable[[], float]:
@@ -307,7 +307,8 @@ def estimator_of(settings: AxisSettings, model: TendonSheath, joint_torque: Join
     if chosen.kind == "fixed":
         return Fixed(model)
     if chosen.kind == "map":
-        return ConfigurationMap(model, chosen, period)
+        routed = routing_of(settings.bending, model.routing) is not None
+        return ConfigurationMap(model, chosen, period, math.inf if routed else None)
     if chosen.kind == "tension":
         return ByTension(model, chosen, period)
     if chosen.kind == "stretch":

@@ -55,6 +55,7 @@ class AxisNotices:
         self._slack = self._contradicted = self._less = False
         self._confirmed = True
         self._why = ""
+        self._missing: tuple[str, ...] = ()
         self._heard = (0, 0)
         self._may_report_cut, self._may_report_repeated = Seldom(), Seldom()
         self._may_report_missed, self._may_report_unheard = Seldom(), Seldom()
@@ -66,6 +67,7 @@ class AxisNotices:
     def begin(self) -> None:
         """Report what this rig cannot have, before the first cycle."""
         axis = self._axis
+        self._missing = axis.bending.missing  # joints without an encoder are among the notes of the bound
         for note in (*axis.law.notes, *axis.compensation_limit.bound.notes, axis.joint_torque.why_not):
             if note:
                 self._add(0.0, note)
@@ -74,6 +76,7 @@ class AxisNotices:
         """Report what has changed since the last call; `t` in s of the log."""
         self._update_torque(t)
         self._update_estimate(t)
+        self._update_routing(t)
         self.update_statusword(t)
         self._update_elongation(t)
         image = self._axis.image
@@ -133,6 +136,20 @@ class AxisNotices:
                 f"{'near slack' if law.near_slack else 'no longer near slack'}; the motor torque is limited to "
                 f"{_range(law.domain)}",
             )
+
+    def _update_routing(self, t: float) -> None:
+        missing = self._axis.bending.missing
+        if missing == self._missing or not self._axis.terms.permitted:
+            return
+        if missing:
+            self._add(
+                t,
+                f"the angle of joint {', '.join(missing)}, which bends this sheath, is not measured: the friction is "
+                "taken at the least wrap angle that the joint allows",
+            )
+        else:
+            self._add(t, "the angles of all joints that bend this sheath are measured again")
+        self._missing = missing
 
     def update_statusword(self, t: float) -> None:
         """Report the bits of the statusword that stop nothing, when they begin; `t` in s of the log."""

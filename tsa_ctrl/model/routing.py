@@ -80,6 +80,17 @@ class Route:
             bent += _between(points, angles[name])
         return bent
 
+    def added_by(self, joint: str, angle: float) -> float:
+        """Return rad of wrap angle that one joint adds at `angle` (rad); 0 if it does not bend this sheath."""
+        points = self.tables.get(joint)
+        return self.gains.get(joint, 0.0) * angle if points is None else _between(points, angle)
+
+    def extremes_by(self, joint: str, span: Span) -> Span:
+        """Return the least and the most that one joint within `span` (rad) adds, rad."""
+        ends = self.added_by(joint, span[0]), self.added_by(joint, span[1])
+        reached = [theta for q, theta in self.tables.get(joint, ()) if span[0] < q < span[1]]
+        return min(*ends, *reached), max(*ends, *reached)
+
     def slopes(self, angles: Mapping[str, float]) -> dict[str, float]:
         """Return d Theta / d q of each joint, rad/rad; 0 beyond the ends of a table, and at a point what follows it."""
         return {**self.gains, **{name: _slope(points, angles[name]) for name, points in self.tables.items()}}
