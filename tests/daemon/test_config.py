@@ -172,7 +172,7 @@ def test_four_axes_fit_a_bus_at_a_lower_rate(folder: Path) -> None:
 def test_sensor_estimator_needs_a_sensor(folder: Path) -> None:
     """The recursive estimator of kind "sensor" is refused on an axis without a torque sensor."""
     edit(folder, r'^# kind = "stretch" ', 'kind = "sensor" ')
-    path = edit(folder, r"^\[axis.torque_sensor\][^\n]*\nnode_id = 64", "")
+    path = edit(folder, r"^\[axis.torque_sensor\][^\n]*\n(?: +#[^\n]*\n)*node_id = 64", "")
     with pytest.raises(UsageError, match=r"without \[axis.torque_sensor\]"):
         load_configuration(path)
 
