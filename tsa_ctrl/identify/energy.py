@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.dataset import Dataset
 from tsa_ctrl.identify.redundancy import compare, judge
+from tsa_ctrl.identify.torque_scale import FRICTION_FACTOR, most_friction, torque_scale
+from tsa_ctrl.identify.units import in_other_units
 from tsa_ctrl.model.parameters import Model, TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.signals import last_reversal, low_pass
@@ -51,7 +53,6 @@ VARIES = 0.15  # of the friction torque: friction varies by a tenth with speed, 
 UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
 FEWEST_MEANS = 20  # whose spread is then known to a sixth
 THROUGH = 1.0  # of the way in which a reversal runs through the sheath
-FRICTION_FACTOR = 2.0  # of F, beyond what [uncertainty] leaves open
 SURE = 3.0  # standard errors by which a friction torque must lie outside: one log of 400 by chance
 DIRECTED = 2.5  # times the noise of a velocity, above which it shows a direction
 SLIDING = 0.1  # of the velocity's 95th percentile; slower samples may stick
@@ -147,19 +148,22 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
 
     The measured joint torque is compared with the simulated one. It must follow the simulated one where both change
     apart from motion and weight, and the friction torque F of both must agree within FRICTION_FACTOR beyond
-    [uncertainty]. A value counts only if its whole interval is beyond that.
+    [uncertainty]; so must the size of the measured one. A value counts only if its whole interval is beyond that.
     """
     if not isinstance(model, TendonSheath) or "tau_j" not in dataset or model.friction_angle <= 0.0:
         return ""
+    for name in ("tau_m", "tau_j"):
+        if float(np.ptp(dataset[name])) == 0.0:
+            return f"column {name} does not change at all: is the torque recorded?"
     omega, tau_j = dataset["omega_j"], dataset["tau_j"]
     tau_m = dataset["tau_m"] * (model.joint_pulley_radius / model.motor_pulley_radius)
     sliding = _sliding(omega) & _has_direction(omega, dataset.period)
+    other = "; is a column of another log or of another drive, is it noise, or are two columns swapped?"
+    if is_noise(tau_j):
+        return f"column tau_j is noise: its neighbouring samples have nothing in common{other}"
     measured = _signs(dataset, tau_m, omega, sliding, tau_j)
     if measured is None:
-        return ""
-    other = "; is a column of another log or of another drive, is it noise, or are two columns swapped?"
-    if _is_noise(tau_j):
-        return f"column tau_j is noise: its neighbouring samples have nothing in common{other}"
+        return torque_scale(dataset, model)
     expected = predict(model, dataset.signals())
     pair = low_pass(expected, dataset.period, BAND), low_pass(tau_j, dataset.period, BAND)
     try:
@@ -174,22 +178,21 @@ def foreign_torque(dataset: Dataset, model: Model) -> str:
         )
     simulated = _signs(dataset, tau_m, omega, sliding, expected)
     if simulated is None or not simulated.friction_torque > 0.0:
-        return ""
-    x, wider = model.friction_angle, 1.0 + model.friction_angle_uncertainty
-    friction = math.sinh(x * wider) / math.sinh(x)  # of T_p sinh x, by which the friction angle may raise it
-    spare = FRICTION_FACTOR * friction * (1.0 + model.pretension_uncertainty)
+        return torque_scale(dataset, model)
+    spare = FRICTION_FACTOR * most_friction(model)
     factor = measured.friction_torque / simulated.friction_torque
     doubt = SURE * measured.doubt / simulated.friction_torque
     found = f"the friction torque (half the hysteresis width) in tau_m against tau_j is {max(factor, 0.0):.3g} times"
     if factor - doubt > spare:
         return (
             f"{found} the model's, {factor * FRICTION_FACTOR / spare:.3g} times what [uncertainty] allows; torques may "
-            "be in N*cm or mN*m, or per mille of the rated torque: convert them to N*m, or give this drive's model"
+            f"be {in_other_units(factor / most_friction(model), factor * most_friction(model))}: convert them to N*m, "
+            "or give this drive's model"
         )
     # A joint that the torque moves shows an eighth of its friction here: only the wrong sign is foreign.
     if factor + doubt < 0.0:
         return f"{found} the model's: friction does not follow the direction of the motion{other}"
-    return ""
+    return torque_scale(dataset, model)
 
 
 def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: NDArray[np.bool_]) -> float:
@@ -198,7 +201,7 @@ def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: 
     Both are low-passed at BAND. Only samples count at which a reversal has run through the whole sheath. The result is
     nan if the measured torque hardly changes compared with the simulated one: the load is then constant, and the
     simulation only shows the ripple of the motor torque. It is also nan if the simulated torque varies by less than
-    friction itself may vary beyond the model.
+    friction itself may vary beyond the model, at the friction that [uncertainty] leaves open.
     """
     omega, thin = dataset["omega_j"], max(1, len(expected) // MOST)
     angle = dataset["q_j"] if "q_j" in dataset else np.cumsum(omega) * dataset.period
@@ -216,13 +219,13 @@ def _following(dataset: Dataset, model: TendonSheath, expected: Array, sliding: 
         values[here] - columns @ np.linalg.lstsq(columns, values[here], rcond=1e-9)[0] for values in torques
     )
     sizes = float(np.linalg.norm(simulated)), float(np.linalg.norm(measured))
-    varies = abs(steady_sliding(model).half_loop) * math.sqrt(len(here)) * VARIES
+    varies = abs(steady_sliding(model).half_loop) * most_friction(model) * math.sqrt(len(here)) * VARIES
     if sizes[0] <= varies or sizes[1] < CHANGES * sizes[0]:
         return math.nan
     return float(measured @ simulated) / (sizes[0] * sizes[1])
 
 
-def _is_noise(column: Array) -> bool:
+def is_noise(column: Array) -> bool:
     """Return True if neighbours, also as means over a hundred samples, have nothing to do with each other."""
     coarse = column[: len(column) // 100 * 100].reshape(-1, 100).mean(axis=1)
     series = [column, coarse] if len(coarse) >= FEWEST_MEANS else [column]

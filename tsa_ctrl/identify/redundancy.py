@@ -38,7 +38,11 @@ UNITS = {  # factors by which a column is too large: the likely unit, for angles
         (0.5 / math.pi, "revolutions"),
         (1000.0, "mrad"),
     ),
-    "torque": ((100.0, "N*cm"), (1000.0, "N*mm, mN*m or per mille of the rated torque")),
+    "torque": (
+        (9.5, "kgf*cm or lbf*in"),
+        (100.0, "N*cm"),
+        (1000.0, "N*mm, mN*m or per mille of the rated torque"),
+    ),
 }
 NEAR = 1.25  # factor either way within which a unit is recognised
 

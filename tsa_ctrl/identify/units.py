@@ -20,10 +20,10 @@ SLOWEST = 2.0  # Hz: a 1 or 2 kHz log looks like this or slower with time in ms
 SLOW = 12.0  # Hz: a 10 kHz log looks like this with time in ms; a steady motion may well be logged at such a rate,
 LONGEST_SLOW = 3000.0  # s: but no longer than the 3 s that anything can be told from look like with time in ms
 LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a larger value hints at
-    "tau_m": (500.0, "N*m", "N*mm"),
-    "tau_j": (500.0, "N*m", "N*mm"),
-    "tau_j_des": (500.0, "N*m", "N*mm"),
-    "tau_m_cmd": (500.0, "N*m", "N*mm"),
+    "tau_m": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
+    "tau_j": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
+    "tau_j_des": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
+    "tau_m_cmd": (500.0, "N*m", "N*mm, N*cm or kgf*cm"),
     "omega_j": (100.0, "rad/s", "degrees per second or rpm"),
     "omega_m": (3000.0, "rad/s", "degrees per second or rpm"),
     "theta": (50.0, "rad", "degrees"),
@@ -34,6 +34,16 @@ LARGEST: dict[str, tuple[float, str, str]] = {  # absolute limit, unit, what a l
 WIDEST_SWING = 20.0  # rad: a joint that turns further forth and back has its angle in degrees
 DEGREES = 180.0 / np.pi  # per radian: what an angle in degrees is too large by
 INVERSE = 0.05  # how near to 1 / ratio the two ends' motion must be to have changed places
+TORQUES = (  # how many of a unit are one N*m
+    (1000.0, "N*mm, mN*m or per mille of the rated torque"),
+    (141.6, "ozf*in"),
+    (100.0, "N*cm"),
+    (10.197, "kgf*cm"),
+    (8.851, "lbf*in"),
+    (0.10197, "kgf*m"),
+)
+# By how much the ratio of two torques exceeds that of the pulleys (cosh of a friction angle of 1.3), or falls short
+CAPSTAN, ATTENUATED = 2.0, 0.8
 MOST_GAIN = 50.0  # of the torque beyond the pulleys' ratio, friction and wrong calibration included
 
 
@@ -75,6 +85,12 @@ def check_sizes(label: str, columns: Mapping[str, Array], first_row: int = 0) ->
             )
 
 
+def in_other_units(low: float, high: float) -> str:
+    """Return the units in which a number is between `low` and `high` times too large, with their factors."""
+    fitting = [f"{unit} (a factor of {factor:.4g})" for factor, unit in TORQUES if low <= factor <= high]
+    return "in " + " or ".join(fitting) if fitting else f"too large by a factor of {low:.3g} or more"
+
+
 def check_ratios(
     label: str, columns: Mapping[str, Array], motor_pulley_radius: float, joint_pulley_radius: float
 ) -> None:
@@ -87,10 +103,15 @@ def check_ratios(
         sigma = np.sign(columns["omega_j"])  # friction shifts the torques by direction and hides their ratio
         slope = _slope(_levelled(columns["tau_m"], sigma), _levelled(columns["tau_j"], sigma))
         if slope is not None and not 1.0 / MOST_GAIN < abs(slope) / ratio < MOST_GAIN:
-            name = "tau_j" if abs(slope) > ratio else "tau_m"
+            over = abs(slope) / ratio
+            name, unit = (
+                ("tau_j", in_other_units(over / CAPSTAN, over / ATTENUATED))
+                if over > 1.0
+                else ("tau_m", in_other_units(ATTENUATED / over, CAPSTAN / over))
+            )
             raise UsageError(
                 f"{label}: column tau_j is {slope:.3g} times tau_m where the pulleys give {ratio:.3g}, which cannot be "
-                f"right; {name} seems to be in N*mm: convert it to N*m"
+                f"right; {name} seems to be {unit}: convert it to N*m"
             )
     for motor, joint in (("q_m", "q_j"), ("omega_m", "omega_j")):
         if motor in columns and joint in columns:

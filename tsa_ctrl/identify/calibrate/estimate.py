@@ -28,6 +28,7 @@ from tsa_ctrl.identify.calibrate.regression import Estimate, lagged, solve
 from tsa_ctrl.identify.calibrate.result import Calibration
 from tsa_ctrl.identify.dataset import Dataset, held_out_blocks, held_out_logs, notes_of
 from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.torque_scale import friction_beyond
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.model.predict import predict
 from tsa_ctrl.model.sliding import pretension_level
@@ -246,6 +247,9 @@ def calibrate(
         raise UsageError(f"{model.source or 'model'}: friction angle and pretension must be above 0 to be calibrated")
     prepared = prepare(logs, model, tensioner or {})
     result = _fit(prepared, model, certified_gain, split)
+    impossible = friction_beyond(model, result.half_loop_torque)
+    if impossible and not model.effects:
+        raise UsageError(f"calibrate: {impossible}")
     train, test = _held_out(prepared, hold_out)
     after = _fit(train, model, certified_gain, split).model
     found = result.written(result.model)

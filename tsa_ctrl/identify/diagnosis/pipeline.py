@@ -44,6 +44,7 @@ from tsa_ctrl.model.parameters import Model
 Progress = Callable[[str], None]
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # what is not finite is dropped, or refused below
 def diagnose(
     logs: Logs, model: Model, *, hold_out: str | None = None, seed: int = 0, progress: Progress | None = None
 ) -> Diagnosis:
@@ -95,7 +96,7 @@ def diagnose(
             errors = dataclasses.replace(errors, noise_floor=min(errors.noise_floor, formula.rms[1]))
     except InsufficientError as refusal:
         return insufficient(model, audited, str(refusal), testable.not_testable)
-    except OverflowError:  # a friction angle beyond anything
+    except (OverflowError, FloatingPointError, np.linalg.LinAlgError):  # numbers beyond anything
         return insufficient(model, audited, UNSUITED, testable.not_testable)
     return conclude(
         model,

@@ -13,7 +13,8 @@ from tsa_ctrl.identify.diagnosis.parameters.formula import Formula
 from tsa_ctrl.identify.diagnosis.parameters.held_out import HeldOut
 from tsa_ctrl.identify.diagnosis.parameters.refit import base_quantities, refit
 from tsa_ctrl.identify.energy import foreign_torque
-from tsa_ctrl.model.parameters import Model
+from tsa_ctrl.identify.torque_scale import drive_scale
+from tsa_ctrl.model.parameters import Model, RigidDrive
 
 WIDEST_FRICTION = 0.35  # relative half width of the half loop's interval from which on friction is not seen at all
 MOST_ERROR = (
@@ -25,6 +26,8 @@ UNSUITED = (
 )
 # Of its mean: a torque that rests on one level shows neither the slope nor, beside sensors' zeros, the half loop
 LEAST_CHANGE = 0.25
+LEAST_FRICTION = 0.01  # of a plain drive's friction in the file: less is a sign that the torque does not follow at all
+FOLLOWED = 0.5  # of the change of such a torque: a simulation further off has not followed three quarters of its square
 UNRELATED = 0.6  # of the torque itself, RMS: more that is not noise is left by every cause only of strange logs
 LEAST_IMPROVEMENT = 0.5  # of the recalibrated model's error: causes that leave less are of this drive
 SIMPLER = {
@@ -59,17 +62,21 @@ def refuse_foreign(frame: Frame, model: Model) -> None:
 
 def refuse_unsuited(problem: Problem, base: Fit) -> None:
     """A simulation that has nothing of the measured torque; and tendons whose friction does not show."""
+    given, found = problem.base.given, base.hypothesis.model(base.point)
+    if isinstance(given, RigidDrive) and isinstance(found, RigidDrive) and drive_scale(given, found):
+        raise InsufficientError(drive_scale(given, found))
     mask = problem.mask
     error = (problem.frame.target - problem.predicted(base.hypothesis.model(base.point)))[mask]
     target = problem.frame.target[mask]
     change, level = float(np.std(target)), abs(float(np.mean(target)))
-    if not float(np.std(error)) <= MOST_ERROR * change:
-        if change < LEAST_CHANGE * level:
-            raise InsufficientError(
-                f"the measured torque rests on one level, {level:.3g} N·m, and changes by {change:.3g} N·m RMS, where "
-                f"{LEAST_CHANGE * level:.3g} N·m are needed; one load does not tell friction from a sensor's gain or "
-                "zero; record several loads and give the logs together"
-            )
+    off = float(np.std(error))
+    if change < LEAST_CHANGE * level and not off <= FOLLOWED * change:
+        raise InsufficientError(
+            f"the measured torque rests on one level, {level:.3g} N·m, and changes by {change:.3g} N·m RMS, where "
+            f"{LEAST_CHANGE * level:.3g} N·m are needed; one load does not tell friction from a sensor's gain or "
+            "zero; record several loads and give the logs together"
+        )
+    if not off <= MOST_ERROR * change:
         raise InsufficientError(UNSUITED)
     if problem.base.target != "tau_m":
         _refuse_unseen_friction(problem, base)
@@ -116,7 +123,12 @@ def refuse_useless(problem: Problem, named: bool, errors: HeldOut) -> None:
 def _refuse_unseen_friction(problem: Problem, base: Fit) -> None:
     found = base_quantities(refit(problem, base))
     name = "half_loop_torque" if "half_loop_torque" in found else "coulomb_friction"
-    quantity = found[name][1]
+    given, quantity = found[name]
+    if problem.base.target == "tau_m" and quantity.value < LEAST_FRICTION * given:
+        raise InsufficientError(
+            f"friction does not show: it comes out as {quantity} where the file has {given:.3g} N·m; it does not "
+            "follow the direction of this motion: is a column of another log, or is a sign turned?"
+        )
     if not base.free.any() or quantity.value <= 0.0:
         return
     width = 0.5 * (quantity.high - quantity.low) / quantity.value

@@ -9,6 +9,7 @@ import numpy as np
 
 from tsa_ctrl.identify.dataset import notes_of
 from tsa_ctrl.identify.diagnosis.data.frame import Frame
+from tsa_ctrl.identify.energy import is_noise
 from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.signals import hold_direction
 
@@ -19,8 +20,6 @@ LEAST_CLEAR, LEAST_MOVING = 0.05, 0.02  # of the time, or SHORTEST in all
 # Share of a torque's samples that repeat the one before: more was held by something, for noise moves the last digit
 STUCK = 0.5
 FEWEST_HELD = 20  # samples at the largest value: so many are a limit, and no chance
-UNRELATED = 1.4  # mean square of the differences over the variance: 2 for white noise, 0 for a smooth signal
-FEWEST_MEANS = 20  # whose spread is then known to a sixth
 SPEED_BINS, LOAD_BINS = 8, 8  # a picture that is read at a glance; no verdict hangs on it
 
 
@@ -117,6 +116,8 @@ def _insufficient(moving: float, fast: float, clear: float, frame: Frame) -> str
         return "the measured torque does not change at all: is the sensor connected?"
     if _is_constant([run.signals.tau_m for run in frame.runs]):
         return "tau_m does not change at all: is the drive's torque recorded?"
+    if is_noise(np.concatenate([run.full_target for run in frame.runs])):
+        return "the measured torque is a constant with noise: its neighbouring samples have nothing in common"
     if _is_constant([run.signals.omega_j for run in frame.runs]) and fast > 0.0:
         return "the velocity does not change at all: is it recorded?"
     if fast <= 0.0 and clear * frame.seconds < SHORTEST:
@@ -135,14 +136,7 @@ def _insufficient(moving: float, fast: float, clear: float, frame: Frame) -> str
 
 
 def _is_constant(columns: Sequence[Array]) -> bool:
-    return float(np.ptp(np.concatenate(columns))) == 0.0
-
-
-def _is_noise(column: Array) -> bool:
-    """Whether neighbours, also as means over a hundred samples, have nothing to do with each other."""
-    coarse = column[: len(column) // 100 * 100].reshape(-1, 100).mean(axis=1)
-    series = [column, coarse] if len(coarse) >= FEWEST_MEANS else [column]
-    return all(float(np.mean(np.diff(y) ** 2)) > UNRELATED * float(np.var(y)) for y in series)
+    return all(float(np.ptp(column)) == 0.0 for column in columns)
 
 
 def _suspicions(frame: Frame) -> tuple[str, ...]:
@@ -157,7 +151,7 @@ def _suspicions(frame: Frame) -> tuple[str, ...]:
                 out.append(f"{run.name}: {name} repeats its last value in {np.mean(repeated):.0%} of the samples")
             if float(np.ptp(column)) == 0.0:
                 continue
-            if _is_noise(column):
+            if is_noise(column):
                 out.append(f"{run.name}: {name} is a constant with noise: is the torque recorded?")
             top = np.max(np.abs(column))
             held = float(np.mean(np.abs(column) > 0.9999 * top))

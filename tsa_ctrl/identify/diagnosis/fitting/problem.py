@@ -108,6 +108,8 @@ class Problem:
 
     def whiten(self, y: Array) -> Array:
         """(n,) or (n, k) in N*m to white units over the samples that count, the nuisance projected out."""
+        if not np.isfinite(y).all():
+            raise FloatingPointError("a torque that is not finite")
         return self.projection.apply(self.noise.whiten(y, self.frame.slices)[self.mask])
 
     @cached_property

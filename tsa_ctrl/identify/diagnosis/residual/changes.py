@@ -84,7 +84,7 @@ def lines(residual: Array, factors: Mapping[str, Array], period: float) -> Findi
     inside = (frequency > LINE_BAND[0]) & (frequency < LINE_BAND[1])
     for name, factor in factors.items():
         signal = residual * factor / max(float(np.sqrt(np.mean(factor**2))), 1e-12)
-        power = np.abs(np.fft.rfft(signal)) ** 2 / float(signal @ signal)
+        power = np.abs(np.fft.rfft(signal)) ** 2 / max(float(signal @ signal), 1e-300)
         power = np.where(inside, power, 0.0)
         local = np.array([np.median(part) for part in np.array_split(power[inside], max(1, inside.sum() // 40))])
         level = np.interp(

@@ -1,0 +1,129 @@
+"""Torques whose size no transmission of this model can have: the factor, and the units that it fits.
+
+While sliding, (3.55) bounds the torque at the joint by that at the motor and by friction:
+
+    |tau_J| <= R cosh(x) |tau_M| + F,    R = r_J / r_M,    F = 2 T_p r_J sinh x
+
+with friction angle and pretension at the upper end of [uncertainty]. What follows the joint's acceleration is inertia
+and left out. A model cannot tell units nearer to each other than its own uncertainty, so all that fit are named.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tsa_ctrl.identify.dataset import Dataset
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.identify.units import DEGREES, in_other_units
+from tsa_ctrl.model.parameters import RigidDrive, TendonSheath
+from tsa_ctrl.model.predict import predict
+from tsa_ctrl.model.signals import low_pass
+from tsa_ctrl.model.sliding import sliding
+
+Array = NDArray[np.float64]
+
+FRICTION_FACTOR = 2.0  # of what [uncertainty] leaves open; an effect that doubles a torque is of this drive
+BAND = 10.0  # Hz, in which torques are compared
+# A rough guess of a drive's friction is wrong by less than this factor; the smallest unit's factor is 8.85
+ROUGH = 5.0
+GUESS = 30.0  # of a file with friction alone: an order of magnitude and a half
+RECOGNISED = 1.25  # factor either way within which the ratio of two torques of one shape is that of a unit
+
+
+def most_friction(model: TendonSheath) -> float:
+    """Return by which factor [uncertainty] may raise the friction torque 2 T_p r_J sinh x of the file."""
+    x = model.friction_angle
+    friction = math.sinh(x * (1.0 + model.friction_angle_uncertainty)) / math.sinh(x)
+    return friction * (1.0 + model.pretension_uncertainty)
+
+
+def friction_beyond(model: TendonSheath, found: Quantity) -> str:
+    """Return why the friction torque that logs show cannot be this drive's; empty where it can.
+
+    It is the model's within [uncertainty] and FRICTION_FACTOR, or its 95 % interval reaches into that range.
+    """
+    given = abs(sliding(model).half_loop)
+    x = model.friction_angle
+    lowest = math.sinh(x / (1.0 + model.friction_angle_uncertainty)) / math.sinh(x)
+    low = given * lowest / (1.0 + model.pretension_uncertainty) / FRICTION_FACTOR
+    high = given * most_friction(model) * FRICTION_FACTOR
+    if found.low > high:
+        may = in_other_units(found.value / high, found.value / low)
+        cause = f"torques may be {may}: convert them to N·m, or give this drive's model"
+    elif found.low <= 0.0 or found.high < low:
+        cause = "friction does not follow this motion: is a column of another log or of another drive, or is it noise?"
+    else:
+        return ""
+    return (
+        f"the friction torque comes out as {found}, {found.value / given:.3g} times the model's; [uncertainty], and a "
+        f"factor of {FRICTION_FACTOR:g} beyond it, allow {low:.3g} to {high:.3g} N·m; {cause}"
+    )
+
+
+def torque_scale(dataset: Dataset, model: TendonSheath) -> str:
+    """Return why tau_j is too large for tau_m by the model; empty where it is not. Needs both columns."""
+    omega = dataset["omega_j"]
+    moving = np.abs(omega) > 0.1 * float(np.percentile(np.abs(omega), 95.0))
+    if not moving.any():
+        return ""
+    acceleration = np.gradient(low_pass(omega, dataset.period, BAND), dataset.period)
+    measured = low_pass(dataset["tau_j"], dataset.period, BAND)
+    inertia = acceleration - float(np.mean(acceleration))
+    turned = float(inertia @ inertia)
+    if turned > 0.0:
+        measured = measured - inertia * float(inertia @ measured) / turned
+    found = _size(measured[moving])
+    x = model.friction_angle * (1.0 + model.friction_angle_uncertainty)
+    ratio = model.joint_pulley_radius / model.motor_pulley_radius
+    driven = ratio * _size(low_pass(dataset["tau_m"], dataset.period, BAND)[moving])
+    friction = abs(sliding(model).half_loop) * most_friction(model)
+    simulated = _size(predict(model, dataset.signals())[moving])
+    allowed = FRICTION_FACTOR * max(math.cosh(x) * driven + friction, simulated)
+    if not found > allowed:
+        return ""
+    units = in_other_units(found / allowed, math.inf)  # a torque that carries little load may be as small as it likes
+    most = allowed / FRICTION_FACTOR
+    return (
+        f"column tau_j is {found:.3g} N·m where tau_m gives {simulated:.3g} N·m by the model and at most "
+        f"{most:.3g} N·m within [uncertainty], {found / most:.3g} times too large for tau_m: tau_j may be {units}; "
+        "convert it to N*m, or give this drive's model"
+    )
+
+
+def drive_scale(given: RigidDrive, found: RigidDrive) -> str:
+    """Return why a plain drive's log has another unit: the numbers `found` are those `given` times the unit's factor.
+
+    The inertia is known from data sheets and decides, with the friction beside it; friction alone may be a first guess.
+    """
+    inertia = _ratio(found.inertia, given.inertia)
+    friction = _ratio(found.coulomb_friction, given.coulomb_friction)
+    size = friction if inertia is None else inertia
+    if size is None or friction is None or not size > 0.0:
+        return ""
+    ends = "convert it, or give this drive's model"
+    turned = 1.0 / (size * DEGREES)
+    if inertia is not None and 1.0 / RECOGNISED < turned < RECOGNISED and 1.0 / ROUGH < friction < ROUGH:
+        return (
+            f"the inertia comes out {1.0 / size:.3g} times smaller than in the file, and the friction does not: q_m "
+            f"and omega_m seem to be in degrees (180/pi = {DEGREES:.3g}), where rad are needed; {ends}"
+        )
+    if 1.0 / ROUGH < size < ROUGH or (inertia is None and 1.0 / GUESS < size < GUESS):
+        return ""
+    fitting = in_other_units(size / RECOGNISED, size * RECOGNISED)
+    if not fitting.startswith("in ") or not 1.0 / ROUGH < friction / size < ROUGH:
+        return ""
+    return (
+        f"{'inertia and friction come' if inertia is not None else 'the friction comes'} out {size:.3g} times as large "
+        f"as in the file: tau_m seems to be {fitting}, where N*m is needed; {ends}"
+    )
+
+
+def _ratio(found: float | None, given: float | None) -> float | None:
+    return None if not given or found is None else found / given
+
+
+def _size(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
