@@ -76,13 +76,19 @@ def test_a_signal_that_contradicts_the_others_is_named(tmp_path: Path, fault: st
     assert words in said
 
 
-@pytest.mark.slow
-@pytest.mark.xfail(
-    reason="no fault within 0.4 s (0.5 mJ), an event after 19 ms; a rule for a resting motor stopped a healthy limb"
+SLOW_JOINT = pytest.mark.xfail(
+    reason="the wearer moves at 0.35 rad/s; below 0.5 rad/s the check does not separate a stuck encoder from a light "
+    "joint that friction stops within 10 ms. No fault within 0.4 s (0.5 mJ), an event after 19 ms; a rule for a "
+    "resting motor stopped a healthy limb"
 )
-def test_both_encoders_that_stick_while_the_joint_moves_are_found(tmp_path: Path) -> None:
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("load", ["weight", "limb", pytest.param("wearer", marks=SLOW_JOINT)])
+def test_both_encoders_that_stick_while_the_joint_moves_are_found(tmp_path: Path, load: str) -> None:
+    """On a weight at 1.5 rad/s and a limb at 0.8 rad/s after 10 ms, by the joint's encoder; a wearer moves slower."""
     faults = [f"encoder_stuck@{AT}", f"motor_encoder_stuck@{AT}"]
-    after, said = first(play(tmp_path, "wearer", sine(0.5, 0.5), AT + 0.4, axis=BLIND, faults=faults))
+    after, said = first(play(tmp_path, load, sine(0.5, 0.5), AT + 0.4, axis=BLIND, faults=faults))
     assert after < SOON
     assert "encoder is stuck" in said
 
