@@ -118,7 +118,8 @@ def test_a_sheath_bent_by_the_hip_is_one_bent_by_a_table_of_its_motion(tmp_path:
 def test_the_friction_of_a_lost_hip_fades_to_the_least_of_its_travel(tmp_path: Path) -> None:
     """The hip's encoder dies at 3 s: the friction is the least of the hip's travel within 50 ms, an event names it.
 
-    No change of the command in a cycle is above 50 mN*m at the joint (47 measured).
+    No change of the command in a cycle is above 50 mN*m at the joint for a loss at 3.0 s (48.5 measured). This does not
+    hold at every phase: losses at 2.6 to 3.8 s gave 30 to 88 mN*m imposed, and 18 to 166 on a weight.
     """
     paths = files(tmp_path, "imposed", 0.4, travel=True)
     result = simulate_loop(*paths, 4.0, faults=["missing_tpdo axis=hip node=encoder@3.0"])
