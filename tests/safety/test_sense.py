@@ -111,7 +111,7 @@ class Course:
                 share = np.clip(np.nan_to_num(ay / yy), -0.02, 0.02)  # of the travel, by radii that are off
                 stretch = np.nan_to_num((ta - share * ty) / np.sqrt(tt * (aa - 2.0 * share * ay + share**2 * yy)))
                 sensor = np.nan_to_num(tj / np.sqrt(tt * jj))
-            seen = most - least > 1.5 * self.counts
+            seen = most - least > max(1.5 * self.counts, 3e-3)
             sense = np.where(seen, stretch, np.where(jj > (0.01 * GEARED) ** 2, sensor, 0.0))
             own = ta + ty
             fast = seen & (own > 0.5 * ta) & (np.abs(travel[first:end]) < 1.5 * self.wound)
@@ -123,10 +123,13 @@ class Course:
                 tt_held, tj_held, jj_held = (filtered(x[part]) for x in (t * t, t * j, j * j))
                 with np.errstate(all="ignore"):
                     follows = tj_held / np.sqrt(tt_held * jj_held) > 0.8
-                    gain[part] = np.where(follows & (tt_held > (0.005 * LIMIT) ** 2), tj_held / tt_held, 0.0)
+                    more = 1.0 + 0.012 * LIMIT / np.sqrt(tt_held)  # that the motor may give of its own
+                    beyond = tj_held / tt_held > 1.3 * GEARED * more
+                    told = follows & beyond & (tt_held > (0.005 * LIMIT) ** 2)
+                    gain[part] = np.where(told, tj_held / tt_held, 0.0)
             slow = filtered(np.diff(a, prepend=0.0) ** 2) < (50.0 * PERIOD) ** 2 * aa
             strong = tt > (3.0 * 0.005 * LIMIT) ** 2
-            soft = (self.stiffness * ta > 1.5 * tt) & (stretch > 0.9)
+            soft = (self.stiffness * ta > 1.5 * (tt + 0.012 * LIMIT * np.sqrt(tt))) & (stretch > 0.9)
             gives = held[first:end] & seen & slow & strong & soft
             for n in np.flatnonzero(tt >= (0.005 * LIMIT) ** 2).tolist():
                 ratio[first + n] = (sense[n], gain[n], winds, bool(fast[n]), bool(gives[n]))
@@ -141,6 +144,7 @@ class Course:
         ceiling, ceilings, shown, waited = 0.11 * LIMIT, [], False, 0.0
         suspect = fast = False
         held_for = 0.0  # s, since friction held the motor fast
+        judged = 0.0  # s
         for n, now in enumerate(self.t.tolist()):
             if shown:
                 ceiling = ceiling + LIMIT * PERIOD / 0.2
@@ -169,12 +173,13 @@ class Course:
                 continue
             if fast and abs(travel[n]) > 0.15 * self.wound and not driven[n + 1 :].all():
                 return self.foretold(np.where(np.arange(self.t.size) > n, 1.0, driven))  # something else moves it
+            judged += PERIOD
             which = "shown" if shown else "driven" if driven[n] else "at rest"
-            if wrong[which].update(now, suspect):
+            if wrong[which].update(judged, suspect):
                 return np.array(ceilings), n
-            if wrong["gives"].update(now, gives):
+            if wrong["gives"].update(judged, gives):
                 return np.array(ceilings), n
-            if wrong["excessive"].update(now, 1.3 * GEARED < gain < 3.0 * GEARED):
+            if wrong["excessive"].update(judged, 0.0 < gain < 3.0 * GEARED):
                 return np.array(ceilings), n
         return np.array(ceilings), None
 
@@ -302,7 +307,9 @@ def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor
 
 @pytest.mark.parametrize("yields", [-0.001, 0.0, 0.001, 0.004])
 def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yields(yields: float) -> None:
-    assert "the wrong way round" in str(falls(max(0.002, 1.5 * yields), yields))
+    """By more than the play of a gear or pulley, which a motor crosses against the change of its torque."""
+    assert "the wrong way round" in str(falls(max(0.0, yields) + 0.005, yields))
+    assert falls(0.002 + yields, yields) is None
 
 
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:

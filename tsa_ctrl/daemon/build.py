@@ -220,9 +220,14 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
     )
 
 
+def shape_known(model: TendonSheath) -> bool:
+    """Return True if the model file says where the sheath bends."""
+    return model.bending_centre is not None or "elongation_coupling" in model.effects
+
+
 def free_share(model: TendonSheath) -> float:
     """Return the most of 1 - s_c, the share of the friction that shows in the elongation; 1 for an unknown shape."""
-    if model.bending_centre is None and "elongation_coupling" not in model.effects:
+    if not shape_known(model):
         return 1.0
     return min(1.0, 1.0 - compliance_centre(model) + model.bending_centre_uncertainty)
 
@@ -254,7 +259,7 @@ def joint_torque_of(settings: AxisSettings, model: TendonSheath, inertia: float,
         stretch = StretchObserver(model, period, counts, inertia)
     except UsageError as error:
         return JointTorque(by_model, None, f"no joint torque from the tendons' stretch: {error}", period)
-    return JointTorque(by_model, stretch, "", period, ElongationTorque(model, period, counts))
+    return JointTorque(by_model, stretch, "", period, ElongationTorque(model, period, counts), shape_known(model))
 
 
 def proven_friction_of(

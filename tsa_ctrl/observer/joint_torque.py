@@ -201,14 +201,26 @@ class JointTorque:
         why_not: str,
         period: float,
         elongation: ElongationTorque | None = None,
+        shape_known: bool = True,
     ) -> None:
-        """Combine the estimates; `period` in s; `elongation`: the estimate that does not use the reported torque."""
+        """Combine the estimates.
+
+        Args:
+            model: the estimate from the model alone.
+            stretch: the observer, None on a rig that cannot have it.
+            why_not: the reason for that.
+            period: s.
+            elongation: the estimate that does not use the reported torque.
+            shape_known: the model file says where the sheath bends. Otherwise a wrong shape looks like a wrong
+                stiffness, and the stiffness tells nothing of the motor torque.
+        """
         self.model = model
         self.elongation = elongation
         self.torque = self.low = self.high = math.nan
         self._faulty = False
         self._enabled = False
         self._soft = 0.0  # s
+        self._shape_known = shape_known
         self._period = period
         self.stretch = stretch
         self._friction_angle = 0.0 if stretch is None else stretch.friction_angle  # 1, of the file
@@ -297,7 +309,7 @@ class JointTorque:
             return
         stretch.update(tau_m, omega_m, image.q_m, image.q_j, fresh)
         soft = stretch.stiffness * STIFF_FACTOR * NEARLY < 1.0 and self._explained(stretch.friction_angle)
-        self._soft = self._soft + self._period if enabled and soft else 0.0
+        self._soft = self._soft + self._period if enabled and soft and self._shape_known else 0.0
         if self.elongation is not None and fresh:
             self.elongation.update(image.q_m, image.q_j, command)
         if stretch.confirmation.confirmed and not self._faulty:

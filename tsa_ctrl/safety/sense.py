@@ -29,8 +29,10 @@ r_J/r_M, and 1.3 to 2 times r_J/r_M if the motor gives twice the reported torque
 
 After every enable the torque stays small until the sign is shown, or until it should have been visible. A rig that is
 too stiff for its encoders shows nothing and is not delayed. A constant set-point shows nothing either: its torque is
-released slowly, and the sign becomes visible on the way. If one count of an encoder is larger than the elongation, the
-encoder is not used: a random change of a count would look like a response.
+released slowly, and the sign becomes visible on the way. If one count of an encoder or the play of a gear (`PLAY`) is
+larger than the elongation, the elongation is not used: a random change of a count, or a motor that crosses the play,
+would look like a response. The motor's torque may differ from the reported one by ripple and gear friction (`UNKNOWN`),
+which are not known before `tsa tune`.
 """
 
 from __future__ import annotations
@@ -43,10 +45,12 @@ from tsa_ctrl.safety.leaky import Leaky
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
 GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.residuals`
 COUNTED = 1.5  # counts of both encoders, from which the stretch counts: one of each may change by chance
+PLAY = 3e-3  # rad at the motor, likewise: a motor crosses the play of gear or pulley against the change of its torque
 RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
 MEMORY = 0.2  # s of the correlation
+UNKNOWN = 0.012  # of that limit, RMS in the band: ripple and gear friction that the drive's reading does not contain
 STRONG = 3.0  # times that ripple, from which it is said how much the tendons give: a heavy motor's swing adds to less
 ALIKE = 0.9  # correlation of the stretch with the torque, from which that is said
 SOFTER = 1.5  # of tau_M/K: 1.25 for a stiffness that is a fifth less than its file's, and for a heavy motor's swing
@@ -99,7 +103,8 @@ class Sense:
         self._strong = (STRONG * RIPPLE * limit) ** 2
         self._slow = (SLOW * period) ** 2
         self._limit = limit
-        self._finest = COUNTED * counts
+        self._finest = max(COUNTED * counts, PLAY)
+        self._unknown = UNKNOWN * limit
         self._least = (RIPPLE * limit) ** 2
         self._arrives = (geared * RIPPLE * limit) ** 2
         self._gain = geared * slope
@@ -119,6 +124,7 @@ class Sense:
         self._resting = False  # no comparison at present
         self._held_for = 0.0  # s, since friction held the motor fast; inf once the joint's motion has freed it
         self._shown = False
+        self._judged = 0.0  # s
         self._begun = math.inf
         self._moved = -math.inf
         self._pulled = self._driven = self._suspect = self._fast = False
@@ -235,6 +241,7 @@ class Sense:
             self._shown = True
         if winds_up:
             return None
+        self._judged = now = self._judged + self._period  # time in which nothing is compared is no time of disagreement
         self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
         if wrong.update(now, self._suspect):
@@ -242,16 +249,18 @@ class Sense:
                 Cause.POLARITY, "the motor turns the wrong way, or the sign of a torque or of an encoder is reversed"
             )
         softer = self._stiffness * self._ta / self._tt
+        beyond = SOFTER * (1.0 + self._unknown / math.sqrt(self._tt))
         slow = self._dd < self._slow * self._aa and self._tt > self._strong and seen
-        if self._gives.update(now, held and slow and softer > SOFTER and by_stretch > ALIKE):
+        if self._gives.update(now, held and slow and softer > beyond and by_stretch > ALIKE):
             return Finding(
                 Cause.SOFT_TENDONS,
                 f"the tendons give {softer:.1f} times what the motor's torque stretches them by: the motor gives more "
                 "than it reports, a tendon hangs, or axial_stiffness is that much too high",
             )
         gain = self._held_tj / self._held_tt if self._held_tt > self._least else 0.0
+        most = EXCESS * self._gain * (1.0 + self._unknown / math.sqrt(self._held_tt)) if gain > 0.0 else math.inf
         follows = _correlation(self._held_tj, self._held_tt * self._held_jj) > CLEAR
-        if self._excessive.update(now, follows and EXCESS * self._gain < gain < FAR * self._gain):
+        if self._excessive.update(now, follows and most < gain < FAR * self._gain):
             return Finding(
                 Cause.TORQUE_GAIN,
                 f"the joint torque sensor follows the motor's torque by {gain:.2f}, the pulleys give "
