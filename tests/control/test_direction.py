@@ -403,9 +403,9 @@ def test_a_torques_turn_follows_no_joint_and_one_that_turns_nothing_is_no_turn(w
     assert not by.direction.follows
 
 
-def at_rest_by(give: float, way: float = 1.0) -> By:
+def at_rest_by(by_sensor: bool, way: float = 1.0) -> By:
     """A joint that moved the `way` and has come to rest, under a torque sensor that agreed with the law meanwhile."""
-    by = By(give=give)
+    by = By(give=0.0, by_sensor=by_sensor)
     for _ in range(1000):
         by(way * 0.25)
         by.direction.measure(0.0, False)
@@ -425,19 +425,19 @@ def measured(by: By, excess: float, cycles: int = 100, turning: bool = False) ->
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_the_torque_sensor_decides_at_rest_if_all_bends_are_at_the_joint(way: float) -> None:
     """More torque than desired shows tendons that stick. It counts beyond the uncertainty, in this direction alone."""
-    assert measured(at_rest_by(0.0, way), 0.1 * way) == -way
-    assert measured(at_rest_by(0.0, way), 0.03 * way) == way
-    assert measured(at_rest_by(0.0, way), -0.1 * way) == way
-    assert measured(at_rest_by(0.0, way), math.nan) == way
+    assert measured(at_rest_by(True, way), 0.1 * way) == -way
+    assert measured(at_rest_by(True, way), 0.03 * way) == way
+    assert measured(at_rest_by(True, way), -0.1 * way) == way
+    assert measured(at_rest_by(True, way), math.nan) == way
 
 
 def test_the_torque_sensor_does_not_decide_where_the_elongation_does_or_a_reversal_runs() -> None:
-    assert measured(at_rest_by(TO_M), 0.1) == 1.0
-    assert measured(at_rest_by(0.0), 0.1, turning=True) == 1.0
+    assert measured(at_rest_by(False), 0.1) == 1.0
+    assert measured(at_rest_by(True), 0.1, turning=True) == 1.0
 
 
 def test_a_sensor_that_was_wrong_while_the_joint_moved_decides_only_beyond_that_error() -> None:
-    by = By(give=0.0)
+    by = By(give=0.0, by_sensor=True)
     for _ in range(2000):
         by(0.25)
         by.direction.measure(0.1, False)
@@ -446,6 +446,6 @@ def test_a_sensor_that_was_wrong_while_the_joint_moved_decides_only_beyond_that_
 
 
 def test_the_joints_motion_overrules_the_torque_sensor() -> None:
-    by = at_rest_by(0.0)
+    by = at_rest_by(True)
     measured(by, 0.1)
     assert by(0.25) == 1.0

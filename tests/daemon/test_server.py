@@ -26,10 +26,10 @@ from tests.daemon.serving import PATIENCE, Serving, until
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import RECOVER, SLOTS, Command, Mailbox
 from tsa_ctrl.ipc.protocol import Recover, Set, SetPointValue, Status, Stop, make_private
 from tsa_ctrl.ipc.report import EventPrinter
-from tsa_ctrl.ipc.server import CLIENTS, listen
 
 
 @pytest.fixture

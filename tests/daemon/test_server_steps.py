@@ -19,10 +19,11 @@ from tests.daemon.test_lease import COMMAND, SET_POINT, WATCH, Desk, measured
 from tsa_ctrl.daemon.build import LoopPhase
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.ipc import server
+from tsa_ctrl.ipc.listener import CLIENTS, listen
 from tsa_ctrl.ipc.mailbox import RECOVER, RELEASE, AxisStatus, Command, General, Mailbox
 from tsa_ctrl.ipc.protocol import Range
 from tsa_ctrl.ipc.report import status_report
-from tsa_ctrl.ipc.server import CLIENTS, Server, listen
+from tsa_ctrl.ipc.server import Server
 
 SET = {"verb": "set", "name": "knee.compensation", "value": 0.5}
 

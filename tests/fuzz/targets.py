@@ -285,7 +285,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "requests",
             _requests,
-            ("tsa_ctrl.ipc.server", "tsa_ctrl.ipc.connection", "tsa_ctrl.ipc.server", "tsa_ctrl.ipc.report",
+            ("tsa_ctrl.ipc.server", "tsa_ctrl.ipc.connection", "tsa_ctrl.ipc.lease", "tsa_ctrl.ipc.report",
              "tsa_ctrl.ipc.parameters"),
             (*GOOD, b"\n".join(GOOD)),
             (*_text('"verb":', '"lease"', '"setpoint"', '"knee"', "\n", "{", "}", "null"), *GOOD),
@@ -342,7 +342,7 @@ def targets() -> tuple[Target, ...]:
         Target(
             "eds",
             _in_file(".eds", read_eds),
-            ("tsa_ctrl.bus.canopen.eds", "tsa_ctrl.bus.canopen.eds"),
+            ("tsa_ctrl.bus.canopen.eds",),
             _text(EDS),
             _text("[6072]", "DataType=", "0x", "=", "\n[", "$NODEID", "ObjectType=8", "SubNumber=", "[6072sub1]", ";"),
             0.7,

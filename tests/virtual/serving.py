@@ -12,8 +12,9 @@ from pathlib import Path
 
 from tsa_ctrl.config import load_configuration
 from tsa_ctrl.daemon.build import describe
+from tsa_ctrl.ipc.listener import listen
 from tsa_ctrl.ipc.mailbox import Command
-from tsa_ctrl.ipc.server import Server, listen
+from tsa_ctrl.ipc.server import Server
 from tsa_ctrl.plant.process import check
 from tsa_ctrl.virtual.result import Simulation
 from tsa_ctrl.virtual.simulation import Run

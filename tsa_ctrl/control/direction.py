@@ -15,8 +15,8 @@ separate rule:
   `play` metres of tendon, at any rate. That torque is known in advance, so the reversal is complete in time. After
   every enable the torque starts from 0, as the set-point does, even if it is already large when it is first known.
 
-* The joint torque sensor contradicts, where the elongation carries no information: all bends are at the joint (`give`
-  is below `BLIND` of `reach`), so the elongation is the same in both directions, and a hand's motion below one encoder
+* The joint torque sensor contradicts, where the elongation carries no information: by the model file all bends are at
+  the joint (`by_sensor`), so the elongation is the same in both directions, and a hand's motion below one encoder
   count decides. Sliding tendons deliver at most the desired torque in their direction, because the friction term does
   not exceed the friction (`law`). More than that at rest shows that they stick, and that they slide next in the other
   direction. The sensor counts beyond its uncertainty, `UNSURE`, and beyond the error of sensor and model. That error is
@@ -121,7 +121,6 @@ class Motion:
 NOISE = 1.5  # times one count's velocity that the zone is at least: a count and the mechanics' own trembling
 LEAST_ZONE = 0.002  # rad/s, that may be set while running
 LITTLE = 0.05  # of the way in which the tendons slide all along: a joint that went no further has turned nothing
-BLIND = 0.05  # of `reach`: a centre of bending closer to the joint than 1/40 of the sheath, which no file states better
 UNSURE = 0.04  # N*m of a sensor's mean over `MEAN`: three times its noise and delay at a gait's 10 N*m/s
 MEAN = 0.01  # s: a motor on its tendons rings at 40 Hz and more
 SLOWLY = 0.05  # of the mean's rate, at which the error of sensor and model is averaged: 0.2 s
@@ -150,6 +149,7 @@ class Direction:
         period: float,
         give: float | None = None,
         way: float = 0.0,
+        by_sensor: bool = False,
     ) -> None:
         """Prepare the rules.
 
@@ -162,6 +162,7 @@ class Direction:
             period: s.
             give: like `reach`, joint moving; None if it is the same.
             way: rad of the joint after which the whole tendons slide.
+            by_sensor: True if the joint torque sensor decides at rest (`measure`).
         """
         self.lead = lead
         self._motion = motion
@@ -170,7 +171,7 @@ class Direction:
         self._play = settings.play
         self._reach = reach
         self._give = reach if give is None else give
-        self._blind = self._give < BLIND * reach
+        self._by_sensor = by_sensor
         self._radius = joint_radius
         self._period = period
         self._little = LITTLE * way
@@ -222,7 +223,7 @@ class Direction:
             excess: N*m, by a sensor of the joint torque; nan without one.
             turning: True while the friction term reverses.
         """
-        if not self._blind:
+        if not self._by_sensor:
             return
         if turning or excess != excess:
             self._await()

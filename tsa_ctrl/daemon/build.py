@@ -70,6 +70,7 @@ class LoopPhase(Enum):
 # a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench. A file that is not of this
 # joint may be of one that is worn, so until the friction confirms it, it has the credit of that class.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
+AT_JOINT = 0.025  # 1, of the sheath, from its end, that the centre of the bends may be: no file states it better
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the motor's ringing that remains after averaging is slower
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}
@@ -189,7 +190,7 @@ def law_of(settings: AxisSettings, model: TendonSheath, plan: Plan, period: floa
         direction = msgspec.structs.replace(direction, zone=max(direction.zone, ZONE_OF_A_MOTOR))
     inverse = Feedforward(model, period, {"q_m"} if encoder is None else {"q_j", "q_m"})
     way = wound_by_friction(model) * r_m / r_j
-    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way)
+    seen = Direction(direction, motion, plan.lead, plan.reach, r_j, period, plan.give, way, bent_at_joint(model))
     return Law(inverse, (r_m, r_j), settings.law, plan, motion, seen, period, encoder is not None)
 
 
@@ -223,6 +224,11 @@ def give_of(settings: AxisSettings, model: TendonSheath, inertia: float) -> Give
 def shape_known(model: TendonSheath) -> bool:
     """Return True if the model file says where the sheath bends."""
     return model.bending_centre is not None or "elongation_coupling" in model.effects
+
+
+def bent_at_joint(model: TendonSheath) -> bool:
+    """Return True if the model file says that all bends are at the joint, within `AT_JOINT`."""
+    return shape_known(model) and 1.0 - compliance_centre(model) < AT_JOINT
 
 
 def free_share(model: TendonSheath) -> float:

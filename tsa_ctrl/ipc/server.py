@@ -13,7 +13,6 @@ replaces the one that has been silent longest, so connections cannot block a new
 from __future__ import annotations
 
 import contextlib
-import grp
 import math
 import os
 import selectors
@@ -21,211 +20,21 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
 
 from tsa_ctrl.errors import TsaError, UsageError
 from tsa_ctrl.ipc import protocol
-from tsa_ctrl.ipc.connection import Connection, Role, may, peer_of, role_of
+from tsa_ctrl.ipc.connection import Connection, Role, may
+from tsa_ctrl.ipc.lease import Lease
+from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
-from tsa_ctrl.ipc.protocol import AnyRequest, Description, is_socket, make_private, private_folder
+from tsa_ctrl.ipc.protocol import AnyRequest, Description
 from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
 from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
-
-# The socket that the server listens on: of its owner alone, or also of groups; never another daemon's.
-
-CLIENTS = 16  # connections of one role; a further one replaces the one that has been silent longest
-ACCEPTED = 16  # connections that are accepted at once
-BACKLOG = 256  # connections that wait until the server accepts them
-
-
-def listen(path: str, group: str | None, watch_group: str | None = None) -> socket.socket:
-    """A listening socket for its owner alone (0600), or also for a group (0660); raises UsageError.
-
-    A file has one group: where there are two, anybody may connect (0666), and `peers.role_of` says who stays.
-    """
-    place = Path(path)
-    if str(place.parent) == private_folder():
-        make_private(str(place.parent))
-    if is_socket(path):
-        _replace(place)
-    number = None if group is None else group_number(group, "group")
-    watch = None if watch_group is None else group_number(watch_group, "watch_group")
-    both = number is not None and watch is not None
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    bound = False
-    try:
-        before = os.umask(0o177)
-        try:
-            listener.bind(path)
-        finally:
-            os.umask(before)
-        bound = True
-        if both:
-            place.chmod(0o666)
-        elif number is not None or watch is not None:
-            os.chown(path, -1, number if number is not None else watch or 0)
-            place.chmod(0o660)
-        listener.listen(BACKLOG)
-    except OSError as error:
-        listener.close()
-        if bound:  # else it is another's
-            place.unlink(missing_ok=True)
-        if bound and isinstance(error, PermissionError):
-            key, name = ("group", group) if group is not None else ("watch_group", watch_group)
-            raise UsageError(
-                f"[socket] {key} '{name}': {path} cannot be given to it ({error.strerror}); give a group of this user"
-            ) from None
-        raise UsageError(f"[socket] path {path}: cannot listen there ({error.strerror}); give another path") from None
-    return listener
-
-
-@contextlib.contextmanager
-def listening(path: str, group: str | None, watch_group: str | None = None) -> Iterator[socket.socket]:
-    """As `listen`, while inside; the socket's name goes with it, unless another has taken it meanwhile."""
-    listener = listen(path, group, watch_group)
-    place = Path(path)
-    ours = place.stat().st_ino
-    try:
-        yield listener
-    finally:
-        listener.close()
-        with contextlib.suppress(OSError):
-            if place.stat().st_ino == ours:
-                place.unlink()
-
-
-def accepted(
-    listener: socket.socket, command: Collection[int], watch: Collection[int], now: float
-) -> Iterator[Connection]:
-    """Yield the clients that wait for a connection, at most ACCEPTED of them; a user without a role is rejected.
-
-    `command` and `watch` are the groups of those roles; `now` in s.
-    """
-    with contextlib.suppress(OSError):
-        for _ in range(ACCEPTED):
-            connection, _ = listener.accept()
-            connection.setblocking(False)
-            peer = peer_of(connection)
-            role = role_of(peer, command, watch)
-            client = Connection(connection, peer, role or Role.WATCH, now)
-            if role is not None:
-                yield client
-            else:
-                client.dismiss(f"user {peer.user} may not use this socket; see [socket] group and watch_group")
-                connection.close()
-
-
-def group_number(name: str, key: str) -> int:
-    """Of a group by its name; `key` of the configuration is named in the UsageError where there is none."""
-    try:
-        return grp.getgrnam(name).gr_gid
-    except KeyError:
-        raise UsageError(f"[socket] {key} '{name}': no such group; give one that exists") from None
-
-
-def _replace(place: Path) -> None:
-    """Remove a socket that nobody listens on any longer."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        try:
-            probe.connect(str(place))
-        except OSError:  # left over from a daemon that was killed
-            try:
-                place.unlink()
-            except OSError as error:
-                raise UsageError(
-                    f"{place}: is left over and cannot be removed ({error.strerror}); remove it, or give another "
-                    "[socket] path"
-                ) from None
-        else:
-            raise UsageError(f"{place}: another daemon answers there; stop it, or give another [socket] path")
-
-
-# Give the set-point one owner at a time: its lease is kept by set-points and lost by silence.
-
-SHORTEST, LONGEST = 0.02, 10.0  # s
-CONFIRMED = 0.25  # of its time: how often its holder is told that values arrive
-
-
-class Lease:
-    """Hold the client that may send set-points.
-
-    A client that sends one without a lease also holds it while that value acts. It receives no events about the lease.
-    """
-
-    def __init__(self, withdraw: Callable[[], None], tell: Callable[[str], None]) -> None:
-        """`withdraw` is called at each end of the lease; `tell` receives the text of an event."""
-        self.holder: Connection | None = None
-        self.seconds = 0.0
-        self._silently = True
-        self._until = 0.0
-        self._confirmed = 0.0
-        self._withdraw = withdraw
-        self._tell = tell
-
-    @property
-    def listener(self) -> Connection | None:
-        """Return the holder if it receives events about the lease."""
-        return None if self._silently else self.holder
-
-    def left(self, now: float) -> float:
-        """Return the time until the lease ends, s."""
-        return self._until - now
-
-    def report(self, now: float) -> dict[str, Any] | None:
-        """Return the holder for the status and the time (s) that is left; None without a holder."""
-        if self.holder is None:
-            return None
-        process, user, _ = self.holder.peer
-        return {"process": process, "user": user, "seconds": self.seconds, "left": max(0.0, self.left(now))}
-
-    def take(self, client: Connection, seconds: float, now: float) -> None:
-        """Take or renew the lease; raises UsageError if another client holds it, or for a time out of bounds."""
-        if not SHORTEST <= seconds <= LONGEST:
-            raise UsageError(f"a lease of {seconds:g} s; allowed is {SHORTEST:g} to {LONGEST:g} s")
-        self._refuse_others(client, now)
-        if self.listener is None:
-            self._confirmed = now
-            self._tell(f"set-point: {client.peer} holds its lease of {seconds:g} s")
-        self.holder, self.seconds, self._silently, self._until = client, seconds, False, now + seconds
-
-    def use(self, client: Connection, seconds: float, now: float) -> None:
-        """Renew the lease by a set-point, which acts for `seconds`; raises UsageError if another client holds it."""
-        self._refuse_others(client, now)
-        if self.listener is None:
-            self.holder, self.seconds = client, seconds
-        self._until = now + self.seconds
-
-    def confirm(self, time: float, now: float) -> None:
-        """Confirm to the holder, a few times per lease period, that the value of `time` has arrived."""
-        if self.listener is not None and now - self._confirmed >= CONFIRMED * self.seconds:
-            self._confirmed = now
-            self.listener.push({"event": "lease", "held": True, "time": time})
-
-    def end(self, why: str) -> None:
-        """End the lease, withdraw the set-points and report `why` to the holder and as an event."""
-        if self.listener is not None:
-            self._tell(f"set-point: {self.listener.peer} no longer holds its lease: {why}")
-            self.listener.push({"event": "lease", "held": False, "why": why})
-        self.holder, self._silently = None, True
-        self._withdraw()
-
-    def check(self, now: float) -> None:
-        """End the lease if its time is over."""
-        if self.holder is not None and now > self._until:
-            self.end(f"no set-point came for {self.seconds:g} s")
-
-    def _refuse_others(self, client: Connection, now: float) -> None:
-        if self.holder is not None and self.holder is not client:
-            raise UsageError(
-                f"the set-point is held by {self.holder.peer} (lease of {self.seconds:g} s, {self.left(now):.2g} s of "
-                "it left, renewed by each value); wait for its end, or stop that process"
-            )
-
 
 IDLE = 30.0  # s without a request after which a client is let go
 TICK = 0.005  # s between looks for answers while a command is on its way

@@ -29,10 +29,9 @@ r_J/r_M, and 1.3 to 2 times r_J/r_M if the motor gives twice the reported torque
 
 After every enable the torque stays small until the sign is shown, or until it should have been visible. A rig that is
 too stiff for its encoders shows nothing and is not delayed. A constant set-point shows nothing either: its torque is
-released slowly, and the sign becomes visible on the way. If one count of an encoder or the play of a gear (`PLAY`) is
-larger than the elongation, the elongation is not used: a random change of a count, or a motor that crosses the play,
-would look like a response. The motor's torque may differ from the reported one by ripple and gear friction (`UNKNOWN`),
-which are not known before `tsa tune`.
+released slowly, and the sign becomes visible on the way. If one count of an encoder is larger than the elongation, the
+encoder is not used: a random change of a count would look like a response. The motor's torque may differ from the
+reported one by ripple and gear friction (`UNKNOWN`), which are not known before `tsa tune`.
 """
 
 from __future__ import annotations
@@ -45,7 +44,6 @@ from tsa_ctrl.safety.leaky import Leaky
 SMALL = 0.11  # of the limiter's absolute limit; with the 4 % until a reversed motor is found, 15: a person bears that
 GEARING = 0.02  # 1, by which the file's ratio of the radii may be wrong: the same as of `safety.residuals`
 COUNTED = 1.5  # counts of both encoders, from which the stretch counts: one of each may change by chance
-PLAY = 3e-3  # rad at the motor, likewise: a motor crosses the play of gear or pulley against the change of its torque
 RIPPLE = 0.005  # of that limit, RMS in the band, from which a torque counts: a drive's reading fluctuates by less
 SMOOTH = 0.01  # s, low-pass: a motor rings on its tendons at 40 Hz and more
 DRIFT = 0.1  # s, high-pass: friction and posture change more slowly
@@ -103,7 +101,7 @@ class Sense:
         self._strong = (STRONG * RIPPLE * limit) ** 2
         self._slow = (SLOW * period) ** 2
         self._limit = limit
-        self._finest = max(COUNTED * counts, PLAY)
+        self._finest = COUNTED * counts
         self._unknown = UNKNOWN * limit
         self._least = (RIPPLE * limit) ** 2
         self._arrives = (geared * RIPPLE * limit) ** 2
