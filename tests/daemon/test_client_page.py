@@ -6,6 +6,7 @@ import json
 import os
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -86,6 +87,38 @@ def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: 
         process.communicate()
     assert (process.returncode, error) == (0, "")
     assert "the daemon" in said
+
+
+def test_the_controller_in_python_ends_quietly_when_it_is_interrupted(serving: Serving) -> None:
+    """The lease is released, so the set-point is 0; no traceback, exit code 0."""
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(Path(serving.path).parent)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", block("python")],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+
+        def torque() -> bool:
+            serving.mailbox.measure(time.monotonic(), 1, 2, [Reading(q_j=0.1), Reading()])
+            found = serving.mailbox.wanted(0)
+            return found is not None and found[0] == pytest.approx(0.4)
+
+        assert until(torque)
+        process.send_signal(signal.SIGINT)
+        said, error = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, said, error) == (0, "", "")
+
+    def withdrawn() -> bool:
+        found = serving.mailbox.wanted(0)
+        return found is not None and found[0] == 0.0
+
+    assert until(withdrawn)
 
 
 @pytest.fixture(scope="module")

@@ -167,6 +167,19 @@ def test_a_command_that_the_loop_does_not_take_is_refused_after_a_second(desk: D
     assert client.told() == []
 
 
+def test_a_value_that_is_set_while_the_axis_starts_is_accepted_and_waits(desk: Desk) -> None:
+    """The answer names what is waited for, comes at once, and the loop finds the command with its first cycle."""
+    client = desk.client()
+    desk.mailbox.publish_stage(desk.now, "node 1")
+    client.say(**SET)
+    (answer,) = client.told()
+    assert (answer["ok"], answer["value"], answer["waiting_for"]) == (True, 0.5, "node 1")
+    desk.now += 30.0
+    assert client.told() == []
+    desk.mailbox.publish_stage(desk.now, "")
+    assert desk.mailbox.take() == Command(0, 0, 0.5)
+
+
 def test_a_full_queue_is_told(desk: Desk) -> None:
     while desk.mailbox.put(Command(0, 0, 0.5)) is not None:
         pass

@@ -68,8 +68,11 @@ def command(
             click.echo(_recovered(client))
             return
         answer = client.ask(protocol.Set(name, value))
+    waits = (
+        f"; takes effect when the axis runs, it starts now: {answer['waiting_for']}" if "waiting_for" in answer else ""
+    )
     click.echo(
-        f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g}{of_unit(answer['unit'])}"
+        f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g}{of_unit(answer['unit'])}{waits}"
     )
 
 

@@ -196,6 +196,8 @@ class Server:
         ticket = self._mailbox.put(command)
         if ticket is None:
             client.refuse("too many commands are waiting; try again")
+        elif stage := self._mailbox.stage()[1]:  # the loop takes it with its first cycle
+            client.push({"ok": True, **answer, "waiting_for": stage})
         else:
             client.pending.append((ticket, now, {"ok": True, **answer}))
 
