@@ -68,12 +68,10 @@ def command(
             click.echo(_recovered(client))
             return
         answer = client.ask(protocol.Set(name, value))
-    waits = (
-        f"; takes effect when the axis runs, it starts now: {answer['waiting_for']}" if "waiting_for" in answer else ""
-    )
-    click.echo(
-        f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {answer['value']:g}{of_unit(answer['unit'])}{waits}"
-    )
+    stage = answer.get("waiting_for")
+    waits = f"; takes effect when the axis runs, startup waits for: {stage}" if stage else ""
+    value_now = f"{answer['value']:g}{of_unit(answer['unit'])}"
+    click.echo(f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {value_now}{waits}")
 
 
 def _recovered(client: Client) -> str:
