@@ -24,15 +24,21 @@ KNOWN = 1.0  # s: an older value is unknown, because the node or the loop that g
 MONITOR = ("off", "watching", "stopped", "failed")  # by code: daemon.monitoring.MonitorState
 
 
+def waits_for(mailbox: Mailbox, now: float) -> tuple[float, str]:
+    """Return the begin (s) and the name of what the loop waits for; empty while it runs."""
+    since, stage = mailbox.stage()
+    if not stage and mailbox.status()[0].time == 0.0:  # nothing was published yet: the loop is not late
+        return now, "the first cycle"
+    return since, stage
+
+
 def status_report(
     mailbox: Mailbox, description: Description, now: float, lease: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Return the object of `tsa status --json`; `now` in s, monotonic; `lease`: the holder of the set-point."""
     general, axes = mailbox.status()
     _, text = mailbox.text()
-    since, stage = mailbox.stage()
-    if not stage and general.time == 0.0:  # nothing was published yet: the loop is not late
-        since, stage = now, "the first cycle"
+    since, stage = waits_for(mailbox, now)
     events = msgspec.json.decode(text) if text else []
     for event in events:
         if event["fault"]:

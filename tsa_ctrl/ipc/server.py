@@ -33,7 +33,7 @@ from tsa_ctrl.ipc.listener import CLIENTS, accepted, group_number, listening
 from tsa_ctrl.ipc.mailbox import Command, Mailbox
 from tsa_ctrl.ipc.parameters import axis_index, change, clamped, recovery
 from tsa_ctrl.ipc.protocol import AnyRequest, Description
-from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report
+from tsa_ctrl.ipc.report import EventPrinter, events_since, measurement, status_report, waits_for
 from tsa_ctrl.system.process_supervisor import READY, ignore, supervise
 
 IDLE = 30.0  # s without a request after which a client is let go
@@ -196,7 +196,7 @@ class Server:
         ticket = self._mailbox.put(command)
         if ticket is None:
             client.refuse("too many commands are waiting; try again")
-        elif stage := self._mailbox.stage()[1]:  # the loop takes it with its first cycle
+        elif stage := waits_for(self._mailbox, now)[1]:  # the loop takes it with its first cycle
             client.push({"ok": True, **answer, "waiting_for": stage})
         else:
             client.pending.append((ticket, now, {"ok": True, **answer}))
