@@ -61,16 +61,20 @@ def test_the_configuration_is_one() -> None:
     assert (settings.kind, settings.timeout) == ("socket", SetPointSettings().timeout)
 
 
-def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: Serving) -> None:
-    """A set-point beyond the axis' range is clamped, and the program goes on."""
-    environment = {**os.environ, "XDG_RUNTIME_DIR": str(Path(serving.path).parent)}
-    process = subprocess.Popen(
+def started(serving: Serving) -> subprocess.Popen[str]:
+    """The program of the page, as a process that finds the socket of this server."""
+    return subprocess.Popen(
         [sys.executable, "-c", block("python")],
-        env=environment,
+        env={**os.environ, "XDG_RUNTIME_DIR": str(Path(serving.path).parent)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: Serving) -> None:
+    """A set-point beyond the axis' range is clamped, and the program goes on."""
+    process = started(serving)
     try:
         for q_j, wanted in ((-3.0, 2.0), (0.1, 0.4), (3.0, -2.0)):
 
@@ -91,14 +95,7 @@ def test_the_controller_in_python_runs_as_printed_and_beyond_the_range(serving: 
 
 def test_the_controller_in_python_ends_quietly_when_it_is_interrupted(serving: Serving) -> None:
     """The lease is released, so the set-point is 0; no traceback, exit code 0."""
-    environment = {**os.environ, "XDG_RUNTIME_DIR": str(Path(serving.path).parent)}
-    process = subprocess.Popen(
-        [sys.executable, "-c", block("python")],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = started(serving)
     try:
 
         def torque() -> bool:

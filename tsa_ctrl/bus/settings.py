@@ -117,7 +117,7 @@ class EncoderSettings(NodeSettings, frozen=True, kw_only=True):
 
 
 class TorqueSensorSettings(NodeSettings, frozen=True, kw_only=True):
-    """A CiA 404 joint torque sensor: for measurement, not for control."""
+    """A CiA 404 joint torque sensor; `control.direction` says when it decides the slip direction."""
 
     every: Annotated[int, Meta(ge=1, le=2)] | None = None  # SYNCs per answer; default: 2 if the bit rate needs it, or 1
     resolution: Positive = 1e-6  # N*m per digit of 0x9130:1

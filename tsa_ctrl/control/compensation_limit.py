@@ -34,16 +34,16 @@ from tsa_ctrl.model.sliding import sliding
 from tsa_ctrl.observer.proven_friction import ProvenFriction
 from tsa_ctrl.safety.limiter import Reason
 
-# How much of the friction may be compensated, by how well it is known: c h_model <= h_true, with all that may be.
+# The share of the friction that may be compensated, so that c h_model <= h_true holds for every possible h_true.
 #
-# Two things are not known: the half loop when the model was calibrated, and how the sheath bends now.
+# Two quantities are uncertain: the half loop at the calibration, and the present bending of the sheath.
 #
 # bound = (lower end of the half loop's interval / its value) * min over the range of Theta of h(Theta)/h(Theta_0)
 #
 # The interval is that of the calibration, `[provenance] intervals` of the model file. A file that was never calibrated
-# has only [uncertainty]; where something measures what the joint is given, the guard acts on it and that is said;
-# where nothing does, its lower end counts. The range of the bending is `[axis.bending] range`; where the bending is
-# measured, commanded or estimated it is not needed.
+# has only [uncertainty]. If the delivered torque is measured, the guard uses the measurement and a note reports this.
+# Otherwise the lower end of [uncertainty] counts. The range of the bending is `[axis.bending] range`. It is not needed
+# if the bending is measured, commanded or estimated.
 
 _STEPS = 16  # over the range of the bending; h has one maximum there
 
@@ -60,7 +60,7 @@ class Bound:
 def bound_of(
     model: TendonSheath, *, bending_range: float, bending_known: bool, sees: bool, compensation: float
 ) -> Bound:
-    """What follows from the model and the axis' settings.
+    """Return the bound for a model and the settings of the axis.
 
     `bending_range`: share of the model's bending, either way, that it may differ; `bending_known`: it is followed live;
     `sees`: something can measure the delivered torque; `compensation`: what [axis.law] asks for.
@@ -101,7 +101,7 @@ def bound_of(
 
 
 def unmeasured_notes(settings: BendingSettings, model: TendonSheath) -> tuple[str, ...]:
-    """Return what it costs that the angles of some joints of the routing are never measured, as a note."""
+    """Return a note on the friction that stays uncompensated because the angles of some joints are never measured."""
     routing, unmeasured = routing_of(settings, model.routing), settings.unmeasured
     if routing is None or not unmeasured:
         return ()

@@ -70,7 +70,7 @@ class LoopPhase(Enum):
 # a person tolerates. Bench: a joint of 0.02 kg*m^2 at 6 rad/s, which can only hit the bench. A file that is not of this
 # joint may be of one that is worn, so until the friction confirms it, it has the credit of that class.
 UNPROVEN_ENERGY = {"worn": 0.1, "bench": 0.4}
-AT_JOINT = 0.025  # 1, of the sheath, from its end, that the centre of the bends may be: no file states it better
+AT_JOINT = 0.025  # 1, distance of the centre of bending from the joint, over the length: no file states it better
 ZONE_OF_A_MOTOR = 0.1  # rad/s at the joint; the motor's ringing that remains after averaging is slower
 STATES = tuple(PowerState)
 STATE_CODE = {state: float(code) for code, state in enumerate(STATES)}

@@ -87,9 +87,9 @@ def timing(samples: Sequence[Sample], node: int, stopped: float, zero: float) ->
 
 
 class Watchdog(msgspec.Struct, frozen=True, kw_only=True):
-    """Which of a drive's watchdogs took the torque, by the EMCY that it sent."""
+    """The watchdog of a drive that removed the torque, according to the EMCY of the drive."""
 
-    acted: str | None  # "rpdo" (0x8250), "heartbeat" (0x8130); None when the drive did not say
+    acted: str | None  # "rpdo" (0x8250), "heartbeat" (0x8130); None without such an EMCY
     after: float | None  # s since the loop was stopped
     warning: str  # about one that was armed and did not act in its time
 
@@ -105,7 +105,7 @@ _SLACK = 0.02  # s, after which a watchdog counts as one that did not act
 
 
 def watchdog(said: Sequence[Said], node: int, stopped: float, armed: Mapping[str, int], loop_dead: bool) -> Watchdog:
-    """What the drive said, against the time-outs (ms) that it held; with a live loop its RPDO timer has no cause."""
+    """Compare the EMCYs of a drive with its time-outs (ms). While the loop runs, the RPDO timer must not act."""
     mine = [one for one in said if one.node == node and one.clock >= stopped and one.code in _CODES]
     first = mine[0] if mine else None
     acted = None if first is None else _CODES[first.code]
@@ -126,7 +126,7 @@ def watchdog(said: Sequence[Said], node: int, stopped: float, armed: Mapping[str
 
 
 def _same(acted: str | None, name: str) -> bool:
-    """Life guarding and the heartbeat say the same."""
+    """Return True if the two watchdogs send the same EMCY: life guarding and heartbeat."""
     return {acted, name} == {"heartbeat", "guarding"}
 
 

@@ -101,10 +101,10 @@ class DriveNode(Node):
                 drive.tick()
         super().tick(now)
 
-    # what a maker, or the settings, make different
+    # deviations of a make of drive, by its persona or by the settings
 
     def _impersonate(self, drive: Drive) -> None:
-        """Objects of the maker, and what the standard's objects do otherwise."""
+        """Add the manufacturer's objects, and change standard objects as this make of drive does."""
         dictionary, persona = self.dictionary, drive.persona
         offset = (drive.settings.slot - 1) * AXIS_OFFSET
         for entry in persona.added:

@@ -122,7 +122,7 @@ class Sense:
         self._resting = False  # no comparison at present
         self._held_for = 0.0  # s, since friction held the motor fast; inf once the joint's motion has freed it
         self._shown = False
-        self._judged = 0.0  # s
+        self._judged = 0.0  # s, in which signals were compared
         self._begun = math.inf
         self._moved = -math.inf
         self._pulled = self._driven = self._suspect = self._fast = False
@@ -239,7 +239,7 @@ class Sense:
             self._shown = True
         if winds_up:
             return None
-        self._judged = now = self._judged + self._period  # time in which nothing is compared is no time of disagreement
+        self._judged = now = self._judged + self._period  # the clocks stop while nothing is compared
         self._driven = self._driven or (self._fast and abs(self._travel) > RESTING * self._way)
         wrong = self._altered if self._shown else self._turned if self._driven else self._reversed
         if wrong.update(now, self._suspect):

@@ -21,9 +21,9 @@ from tsa_ctrl.bus.canopen import objects
 from tsa_ctrl.bus.canopen.objects import Type, Write
 from tsa_ctrl.errors import UsageError
 
-# Slips of vendors' EDS files that do not touch what they mean: numbers, headings, doubled and stray lines.
+# Errors of vendors' EDS files that leave the meaning clear: format of numbers and headings, repeated and stray lines.
 #
-# What is mended is told. What cannot be is left out, unless this controller uses that object.
+# Each correction gives a note. A section that cannot be corrected is removed, unless this controller uses its object.
 
 _BIT_RATES = (10, 20, 50, 125, 250, 500, 800, 1000)  # kbit/s
 _NUMBERS = frozenset(f"BaudRate_{rate}" for rate in _BIT_RATES) | {
@@ -50,7 +50,7 @@ _NUMBERS = frozenset(f"BaudRate_{rate}" for rate in _BIT_RATES) | {
     "CompactSubObj",
     "ObjFlags",
 }
-_OPTIONAL = _NUMBERS - {"DataType"}  # a missing one means what the standard says
+_OPTIONAL = _NUMBERS - {"DataType"}  # a missing value has the default of CiA 306
 _SECTION = re.compile(r"^\s*\[([^\]]*)\]\s*$")
 _OBJECT = re.compile(r"^(?:0x)?([0-9A-Fa-f]{4})(?:sub(?:0x)?([0-9A-Fa-f]{1,2}))?$", re.IGNORECASE)
 _PDO_PARAMETERS = (range(0x1400, 0x1404), range(0x1600, 0x1604), range(0x1800, 0x1804), range(0x1A00, 0x1A04))
@@ -60,7 +60,7 @@ _USED = frozenset(
 
 
 def read(text: str) -> tuple[configparser.RawConfigParser, list[str]]:
-    """The sections of an EDS, mended, and what was."""
+    """Return the corrected sections of an EDS, and a note for each correction."""
     notes: list[str] = []
     lines = _lines(text, notes)
     parser = configparser.RawConfigParser(inline_comment_prefixes=(";",), strict=False)
@@ -81,7 +81,7 @@ def is_used(section: str) -> bool:
 
 
 def _lines(text: str, notes: list[str]) -> list[str]:
-    """Without lines that are neither section, assignment nor comment; a section that comes twice is told."""
+    """Return the sections and assignments without other lines; add a note for each repeated section and stray line."""
     kept: list[str] = []
     seen: set[str] = set()
     for number, line in enumerate(text.splitlines(), 1):
@@ -148,7 +148,7 @@ def _number(text: str) -> str | None:
 
 
 def _comments(parser: configparser.RawConfigParser) -> None:
-    """Comments are for people: one that is miscounted is no reason to refuse a file."""
+    """Remove the comments: a wrong count of comment lines must not make the file unreadable."""
     if parser.has_section("Comments"):
         parser.remove_section("Comments")
 

@@ -15,7 +15,7 @@ from tsa_ctrl.bus.drive.session import ANSWER_TIMEOUT, Session
 from tsa_ctrl.bus.settings import AxisNodes, DriveSettings, EncoderSettings, NodeSettings, Role
 from tsa_ctrl.errors import BusError, UsageError
 
-# What mends a refusal: for each object that a node does not take, the line of which file to write.
+# Remedies: for each object that a node refuses, which line to write in which file.
 
 _NO_OBJECT = frozenset({0x06020000, 0x06090011})
 _READ_ONLY = frozenset({0x06010000, 0x06010002})
@@ -31,7 +31,7 @@ _REACTIONS = {
     objects.FAULT_REACTION_OPTION.key: "fault",
     objects.ERROR_BEHAVIOUR.key: "communication_error",
 }
-_SETTINGS = {  # what an object's value comes from, in the controller's file
+_SETTINGS = {  # key of the controller file that determines the value of an object
     objects.HEARTBEAT_PRODUCER.key: "heartbeat_period in [axis.drive]",
     objects.HEARTBEAT_CONSUMER.key: "host_timeout in [axis.drive]",
     objects.LIFE_TIME_FACTOR.key: "host_timeout in [axis.drive]",
@@ -72,7 +72,7 @@ def profile_of(drive: DriveSettings) -> str:
 
 
 def cure(entry: Object, node: NodeSettings, profile: DriveProfile, code: int | None = None) -> str:
-    """What to do about an object that a node refused with this abort code, or (None) took and did not keep."""
+    """Return the remedy for an object that a node refused with this abort code; None: accepted, but not stored."""
     if not isinstance(node, DriveSettings):
         return "check that this is the sensor that the configuration means: node_id, vendor_id, product_code"
     plain = entry.of(2 - node.slot) if node.slot > 1 else entry

@@ -96,9 +96,8 @@ class Inbox:
         self.unpack = layout.struct.unpack
         self.store = store
         self.every = layout.every
-        self.turn = self.every - int(
-            self.every > 2
-        )  # SYNCs after which the next is due; the last one may have been late
+        # SYNCs after which the next answer may come; with a long period one fewer, as the last may have been late.
+        self.turn = self.every - 1 if self.every > 2 else self.every
         self.begin()
         if self.every > 1:
             self.share(self._taken)

@@ -39,7 +39,7 @@ FloatArray = NDArray[np.float64]
 
 ITERATIONS = 8  # Gauss-Newton steps; it ends earlier when a step is below TOLERANCE
 TOLERANCE = 1e-7  # of ln x and ln T_p: digits that no file is written with; a step there is rounding
-STEP = 1e-4  # relative step of numerical derivatives: rounding and curvature are both far below what an interval tells
+STEP = 1e-4  # relative step of numerical derivatives: its errors are far below an interval
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,12 @@ from tsa_ctrl.identify.diagnosis.selection.forward import Selection, without_cau
 from tsa_ctrl.identify.diagnosis.selection.step import backward_step
 from tsa_ctrl.model.parameters import Model
 
-# Names that a plain formula does clearly better than: they stand for something that the catalogue lacks.
+# Causes that a formula explains clearly better: the true cause is outside the catalogue.
 #
-# A torque sensor with two gains is fitted by sheaths that differ, a zero that follows the temperature by an offset, a
-# tendon that creeps by a spring, and what the name leaves is told as structure. Where a formula without the name
-# leaves visibly less on data that neither has seen than the name does with all that a formula adds to it, or as little
-# with fewer terms, the name is no claim, and the formula is told alone. An effect of the catalogue is described no
-# better, and by no fewer terms, than by itself.
+# Examples: sheaths that differ are fitted to a torque sensor with two gains, an offset to a zero that follows the
+# temperature, and a spring to a tendon that creeps. The rest would be reported as structure. The formula replaces the
+# cause if, on held-out data, its error is clearly smaller than that of the cause with its own formula, or equal with
+# fewer terms. No formula describes an effect of the catalogue better, or with fewer terms, than the effect itself.
 
 # Ratio of the mean square residuals of identified cause and formula, from which the formula replaces the cause: half of
 # the RMS. A cause from the catalogue leaves noise, and no formula removes half of that.
@@ -43,11 +42,11 @@ BLOCKS = 24  # of the held-out samples: as many as the evidence of a cause is ta
 def stand_in(
     problem: Problem, found: Fit, groups: Sequence[Group], split: Split, formula: Formula | None
 ) -> int | None:
-    """Number of a cause in whose place a formula does clearly better; None where none is.
+    """Return the number of the cause that a formula replaces; None if no formula is clearly better.
 
-    formula: what `found` leaves, told beside it. A cause with alternatives says less, and gives way only to a formula
-    of a single term that does better than each of them; and to one that tells when, which logs of one program share
-    without a law, only if it is `FAR`.
+    `formula` describes the residual of `found` and is reported with it. A cause with alternatives claims less, so only
+    a formula with a single term that is better than each alternative replaces it. Logs of one program share the moments
+    of their events without a physical reason, so a formula of time needs an improvement of `FAR`.
     """
     held = with_direction(problem, found, split.held)
     model = _described(problem, found, formula, split)
@@ -62,7 +61,7 @@ def stand_in(
         if error.error >= least or not _does_better(described, error, terms, present):
             continue
         if (1.0 - LEAST_GAIN) * _squares(problem, described.model, split.held).error > whole.error:
-            continue  # what is late shows in the reversals, whose direction is unknown, and nowhere else
+            continue  # a delay shows only in the reversals, where the direction is unknown
         others = (rival.fitted for rival in group.alternatives if not made_up(problem, rival.name))
         twins = (_described(problem, other, None, split) for other in others)
         if all(_does_better(described, error, terms, _squares(problem, twin, held)) for twin in twins):
@@ -71,7 +70,7 @@ def stand_in(
 
 
 def _does_better(formula: Formula, error: Elsewhere, terms: int, named: Elsewhere) -> bool:
-    """Whether a formula that leaves `error` takes the place of what is told in so many terms and leaves `named`."""
+    """Return True if a formula with `error` replaces a cause that has `terms` terms and the error `named`."""
     as_good = formula.terms < terms and (1.0 - LEAST_GAIN) * error.error <= named.error
     beats = error.clearly_beats(named) and not formula.tells_when
     return as_good or beats or FAR * error.error < named.error
@@ -80,9 +79,9 @@ def _does_better(formula: Formula, error: Elsewhere, terms: int, named: Elsewher
 def keeps_its_promise(
     problem: Problem, split: Split, named: tuple[Fit, Formula | None], instead: tuple[Fit, Formula | None]
 ) -> bool:
-    """Whether what is told in the end, `instead` of a name, leaves no more than causes and formula with the name did.
+    """Return True if the result `instead` of the named cause has no larger error than the result with it.
 
-    What is left without it is looked through anew, and another cause may fall with it.
+    Without this cause the selection runs again, and another cause may be dropped.
     """
     held = with_direction(problem, named[0], split.held)
     before, after = (_squares(problem, _described(problem, *told, split), held) for told in (named, instead))

@@ -41,12 +41,11 @@ from tsa_ctrl.model.functions import Array
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.predict import predict_each
 
-# The terms with a memory that a formula of what is left may have, of the load: found on a grid, then moved.
+# Terms of the load with a memory that a formula of the residual may have: searched on a grid, then refined.
 #
-# A tendon that creeps or a torque sensor that is slow (what a lag leaves), one that rings on its mount, and one whose
-# reading knows whether the load rose or fell before. Of each kind the grid has many terms, of which one is asked, with
-# its numbers moved to where it takes most. What a term does to the prediction is taken as what it is of the load; the
-# fit that follows compares by the model itself.
+# They describe a tendon that creeps or a slow torque sensor (`LAG`), a sensor that rings on its mount (`RING`), and a
+# sensor with hysteresis (`DAHL`). One term of each kind is tried, with the numbers at which it explains most. Here the
+# effect of a term on the prediction is linear in the load; the fit that follows uses the model itself.
 
 LAG, RING, DAHL = "(tau - lag(tau, {0}))", "(tau - ring(tau, {0}, {1}))", "dahl(tau, {0})"
 TIMES = (0.02, 5.0, 9)  # s of a lag: a filter of a sensor to a creep that a log of a minute still shows; and how many
@@ -56,7 +55,7 @@ FINE = 1.06  # ratio of two frequencies: within half of it the swings of a dampi
 DAMPINGS = (0.03, 0.1, 0.3)  # of what rings: steel on a soft mount to what hardly overshoots; between them it is moved
 FEWEST = 4.0  # score samples in a period of what rings
 WIDTHS = (0.05, 1.6, 6)  # of a hysteresis, of the RMS torque; wider is a straight line, narrower a dead zone
-TWINS = 1e-6  # of a column's square: one of which less is left beside the others is one of them
+TWINS = 1e-6  # of a column's square: a column with less left after projection on the others repeats them
 HALVINGS = 6  # of the way between two of the grid, to find the best place: a hundredth of it
 
 
@@ -70,7 +69,7 @@ class Grid:
     apart: tuple[float, ...]
 
     def inside(self, numbers: Array) -> tuple[float, ...]:
-        """The same numbers, within what they may be, and a step of a slope from there."""
+        """Return the numbers within their bounds, with room for one step of the numerical derivative."""
         bounds = zip(numbers.tolist(), KINDS[self.kind], strict=True)
         return tuple(min(max(number, bound.low), bound.high / (1.0 + 2.0 * TRIAL)) for number, bound in bounds)
 
@@ -83,13 +82,13 @@ class Grid:
 def memory_terms(
     problem: Problem, model: Model, fitting: NDArray[np.bool_], residual: Array, others: Array
 ) -> list[Term]:
-    """Of each kind the term that takes most of `residual` (n,) beside `others` (n, k), where fitted."""
+    """Return, for each kind, the term that explains most of `residual` (n,) in addition to `others` (n, k)."""
     column = _columns(problem, model)
     basis = orthonormal(others[fitting])
     left = residual[fitting] - basis @ (basis.T @ residual[fitting])
 
     def taken(text: str, place: tuple[float, ...]) -> float:
-        """Of the sum of squares, (N*m)^2."""
+        """Return the part of the sum of squares that the term explains, (N*m)^2."""
         own = column(text.format(*place))[fitting]
         whole = float(own @ own)
         beside = whole - float(np.sum(np.square(basis.T @ own)))  # of it, that the others do not have
@@ -113,7 +112,7 @@ def memory_terms(
 
 
 def _grids(problem: Problem) -> list[Grid]:
-    """Those that these logs may show."""
+    """Return the grids of all terms that these logs are long enough to show."""
     frame = problem.frame
     seconds = max(part.stop - part.start for part in frame.slices) * frame.period
     low, high, count = TIMES
@@ -132,7 +131,7 @@ def _grids(problem: Problem) -> list[Grid]:
 
 
 def _columns(problem: Problem, model: Model) -> Callable[[str], Array]:
-    """What a term of the load does to the prediction, (n,) N*m per unit of its coefficient at the score rate."""
+    """Return a function from a term to its effect on the prediction, (n,) N*m per unit of its coefficient."""
     frame, sign = problem.frame, 1.0 if isinstance(model, RigidDrive) else -1.0
     signals = [run.signals for run in frame.runs]
     bearing = with_custom(model, {"expression": "tau", "stage": "joint"})

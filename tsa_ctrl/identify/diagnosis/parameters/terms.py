@@ -99,32 +99,30 @@ def _wide(text: str, number: float) -> Term:
     return Term((text,), (number,), (number / FURTHER,), (number * FURTHER,))
 
 
-# The terms with the time of the logs that a formula of what is left may have: a step, and a wave.
+# Terms of time that a formula of the residual may have: a step and a wave.
 #
-# An anchor slips, a tensioner beats, a fan turns on: the torque, the friction or the gain is another from one moment
-# on, or swings by a clock of its own. Of each, one term is asked, at the moment or the frequency at which it takes
-# most. It describes these logs; another log has other moments.
+# An anchor slips, a tensioner oscillates, a fan starts: torque, friction or gain changes at a moment or periodically.
+# One term of each kind is tried, at the moment or the frequency where it explains most. It describes these logs only,
+# because other logs have other moments.
 
 STEP = "(1 + tanh((t - {{0}})/{0:g}))"
 WIDTH = 0.05  # s, of a step: shorter than a reversal, and long enough for its moment to be found by its slope
 MOMENTS = 200  # of a log, at which a step is looked for: of 20 s every tenth of a second, twice the step's width
 END = 0.1  # of a log, at either end: with less on one side of it a step is the fit of one stretch
 WAVE = ("sin(6.283185*{{0}}*(t - {0:.12g}))", "cos(6.283185*{{0}}*(t - {0:.12g}))")
-CYCLES = 3.0  # that a wave must have in a log: what turns seldom is no wave, but a drift
+CYCLES = 3.0  # that a wave must have in a log: fewer are a drift
 FASTEST = 3.0  # Hz: faster are ripples and ringing, which have terms of their own
-MOST_OF_RATE = (
-    0.4  # of the rate at which a long log is averaged: above a half of it a wave cannot be told from a slower
-)
+MOST_OF_RATE = 0.4  # of the rate at which a long log is averaged: above half of it a wave has a slower alias
 FINER = 5  # times that the way between two frequencies is halved: the phase at a log's end is then right to 3 degrees
 PER_LINE = 4  # frequencies tried within the width of a line, so that the best one loses a twentieth at most
-# Of these, by a Fourier transform, which does not know what others take of a wave: five lines with both neighbours
+# Frequencies kept after the Fourier transform, which ignores the other terms: five lines with their neighbours
 LIKELY = 40
 
 
 def time_terms(
     problem: Problem, predicted: Array, fitting: NDArray[np.bool_], residual: Array, others: Array
 ) -> list[Term]:
-    """Steps and waves that take most of `residual` (n,) beside `others` (n, k), where fitted; `predicted` (n,) N*m."""
+    """Return the steps and waves that explain most of `residual` (n,) besides `others` (n, k); `predicted`: N*m."""
     frame = problem.frame
     sigma, load = direction_and_load(frame, predicted)
     t = frame.stack([run.signals.t for run in frame.runs])
@@ -132,7 +130,7 @@ def time_terms(
     left = residual[fitting] - basis @ (basis.T @ residual[fitting])
 
     def taken(columns: Array) -> float:
-        """Of the sum of squares by these columns, (n, k)."""
+        """Return the part of the sum of squares that these columns (n, k) explain."""
         own = columns[fitting]
         own = orthonormal(own - basis @ (basis.T @ own))
         return float(np.sum((own.T @ left) ** 2))
@@ -168,7 +166,7 @@ def time_terms(
 
 
 def _likely(frequencies: Array, y: Array, t: Array, slices: Sequence[slice], period: float) -> Array:
-    """Of these frequencies, Hz, those of which a wave takes most of `y` (n,) by the Fourier transform of all logs."""
+    """Return the frequencies (Hz) that explain most of `y` (n,), by the Fourier transform of all logs."""
     if len(frequencies) <= LIKELY:
         return frequencies
     count = next_fast_len(2 * PER_LINE * max(part.stop - part.start for part in slices), real=True)
