@@ -13,6 +13,7 @@ from tests.daemon.machine import WITH_CELLS, Machine
 from tsa_ctrl.control.live import Parameter, Tuner, parameters_of
 from tsa_ctrl.daemon.build import describe, tuners_of
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.ipc.mailbox import Mailbox
 from tsa_ctrl.ipc.parameters import change
 
 KINDS = ("fixed", "sensor", "map", "motor", "stretch", "tension")
@@ -206,3 +207,13 @@ def test_what_moves_slowly_takes_its_time_and_then_rests(parameters: tuple[Param
     setattr(gain.part, gain.attribute, 0.3)
     tuner.update()
     assert gain.value == 0.3  # it arrived, and holds nothing any more
+
+
+def test_the_value_before_the_first_cycle_is_unknown(tmp_path: Path) -> None:
+    """A value that lowers the back-off is accepted as well: nothing was published that it could be above."""
+    machine = machine_of(tmp_path, "fixed")
+    description = describe(machine.configuration, tuners_of(machine.axes, 1e-3))
+    for name, value in (("compensation", 0.5), ("back_off", 0.5)):
+        _, answer = change(Mailbox(1, len(description.parameters[0])), description, name, value)
+        assert (answer["before"], answer["value"]) == (None, value)
+    machine.close()

@@ -75,7 +75,7 @@ def test_set_negative_value_is_no_option(serving: Serving) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("0.5", "--against", "1.3"), "compensation 1.3 1 is out of bounds; allowed is 0 to 1.2"),
+        (("0.5", "--against", "1.3"), "compensation 1.3 is out of bounds; allowed is 0 to 1.2"),
         (("0.5", "--against", "0.5"), "A and B are the same"),
         (("0.5", "--against", "0.9", "--with", "compensation=0.1,0.2"), "name each parameter once"),
         (("0.5", "--against", "0.9", "--with", "slew=60"), "write NAME=A,B"),

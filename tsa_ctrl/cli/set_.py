@@ -71,7 +71,8 @@ def command(
     stage = answer.get("waiting_for")
     waits = f"; takes effect when the axis runs, startup waits for: {stage}" if stage else ""
     value_now = f"{answer['value']:g}{of_unit(answer['unit'])}"
-    click.echo(f"{answer['axis']}.{answer['name']}: {answer['before']:g} -> {value_now}{waits}")
+    before = "-" if answer["before"] is None else f"{answer['before']:g}"
+    click.echo(f"{answer['axis']}.{answer['name']}: {before} -> {value_now}{waits}")
 
 
 def _recovered(client: Client) -> str:

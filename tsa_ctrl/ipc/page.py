@@ -225,7 +225,8 @@ def watch(client: Client) -> None:
                     try:
                         answer = client.ask(request)
                         now = f"{answer['value']:.4g}{of_unit(answer['unit'])}"
-                        page.message = f"{answer['name']}: {answer['before']:.4g} -> {now}"
+                        before = "-" if answer["before"] is None else f"{answer['before']:.4g}"
+                        page.message = f"{answer['name']}: {before} -> {now}"
                     except UsageError as error:
                         page.message = str(error)
             page.take(client.ask(Status()))

@@ -16,6 +16,7 @@ def change(
 ) -> tuple[Command, dict[str, Any]]:
     """Return the command of `tsa set NAME VALUE`, and its answer once the loop has taken it.
 
+    The answer's `before` is None until the loop has published its first status.
     `owner`: the client's user started the daemon, or is root; `now` in s, monotonic. Raises UsageError.
     """
     axis, dot, parameter = name.rpartition(".")
@@ -28,12 +29,13 @@ def change(
             if known.low is None or known.high is None:
                 raise UsageError(f"'{parameter}' cannot be set on this axis: {known.doc}")
             check_bounds(parameter, value, known.low, known.high, known.unit)
-            before = mailbox.status()[1][index][1][number]
+            general, axes = mailbox.status()
+            before = axes[index][1][number] if general.time > 0.0 else None  # unknown until the first cycle
             answer = {"axis": description.axes[index], "name": parameter, "unit": known.unit}
             release = known.restores and value == known.high
             if release:
                 _check_release(mailbox, index, owner, now)
-            elif known.restores and value > before:
+            elif known.restores and before is not None and value > before:
                 raise UsageError(
                     f"{parameter} {value:g} is above {before:g}; it can be lowered, or released by {known.high:g}"
                 )

@@ -19,6 +19,7 @@ from tsa_ctrl.errors import BusError, UsageError
 from tsa_ctrl.identify.quantity import Quantity
 from tsa_ctrl.ipc import protocol
 from tsa_ctrl.ipc.client import Client
+from tsa_ctrl.ipc.parameters import check_bounds
 from tsa_ctrl.outputs import json_types
 
 # Blocks of a running daemon for a comparison: parameters through its socket, errors from its status.
@@ -52,16 +53,14 @@ class LiveBlocks:
                 if where not in ("", axis["name"]) or known is None or known["low"] is None:
                     continue  # the daemon says why it refuses
                 for values in self._sets.values():
-                    if not known["low"] <= values[parameter] <= known["high"]:
-                        raise UsageError(
-                            f"{parameter} {values[parameter]:g} {known['unit']} is out of bounds; allowed is "
-                            f"{known['low']:g} to {known['high']:g} {known['unit']}"
-                        )
+                    check_bounds(parameter, values[parameter], known["low"], known["high"], known["unit"])
 
     def apply(self, name: str) -> None:
         """Set one of the two sets, and wait until it has arrived and settled; raises UsageError, BusError."""
         for parameter, value in self._sets[name].items():
             answer = self._client.ask(protocol.Set(parameter, value))
+            if answer["before"] is None:
+                raise UsageError("the daemon has not run a cycle yet; compare when `tsa status` reports running")
             self._before.setdefault(parameter, float(answer["before"]))
             if self.axis not in ("", answer["axis"]):
                 raise UsageError(f"'{parameter}' is of axis {answer['axis']}, others of {self.axis}; compare one axis")
