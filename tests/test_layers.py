@@ -72,7 +72,7 @@ ROOMS: dict[str, str] = {
     "demo": "errors system log model bus.wire identify virtual tune",
     "cli": (
         "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
-        "virtual published doctor bench drills dashboard tune demo"
+        "virtual published safety.causes doctor bench drills dashboard tune demo"
     ),
     "__init__": "errors version system ipc.client identify virtual model",
     "__main__": "system cli",

@@ -14,6 +14,8 @@ from click.testing import CliRunner
 
 from tests.conftest import ROOT
 from tsa_ctrl.cli import VERBS, cli, main
+from tsa_ctrl.errors import UsageError
+from tsa_ctrl.safety.causes import Cause
 
 LISTED = cli.list_commands(click.Context(cli))
 
@@ -162,3 +164,19 @@ def test_little_is_loaded_before_ctrl_c_is_a_line() -> None:
     code = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import tsa_ctrl.__main__; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-SE", "-c", code], capture_output=True, text=True, check=True)
     assert {"typing", "tempfile", "shutil", "click", "tsa_ctrl.cli"}.isdisjoint(loaded.stdout.split())
+
+
+@pytest.mark.parametrize("cause", list(Cause), ids=lambda cause: cause.id)
+def test_help_of_a_fault_gives_its_remedy(cause: Cause) -> None:
+    """Found by the id of the JSON status as well as by the words of the page."""
+    for topic in (cause.id, cause.title, cause.title.upper()):
+        result = CliRunner().invoke(cli, ["help", topic], catch_exceptions=False)
+        assert cause.remedy in " ".join(result.output.split())
+
+
+def test_help_lists_every_fault_and_knows_a_misspelt_one() -> None:
+    output = CliRunner().invoke(cli, ["help", "faults"]).output
+    assert [line.split()[0] for line in output.splitlines()] == [cause.id for cause in Cause]
+    error = CliRunner().invoke(cli, ["help", "stalepdo"]).exception
+    assert isinstance(error, UsageError)
+    assert "did you mean 'stale_pdo'?" in str(error)

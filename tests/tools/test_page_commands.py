@@ -129,7 +129,7 @@ def write_foreign(path: Path) -> None:
 def test_the_block_of_the_readme_about_a_log_of_ones_own_works_as_written(tmp_path: Path) -> None:
     """A table of another program through import, simulate and diagnose to the report."""
     write_foreign(tmp_path / "measured.txt")
-    block = BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8").partition("## Your own log")[2])
+    block = BLOCK.search((ROOT / "README.md").read_text(encoding="utf-8").partition("## Bring your log")[2])
     assert block is not None
     lines = list(lines_of(block[0]))
     assert [words_of(line)[1] for line in lines] == ["log", "simulate", "diagnose"]

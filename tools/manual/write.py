@@ -20,6 +20,7 @@ PAGES = (
     "config/README.md",
     "tools/README.md",
     "tsa_ctrl/README.md",
+    "tsa_ctrl/cli/README.md",
     "tsa_ctrl/DESIGN.md",
     "tsa_ctrl/ipc/README.md",
     "tsa_ctrl/CHANGES.md",

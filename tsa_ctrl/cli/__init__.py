@@ -34,7 +34,7 @@ VERBS: dict[str, str] = {
     "drive": "probe a drive; dump, restore or compare its objects",
     "verify-safety": "hang and kill the loop, and measure the drive's reaction",
     "bench": "find the highest rate of this machine, adapter and configuration",
-    "help": "show the manual's pages in the terminal",
+    "help": "show the manual's pages, or the remedy of a fault",
     "dashboard": "open a local page to watch and tune",
 }
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import difflib
 import sys
+import textwrap
 from pathlib import Path
 
 import click
 
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.safety.causes import Cause
 
 PACKAGE = Path(__file__).parents[1]
 TOPICS = {
+    "commands": ("cli/README.md", "every command, the files, first steps at a desk"),
     "rig": ("shipped/README.md", "a real drive: wiring, rights, watchdogs, first torque, troubleshooting, every key"),
     "drives": (
         "bus/drive/README.md",
@@ -36,26 +39,41 @@ TOPICS = {
 @click.argument("topic", required=False)
 @click.pass_context
 def command(ctx: click.Context, topic: str | None) -> None:
-    """Show the manual's page of a TOPIC, or the help of a command; without TOPIC, list all topics."""
+    """Show a page of the manual, the help of a command, or the remedy of a fault; without TOPIC, list all topics."""
     if topic is None:
         for name in TOPICS:
             click.echo(f"{name:10s}{TOPICS[name][1]}")
         click.echo("and every command: tsa help diagnose is tsa diagnose --help")
+        click.echo("and every fault by its cause, for example tsa help stale_pdo; tsa help faults lists all")
         return
     if topic in TOPICS:
         _page((PACKAGE / TOPICS[topic][0]).read_text(encoding="utf-8"))
+        return
+    causes = {cause.id: cause for cause in Cause}
+    if topic == "faults":
+        click.echo("\n".join(f"{identifier:20s}{each.title}" for identifier, each in causes.items()))
+        return
+    if cause := causes.get(_identifier(topic)):
+        click.echo(f"{cause.title} (cause_id {cause.id})\n{textwrap.fill(f'Remedy: {cause.remedy}.', 100)}")
         return
     root = ctx.find_root()
     group = root.command
     assert isinstance(group, click.Group)
     verb = group.get_command(root, topic)
     if verb is None:
-        known = [*TOPICS, *group.list_commands(root)]
+        known = [*TOPICS, "faults", *causes, *group.list_commands(root)]
         near = difflib.get_close_matches(topic, known, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"topics are {', '.join(TOPICS)}, and every command"
+        advice = f"did you mean '{near[0]}'?" if near else f"topics are {', '.join(TOPICS)}, faults, and every command"
         raise UsageError(f"help: no page '{topic}'; {advice}")
     with click.Context(verb, info_name=topic, parent=root) as inner:
         click.echo(verb.get_help(inner))
+
+
+def _identifier(topic: str) -> str:
+    """Return the id of a cause from its id or its title, as status and events print it."""
+    words = topic.strip().lower()
+    by_title = {cause.title.lower(): cause.id for cause in Cause}
+    return by_title.get(words, words.replace(" ", "_").replace("-", "_"))
 
 
 def _page(text: str) -> None:
