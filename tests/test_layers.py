@@ -28,6 +28,7 @@ ROOMS: dict[str, str] = {
     "version": "",
     "settings": "errors",
     "outputs": "errors",
+    "display": "",
     "system": "errors",
     "signals": "",  # of an axis: the log, the status and the client have their fields from this table
     # logs, sensors, the model: what both pipelines share
@@ -54,11 +55,11 @@ ROOMS: dict[str, str] = {
         "ipc"
     ),
     # offline: from logs to parameters and causes, without bus and loop
-    "identify": "errors version settings outputs system signals log model observer",
+    "identify": "errors display version settings outputs system signals log model observer",
     # the machine that answers: independent of everything that computes
     "plant": "errors settings log.waypoints model.parameters model.routing model.catalogue bus.wire",
     # both of them in one process, in time of their own
-    "virtual": "errors outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant",
+    "virtual": "errors display outputs signals log bus.wire bus.live monitor safety control config ipc daemon plant",
     # for people
     "published": "errors outputs",
     "doctor": "errors system bus.settings bus.wire bus.canopen.objects bus.drive",
@@ -74,7 +75,7 @@ ROOMS: dict[str, str] = {
         "errors version settings outputs system signals log model bus config readiness ipc daemon identify plant "
         "virtual published safety.causes doctor bench drills dashboard tune demo"
     ),
-    "__init__": "errors version system ipc.client identify virtual model",
+    "__init__": "errors version system ipc.client identify virtual model daemon.controller",
     "__main__": "system cli",
 }
 

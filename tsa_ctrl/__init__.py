@@ -7,6 +7,7 @@ from tsa_ctrl.version import __version__
 
 TYPE_CHECKING = False  # as in typing, which takes 5 ms to load: until `tsa` is there Ctrl-C is a traceback
 if TYPE_CHECKING:
+    from tsa_ctrl.daemon.controller import Controller
     from tsa_ctrl.errors import LeaseLostError
     from tsa_ctrl.identify.dataset import Dataset
     from tsa_ctrl.identify.python import calibrate, diagnose, predict
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Client",
+    "Controller",
     "Dataset",
     "LeaseLostError",
     "__version__",
@@ -28,6 +30,7 @@ __all__ = [
 
 _MODULES = {
     "Client": "ipc.client",
+    "Controller": "daemon.controller",
     "Dataset": "identify.dataset",
     "LeaseLostError": "errors",
     "calibrate": "identify.python",

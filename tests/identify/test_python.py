@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import inspect
+import io
 import re
 from pathlib import Path
 
@@ -11,7 +13,11 @@ import pytest
 
 import tsa_ctrl
 from tests.conftest import ROOT
+from tsa_ctrl.display import Displayed
 from tsa_ctrl.errors import UsageError
+from tsa_ctrl.identify.calibrate import Calibration
+from tsa_ctrl.identify.quantity import Quantity
+from tsa_ctrl.model.parameters import TendonSheath
 
 SIGNATURES = Path(__file__).with_name("signatures.txt")
 T = np.arange(400) * 0.005
@@ -57,3 +63,42 @@ def test_calibrate_and_diagnose_take_a_frame() -> None:
 def test_what_is_no_log_is_rejected_in_words() -> None:
     with pytest.raises(UsageError, match="is a int; give a Dataset"):
         tsa_ctrl.predict(ROOT / "config/actuator.toml", 3)
+
+
+def shown(result: Displayed) -> str:
+    """Check the picture and the table of a notebook; return the line of a Python session."""
+    drawn = io.BytesIO()
+    result.plot().savefig(drawn)
+    assert len(drawn.getvalue()) > 5_000
+    table, line = result._repr_html_(), repr(result)
+    assert table.startswith(f"<table><caption>{type(result).__name__}<")
+    for value in result.facts().values():
+        assert value in line
+        assert html.escape(value) in table
+    return line
+
+
+def test_a_log_shows_itself_in_one_line_a_table_and_a_picture() -> None:
+    line = shown(tsa_ctrl.Dataset.from_arrays(COLUMNS, "a <log>"))
+    assert line == "Dataset(log: a <log>, duration: 1.995 s, rate: 200 Hz, columns: t, tau_m, q_j, omega_j)"
+
+
+def test_a_calibration_shows_its_estimates_and_errors() -> None:
+    quantity = Quantity(0.26, 0.25, 0.27, "1")
+    model = tsa_ctrl.load_model(ROOT / "config/actuator.toml")
+    assert isinstance(model, TendonSheath)
+    estimates = dict.fromkeys(("friction_angle", "pretension", "slope", "half_loop_torque"), quantity)
+    rms = {"rms_before": 0.08, "rms_after": 0.02, "rms_given": 0.07, "rms_written": 0.03}
+    found = Calibration(
+        **estimates,
+        split=True,
+        condition_number=3.0,
+        admitted_seconds=10.0,
+        refused=(),
+        **rms,
+        experiment="",
+        notes=(),
+        model=model,
+    )
+    assert "friction angle: 0.26 (0.25 to 0.27)" in shown(found)
+    assert "held-out error: 0.08 -> 0.02 N·m" in repr(found)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from tsa_ctrl.bus.canopen.cia301 import NmtCommand
+from tsa_ctrl.bus.canopen.cia402 import Controlword
 from tsa_ctrl.bus.live.rig import Rig
 from tsa_ctrl.control.axis import ControlAxis
 from tsa_ctrl.safety.limiter import Reason
@@ -20,27 +21,32 @@ def run_cycle(rig: Rig, axes: Sequence[ControlAxis], now: float, deadline: float
     rig.sync(now)
     rig.collect(deadline)
     for axis in axes:
-        image, terms = axis.image, axis.terms
-        controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
-        terms.q_j, terms.omega_j = q_j, omega_j = axis.joint()
-        law, set_point = axis.law, axis.set_point
-        wanted = 0.0
-        if permitted:
-            t = axis.since_enable(now)
-            if set_point.is_received:
-                axis.listen(now, t)
-            terms.tau_j_des = set_point.update(t)
-            law.observe(q_j, image.q_m, image.fresh, set_point.ahead, set_point.rate)
-            wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.guard.share)
-        else:
-            law.observe(q_j, image.q_m, image.fresh, math.nan, 0.0)
-        terms.sigma = law.sigma
-        fresh = image.pdo_age <= axis.most_age
-        torque, reason = axis.limiter.update(wanted, permitted, fresh, image.tau_m, image.omega_m, q_j, omega_j)
-        axis.io.command(controlword, torque)
-        if reason is Reason.NONE and law.beyond:
-            reason = Reason.DOMAIN
-        terms.tau_m_cmd, terms.reason, terms.permitted = torque, reason, permitted
+        axis.io.command(*command(axis, now))
+
+
+def command(axis: ControlAxis, now: float) -> tuple[Controlword, float]:
+    """Return controlword and motor torque (N*m) of one axis by this cycle's measurements; `now` in s, monotonic."""
+    image, terms = axis.image, axis.terms
+    controlword, permitted, _ = axis.supervisor.update(image, now, axis.request)
+    terms.q_j, terms.omega_j = q_j, omega_j = axis.joint()
+    law, set_point = axis.law, axis.set_point
+    wanted = 0.0
+    if permitted:
+        t = axis.since_enable(now)
+        if set_point.is_received:
+            axis.listen(now, t)
+        terms.tau_j_des = set_point.update(t)
+        law.observe(q_j, image.q_m, image.fresh, set_point.ahead, set_point.rate)
+        wanted = axis.ramp * law.update(set_point.acting, image.q_m, image.omega_m, t, axis.guard.share)
+    else:
+        law.observe(q_j, image.q_m, image.fresh, math.nan, 0.0)
+    terms.sigma = law.sigma
+    fresh = image.pdo_age <= axis.most_age
+    torque, reason = axis.limiter.update(wanted, permitted, fresh, image.tau_m, image.omega_m, q_j, omega_j)
+    if reason is Reason.NONE and law.beyond:
+        reason = Reason.DOMAIN
+    terms.tau_m_cmd, terms.reason, terms.permitted = torque, reason, permitted
+    return controlword, torque
 
 
 def follow_up(rig: Rig, axes: Sequence[ControlAxis], now: float) -> None:

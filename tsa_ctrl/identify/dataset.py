@@ -13,10 +13,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tsa_ctrl.display import Displayed, lines
 from tsa_ctrl.errors import UsageError
 from tsa_ctrl.identify.motion import SHAFTS, Motion, in_words
 from tsa_ctrl.identify.redundancy import check_columns
@@ -26,6 +28,9 @@ from tsa_ctrl.log.timing import LONGEST_SKIP, check_increasing, fit_grid, fit_st
 from tsa_ctrl.model.parameters import Model, RigidDrive
 from tsa_ctrl.model.signals import Signals
 from tsa_ctrl.signals import COLUMNS, INPUTS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -37,8 +42,8 @@ NEEDED = frozenset(("tau_m", "tau_j", "omega_j", "q_j", "omega_m", "q_m"))
 LEAST_PRESENT = 0.5  # of the rows must have a value of a signal that is not NEEDED, else the log is used without it
 
 
-@dataclass(frozen=True)
-class Dataset:
+@dataclass(frozen=True, repr=False)
+class Dataset(Displayed):
     """One log on a uniform grid.
 
     `columns` are float64 arrays of shape (n,), SI units, without nan; `derived` names those that the file did not have;
@@ -71,6 +76,25 @@ class Dataset:
             if array.ndim != 1 or len(array) != len(next(iter(arrays.values()))):
                 raise UsageError(f"{name}: column {key} has shape {array.shape}; give columns of one length")
         return _longest(_datasets(Table(name, arrays, recorded=recorded), name, "", False, cutoff))
+
+    def facts(self) -> dict[str, str]:
+        """Return name, duration, rate and columns of the log."""
+        measured = ", ".join(name for name in self.columns if name not in self.derived)
+        derived = ", ".join(name for name in self.columns if name in self.derived)
+        found = {"log": self.name, "duration": f"{self['t'][-1] - self['t'][0]:.4g} s", "rate": f"{self.rate:.4g} Hz"}
+        return {**found, "columns": measured, **({"derived": derived} if derived else {})}
+
+    def plot(self) -> Figure:
+        """Return a picture of torques, velocities and angles over time."""
+        panels = []
+        for label, names in (
+            ("torque (N·m)", ("tau_m", "tau_j")),
+            ("velocity (rad/s)", ("omega_m", "omega_j")),
+            ("angle (rad)", ("q_m", "q_j")),
+        ):
+            if signals := {name: self[name] for name in names if name in self}:
+                panels.append((label, signals))
+        return lines(panels, self["t"], self.name)
 
     def __len__(self) -> int:
         return len(self.columns["t"])

@@ -6,23 +6,27 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tsa_ctrl.daemon.build import STATES
 from tsa_ctrl.daemon.summary import Summary
+from tsa_ctrl.display import Displayed, lines
 from tsa_ctrl.outputs import json_types
 from tsa_ctrl.safety.limiter import Reason
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Columns = dict[str, NDArray[np.float64]]
 
 SCHEMA = 1
 
 
-@dataclass(frozen=True)
-class AxisResult:
+@dataclass(frozen=True, repr=False)
+class AxisResult(Displayed):
     """One axis: `log` and `truth` by column name, (n,) and (m,); `start` is the truth's `clock` at t = 0 of the log."""
 
     name: str
@@ -56,6 +60,24 @@ class AxisResult:
         """Delivered joint torque less the one wanted, N*m, over the cycles that count."""
         return (self.delivered - self.log["tau_j_des"])[self.counted]
 
+    def facts(self) -> dict[str, str]:
+        """Return the errors of the delivered joint torque, the joint's speed, and the faults."""
+        found = self.to_dict()
+        errors = " / ".join("-" if found[key] is None else f"{1e3 * found[key]:.4g}" for key in ("rms", "p99", "peak"))
+        speed = found["joint_speed_peak"]
+        return {
+            "axis": self.name,
+            "error RMS / 99 % / peak": f"{errors} mN·m",
+            "peak joint speed": "-" if speed is None else f"{speed:.4g} rad/s",
+            "faults": "; ".join(self.faults) or "none",
+        }
+
+    def plot(self) -> Figure:
+        """Return a picture of desired and delivered joint torque, and of the joint's velocity, over time."""
+        torques = {"desired": self.log["tau_j_des"], "delivered": self.delivered}
+        panels = (("joint torque (N·m)", torques), ("velocity (rad/s)", {"omega_j": self.log["omega_j"]}))
+        return lines(panels, self.log["t"], self.facts()["error RMS / 99 % / peak"] + " error RMS / 99 % / peak")
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready: null where no cycle counts."""
         error, speed = np.abs(self.error), np.abs(self.truth["omega_j"])
@@ -75,8 +97,8 @@ class AxisResult:
         }
 
 
-@dataclass(frozen=True)
-class Simulation:
+@dataclass(frozen=True, repr=False)
+class Simulation(Displayed):
     """One run; `axes` in the controller's order. `log` and `truth` are those of the first axis."""
 
     seconds: float
@@ -96,6 +118,17 @@ class Simulation:
     def axis(self, name: str) -> AxisResult:
         """The axis of this name; raises KeyError."""
         return {axis.name: axis for axis in self.axes}[name]
+
+    def facts(self) -> dict[str, str]:
+        """Return how the run ended, and the facts of each axis."""
+        found = {"seconds": f"{self.seconds:.4g} s", "ended": self.summary.cause}
+        for axis in self.axes:
+            found |= {f"{axis.name}: {name}": value for name, value in axis.facts().items() if name != "axis"}
+        return found
+
+    def plot(self) -> Figure:
+        """Return the picture of the first axis; `axis(NAME).plot()` draws another axis."""
+        return self.axes[0].plot()
 
     def to_dict(self) -> dict[str, Any]:
         """The public JSON object of `tsa simulate-loop --json`."""

@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tsa_ctrl.display import Displayed, bars
 from tsa_ctrl.identify.quantity import Quantity, rounded
 from tsa_ctrl.model.parameters import TendonSheath
 from tsa_ctrl.outputs import json_types
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Share by which the mean square of a held-out error may increase by chance: two parameters from about 18 independent
 # blocks (`regression.BLOCKS`), compared with a file that may have been fitted to the held-out logs as well.
@@ -17,8 +21,8 @@ BY_CHANCE = 2.0 / 18.0
 ROUNDING = 1e-4  # of the error on the data learned from, which shows no further digits
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Displayed):
     """Result of `calibrate`.
 
     `slope` (1) is d tau_J / d tau_M and `half_loop_torque` (N*m) half the distance between the two branches, both at
@@ -61,6 +65,21 @@ class Calibration:
         """What was estimated, by its public name."""
         names = ("friction_angle", "pretension", "half_loop_torque", "slope")
         return {name: getattr(self, name) for name in names}
+
+    def facts(self) -> dict[str, str]:
+        """Return the estimates with their intervals, and the error on held-out data before and after."""
+        found = {name.replace("_", " "): str(quantity) for name, quantity in self.quantities.items()}
+        return {**found, "held-out error": f"{self.rms_before:.4g} -> {self.rms_after:.4g} N·m"}
+
+    def plot(self) -> Figure:
+        """Return a picture of the RMS errors before and after the calibration."""
+        errors = {
+            "nominal, held-out data": self.rms_before,
+            "calibrated, held-out data": self.rms_after,
+            "nominal, all data": self.rms_given,
+            "calibrated, all data": self.rms_written,
+        }
+        return bars(errors, "RMS error (N·m)", f"Friction torque {self.half_loop_torque}")
 
     def written(self, model: TendonSheath) -> TendonSheath:
         """The model with as many digits of what was estimated as the narrowest interval is worth: the half loop's."""

@@ -1,0 +1,72 @@
+"""Results in a Python session: one line of text, a table in a notebook, and a picture."""
+
+from __future__ import annotations
+
+import html
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_POINTS = 6000  # of a line; a screen shows no more
+
+
+class Displayed(ABC):
+    """A result that shows itself: `facts` are its rows, and `plot` returns its picture."""
+
+    @abstractmethod
+    def facts(self) -> Mapping[str, str]:
+        """Return the rows to show: name and value with its unit."""
+
+    @abstractmethod
+    def plot(self) -> Figure:
+        """Return a picture of the result; a notebook shows it, `savefig` writes it."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(f'{name}: {value}' for name, value in self.facts().items())})"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(name)}</th><td>{html.escape(value)}</td></tr>"
+            for name, value in self.facts().items()
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+def lines(
+    panels: Sequence[tuple[str, Mapping[str, NDArray[np.float64]]]], t: NDArray[np.float64], title: str
+) -> Figure:
+    """Return a picture of signals over time (s): one panel per (axis label, lines by name)."""
+    from matplotlib.figure import Figure  # slow to import
+
+    figure = Figure(figsize=(9.0, 1.0 + 2.2 * len(panels)), layout="constrained")
+    axes: Any = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    step = max(1, len(t) // MOST_POINTS)
+    for axis, (label, signals) in zip(axes, panels, strict=True):
+        for name, values in signals.items():
+            axis.plot(t[::step], values[::step], lw=1.0, label=name)
+        axis.set_ylabel(label)
+        axis.legend(loc="upper right")
+    axes[-1].set_xlabel("time (s)")
+    figure.suptitle(title)
+    return figure
+
+
+def bars(values: Mapping[str, float], label: str, title: str) -> Figure:
+    """Return a picture of values by name, as horizontal bars."""
+    from matplotlib.figure import Figure  # slow to import
+
+    figure = Figure(figsize=(7.0, 0.9 + 0.45 * len(values)), layout="constrained")
+    axis = figure.subplots()
+    shown = axis.barh(list(values), list(values.values()))
+    axis.bar_label(shown, fmt="%.4g", padding=3)
+    axis.invert_yaxis()
+    axis.margins(x=0.12)
+    axis.set_xlabel(label)
+    axis.set_title(title)
+    return figure
